@@ -109,6 +109,8 @@ if TYPE_CHECKING:
     from armsight.control.guard import Limits as Limits
     from armsight.drivers import CameraSettings as CameraSettings
     from armsight.drivers import Robot as Robot
+    from armsight.drivers import RobotState as RobotState
+    from armsight.drivers import Sent as Sent
     from armsight.errors import Ambiguous as Ambiguous
     from armsight.errors import ArmsightError as ArmsightError
     from armsight.errors import BadFile as BadFile
@@ -136,6 +138,7 @@ if TYPE_CHECKING:
     from armsight.optics import triangulate as triangulate
     from armsight.records import Colour as Colour
     from armsight.records import Frame as Frame
+    from armsight.records import JointReading as JointReading
     from armsight.records import NoiseModel as NoiseModel
     from armsight.records import PoseStatus as PoseStatus
     from armsight.records import Progress as Progress
@@ -243,12 +246,13 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.measure.settings": ("SpotSettings",),
     "armsight.calibrate.cameras": ("BoardOptions",),
     "armsight.control.guard": ("Limits",),
-    "armsight.drivers": ("CameraSettings", "Robot"),
+    "armsight.drivers": ("CameraSettings", "Robot", "RobotState", "Sent"),
     "armsight.kinematics": ("Arm", "Inverse", "Joint", "JointPath", "presets"),
     "armsight.optics": ("Camera", "Rig", "triangulate"),
     "armsight.records": (
         "Colour",
         "Frame",
+        "JointReading",
         "NoiseModel",
         "PoseStatus",
         "Progress",

@@ -20,12 +20,12 @@ from armsight.records import Frame, checked_array, real_array, require_count, re
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-ImageLike = ArrayLike | str | PathLike[str]
+ImageLike = ArrayLike | str | PathLike[str] | Frame
 Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
 
 
 def as_image(image: ImageLike, name: str = "the image", bits: int | None = None) -> Image:
-    """Return an image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read.
+    """Return an image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read, of a Frame its image taken.
 
     Colours are in OpenCV's order, blue first, as cv2.imread gives them. bits: of the light in uint16 arrays and 16-bit
     files alike, scaled so that full scale is 255. Raises BadImage for any other type or shape, and for 16 bits of which
@@ -35,16 +35,7 @@ def as_image(image: ImageLike, name: str = "the image", bits: int | None = None)
         require_count("bits", bits, least=LEAST_BITS)
     if isinstance(image, str | PathLike):
         return read_image(fspath(image), bits)
-    try:
-        array = np.asarray(image)
-    except (TypeError, ValueError) as error:
-        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
-    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
-        raise BadImage(
-            f"{name} is masked in places",
-            consequence="What is below the mask would be measured",
-            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
-        )
+    array = _plain(image.image if isinstance(image, Frame) else image, name)
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if array.dtype == np.uint16 and array.size:
@@ -58,6 +49,20 @@ def as_image(image: ImageLike, name: str = "the image", bits: int | None = None)
     if not array.size:
         raise BadImage(f"{name} is empty: its shape is {array.shape}", cure="Check that the camera gave a frame")
     return np.ascontiguousarray(array)
+
+
+def _plain(image: object, name: str) -> NDArray[Any]:
+    try:
+        array = np.asarray(image)
+    except (TypeError, ValueError) as error:
+        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
+    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
+        raise BadImage(
+            f"{name} is masked in places",
+            consequence="What is below the mask would be measured",
+            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
+        )
+    return array
 
 
 def read_image(path: str, bits: int | None = None) -> Image:

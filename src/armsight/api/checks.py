@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -31,6 +32,7 @@ def speaks_python(call: Callable[P, R]) -> Callable[P, R]:
             for name, value in signature.bind(*args, **given).arguments.items():
                 if name in checks:
                     checks[name](name, value)
+                require_range(name, value)
             return call(*args, **given)
         except ArmsightError as error:
             in_python(error)
@@ -53,6 +55,14 @@ def check_of(annotation: str) -> Check | None:
     else:
         return None
     return partial(_or_none, check) if "None" in parts else check
+
+
+def require_range(name: str, value: object) -> None:
+    """Raise UsageError for a number that a parameter of this name cannot have; see RANGES."""
+    if name in RANGES and isinstance(value, int | float) and not RANGES[name](value):
+        raise UsageError(
+            f"{name} is {value:g}, which cannot be", consequence="It cannot be used", cure=RANGES[name].cure
+        )
 
 
 def _or_none(check: Check, name: str, value: object) -> None:
@@ -82,6 +92,31 @@ def _confirm(name: str, value: object) -> None:
     if not isinstance(value, bool) and not callable(value):
         raise UsageError(f"{name} is {value!r}", cure="Give True, or a function of the question")
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _From:
+    """What a number has to be: from `least` on, or above it."""
+
+    least: float
+    above: bool = False
+
+    def __call__(self, value: float) -> bool:
+        return value > self.least if self.above else value >= self.least
+
+    @property
+    def cure(self) -> str:
+        return f"Give {'more than' if self.above else 'at least'} {self.least:g}"
+
+
+RANGES: Mapping[str, _From] = {
+    **dict.fromkeys(("every", "frames", "limit", "workers"), _From(least=1)),
+    **dict.fromkeys(("max_skew_s", "seed"), _From(least=0)),
+    **dict.fromkeys(
+        ("cycle_s", "distance_m", "fps", "seconds_s", "tolerance_m", "tolerance_rad", "unit_m"),
+        _From(least=0, above=True),
+    ),
+}
+"""What the numbers of these names have to be wherever they are taken, as the options of the command line are."""
 
 SIMPLE: Mapping[str, Check] = {
     "float": require_number,

@@ -27,6 +27,7 @@ from armsight.app.schemas.base import Output
 from armsight.app.schemas.files import ExportOutput, RepairOutput
 from armsight.app.schemas.kinematics import FormulasOutput, ShowOutput
 from armsight.app.tables import convert_table
+from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Progress, checked_array, require_number
@@ -77,6 +78,10 @@ def cut_recording(
     require_number("start_s", start_s)
     require_number("end_s", end_s)
     source, file = as_path(path), file_to_write(out, ".mcap")
+    if end_s < start_s:
+        raise UsageError(
+            f"end_s is {end_s:g}, before start_s, {start_s:g}", consequence="Nothing is cut", cure="Exchange them"
+        )
     with Recording(source) as recording:
         ends = [recording.origin_ns + round(1e9 * t_s) for t_s in (start_s, end_s)]
     done = cut(source, file, ends[0], ends[1], overwrite=overwrite)

@@ -278,4 +278,8 @@ def image_size(size: tuple[int, int] | None) -> tuple[int, int] | None:
     if size is None:
         return None
     width, height = checked_array("size", size, (2,)).tolist()
+    if min(width, height) < 1.0 or width % 1.0 or height % 1.0:
+        raise UsageError(
+            f"size is {size}, no image's", consequence="It cannot be used", cure="Give (width, height) in px"
+        )
     return int(width), int(height)

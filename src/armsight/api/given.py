@@ -6,8 +6,10 @@ option, check and result is the same, and `armsight.verify(...)` gives what `arm
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
+from itertools import chain, islice
 from os import PathLike, fspath, sep
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,11 +23,12 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.tracks import PoseTrack
-from armsight.errors import ArmsightError, UsageError
+from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import Target, real_array, require_kind
+from armsight.records import Frame, Target, real_array, require_kind
 from armsight.store import World, write_text, write_world
+from armsight.store.recording import RecordingWriter
 from armsight.store.tables import cells
 from armsight.store.targets import board_text
 
@@ -33,8 +36,10 @@ PathText = str | PathLike[str]
 RigLike = Rig | PathText
 TargetLike = Target | PathText
 ArmLike = Arm | PathText
-Source = PathText | Sequence[ImageLike] | NDArray[np.uint8]
-"""Frames: as the command line names them (folder, pattern, video, recording, camera:NAME), or images in order."""
+Source = PathText | Sequence[ImageLike] | NDArray[np.uint8] | Iterable[Frame]
+"""Frames: as the command line names them (folder, pattern, video, recording, camera:NAME), or images in order.
+
+A camera of one's own is an iterable of Frame, opened where it is a context manager; its frames keep their times."""
 Columns = Mapping[str, ArrayLike | Sequence[str]]
 TableLike = PathText | PoseTrack | Columns | tuple[ArrayLike, ArrayLike] | ArrayLike
 """A table: a file, a track, columns by name (a DataFrame), (t_s, q) or (t_s, T), or q or T alone."""
@@ -68,6 +73,7 @@ class Given:
         self._temporary = TemporaryDirectory(prefix="armsight-")
         self.folder = Path(self._temporary.name)
         self.out = given or self.folder / "out" / name
+        self._limit: int | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -85,6 +91,7 @@ class Given:
         taken = {**values, **more}
         if taken.get("out") is None:
             taken["out"] = self.out
+        self._limit = taken.get("limit")
         filled = {}
         for field in fields(kind):  # type: ignore[arg-type]  # every job is a dataclass
             if taken.get(field.name) is not None:
@@ -138,7 +145,7 @@ class Given:
         return Path(fspath(value)) if isinstance(value, str | PathLike) else self._image(name, 0, value)
 
     def source(self, name: str, value: object) -> str:
-        """Return frames as the command line names them; images are written without loss."""
+        """Return frames as the command line names them; images are written without loss, Frames with their times."""
         if isinstance(value, str | PathLike):
             return fspath(value)
         if not isinstance(value, Iterable) or isinstance(value, Mapping):
@@ -147,11 +154,33 @@ class Given:
                 consequence="There are no frames",
                 cure="Give a folder, a video, a recording, camera:NAME, or a list of images",
             )
-        folder = self.folder / name
-        folder.mkdir()
-        for number, image in enumerate(value):
-            self._image(f"{name}/{number:06d}", number, image)
-        return str(folder)
+        with value if isinstance(value, AbstractContextManager) else nullcontext(value) as frames:
+            each = iter(frames)
+            first = next(each, None)
+            if isinstance(first, Frame):
+                return self._recorded(name, first, each)
+            folder = self.folder / name
+            folder.mkdir()
+            for number, image in enumerate([] if first is None else chain([first], each)):
+                self._image(f"{name}/{number:06d}", number, image)
+            return str(folder)
+
+    def _recorded(self, name: str, first: Frame, rest: Iterator[Any]) -> str:
+        """Return a recording of frames with times of their own, the first so many where there is a limit."""
+        path = self.folder / f"{name}.mcap"
+        with RecordingWriter(path) as writer:
+            before_s = -np.inf
+            for frame in islice(chain([first], rest), self._limit):
+                require_kind(f"a frame of {name}", frame, Frame)
+                if frame.t_s <= before_s:
+                    raise Inconsistent(
+                        f"frame {frame.sequence} of {name} is of {frame.t_s:g} s, that before it of {before_s:g} s",
+                        consequence="Frames without an order in time cannot be followed",
+                        cure="Give each its own t_s, in s, growing",
+                    )
+                before_s = frame.t_s
+                writer.frame(name, frame)
+        return f"{path}:{name}"
 
     def _image(self, name: str, number: int, value: Any) -> Path:
         array = value if getattr(value, "dtype", None) == np.uint16 else as_image(_as_bytes(value), f"image {number}")
@@ -203,7 +232,7 @@ def _cell(value: object) -> str:
 
 
 def _columns(name: str, rows: Any) -> dict[str, NDArray[Any]]:
-    if isinstance(rows, RigidTransform) or np.ndim(rows) == 3 or _is_list_of_poses(rows):
+    if isinstance(rows, RigidTransform) or _is_list_of_poses(rows) or real_array(name, rows).ndim == 3:
         T = as_poses(rows, name)
         values = np.hstack([T.translation, T.rotation.as_quat(canonical=True)])
         return dict(zip(POSE_COLUMNS, values.T, strict=True))

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Literal
 
-from armsight.api.checks import speaks_python
+from armsight.api.checks import require_range, speaks_python
 from armsight.api.commands import in_python
 from armsight.api.given import (
     ArmLike,
@@ -24,14 +24,17 @@ from armsight.app.robot.link_test import test_robot
 from armsight.app.robot.twin import run_twin
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.control.guard import Limits
-from armsight.drivers import Robot
-from armsight.errors import ArmsightError
+from armsight.drivers import Robot, RobotState
+from armsight.errors import ArmsightError, UsageError
 from armsight.records import Progress, require_count, require_kind, require_number
 
 Confirm = bool | Callable[[str], bool]
 """Whether the arm may move: True, or what is asked with the motion in words."""
 RobotLike = str | Robot
 """DRIVER:DEVICE, such as sim:webcam-cell or rtde:192.168.0.10; or a driver of one's own that keeps drivers.Robot."""
+
+ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not name.startswith("_")))
+"""What a driver of one's own has to have."""
 
 
 @speaks_python
@@ -110,6 +113,7 @@ def twin(
         require_kind(text, value, str)
     if cycle_s is not None:
         require_number("cycle_s", cycle_s)
+        require_range("cycle_s", cycle_s)
     with Given() as given:
         model = None if arm is None else given.arm("arm", arm)
         with _running(partial(run_twin, name, port=port, connect=connect, arm=model, cycle_s=cycle_s)) as address:
@@ -158,5 +162,20 @@ def as_question(confirm: Confirm) -> Callable[[str], bool]:
 
 
 def name_of(robot: RobotLike) -> str:
-    """Return DRIVER:DEVICE, or the name of a driver of one's own."""
-    return as_text("robot", robot) if isinstance(robot, str) or not hasattr(robot, "step_joints") else robot.name
+    """Return DRIVER:DEVICE, or the name of a driver of one's own. Raises UsageError where that is not complete."""
+    if isinstance(robot, str) or not hasattr(robot, "step_joints"):
+        return as_text("robot", robot)
+    lacking = [name for name in ROBOT_MEMBERS if not hasattr(robot, name)]
+    if isinstance(robot, type):
+        what = "is a class: it has to be called first"
+    elif lacking:
+        what = f"has no {', '.join(lacking)}"
+    elif not isinstance(robot.state, RobotState):
+        what = f"has the state {robot.state!r}, which is no RobotState"
+    else:
+        return robot.name
+    raise UsageError(
+        f"the robot {getattr(robot, 'name', type(robot).__name__)!r} {what}",
+        consequence="It cannot be driven",
+        cure="Give an object with all that help(armsight.Robot) lists; its state is such as RobotState.READY",
+    )

@@ -46,6 +46,7 @@ from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
 from armsight.store.recording import ImageFormat
+from armsight.store.saving import file_to_write
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -127,7 +128,7 @@ def measure(
     rig, target
         Records, or their files; of a printed board also 'checkerboard:9x6:0.025'.
     left, right
-        Folders, patterns, videos, one recording as left, 'camera:NAME', or lists of images.
+        Folders, patterns, videos, one recording as left, 'camera:NAME', lists of images, or iterables of Frame.
     image
         Instead: images that hold both views of a mirror rig.
     times
@@ -190,12 +191,10 @@ def record(
         FILE.mcap.
     left, right
         As `measure` takes them; or cell, a simulated one such as 'hand-cell', in their place.
-    rig, target
-        Go into the recording.
     format
         png (bit for bit, small), raw (bit for bit, quick) or jpeg (smallest).
     frames, seconds_s
-        When to stop; else with the frames, or by progress.
+        When to stop; else with the frames.
 
     Raises
     ------
@@ -211,6 +210,7 @@ def record(
     >>> armsight.record(folder / "run.mcap", *sides, rig=cell.rig, target=cell.target).n_pairs
     2
     """
+    file_to_write(out, ".mcap")
     with Given(out) as given:
         kind = one_of(ImageFormat, "format", format)
         return run_record(given.job(RecordJob, locals(), kind=kind, limit=frames, out=given.out), progress)

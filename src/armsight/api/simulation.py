@@ -14,11 +14,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.api.arrays import Array, Image, as_path
 from armsight.api.checks import speaks_python
 from armsight.app.schemas.files import SimulateOutput
+from armsight.app.simulate import MOST_FRAMES
 from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES
 from armsight.app.simulate.run import simulate as write_files
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.drivers import CELLS, known
+from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import ByValue, Progress, Target, require_count, require_kind, require_number
@@ -132,7 +134,8 @@ def simulate(
     seed
         Of everything random in it; its own if not given.
     room
-        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given.
+        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given. To light a workshop takes some
+        seconds each time, 'dark' none.
     zoom
         Zoom lenses before the cameras, at this setting.
 
@@ -156,7 +159,7 @@ def simulate(
     if seed is not None:
         require_count("seed", seed)
     if frames is not None:
-        require_count("frames", frames, least=1)
+        require_frames(frames)
     if zoom is not None:
         require_number("zoom", zoom)
     if isinstance(scenario, str) and scenario in known(CELLS) and scenario not in scenario_names():
@@ -204,6 +207,8 @@ def write_simulation(
     2
     """
     require_kind("scenario", scenario, str)
+    if frames is not None:
+        require_frames(frames)
     return write_files(scenario, as_path(out, "out"), seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
 
@@ -216,3 +221,12 @@ def scenarios() -> tuple[str, ...]:
     True
     """
     return tuple(sorted({*scenario_names(), *known(CELLS)}))
+
+
+def require_frames(frames: int) -> None:
+    """Raise UsageError for a number of frames that no simulation has."""
+    require_count("frames", frames, least=1)
+    if frames > MOST_FRAMES:
+        raise UsageError(
+            f"frames is {frames}, more than {MOST_FRAMES}", consequence="Nothing is simulated", cure="Ask for fewer"
+        )

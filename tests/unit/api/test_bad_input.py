@@ -749,11 +749,13 @@ MADE_BY_US = (
     *("RobotWorldResult", "ToolTipResult", "MeasureResult", "VerifyResult", "JoinResult", "TargetResult"),
     *("TimingResult", "NoiseResult", "ZoomRigResult", "TeachResult", "LiveIdentification", "SimulatedFrame"),
     *("RobotConnection", "RobotDriver", "RemoteState", "Simulation", "PoseStatus", "Inverse", "JointPath", "World"),
+    "RobotState",
 )
 """Results, errors and names that people read but do not make: their constructors check nothing."""
 
 CHECKED_WHERE_USED = (
     *("BoardOptions", "CameraSettings", "FrameNames", "TableFormat", "NoiseModel", "TargetPose", "Frame", "Limits"),
+    *("JointReading", "Sent"),
     *("Recording", "RobotDriver", "Progress", "Robot"),
 )
 """Settings and records that others check when they get them, protocols, and what asks a file or a server."""
@@ -882,6 +884,63 @@ def test_the_same_numbers_in_another_form_give_the_same_answer(name: str, parame
     assert len(found) == len(right) > 0
     for a, b in zip(found, right, strict=True):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-12, atol=1e-12)
+
+
+def _frames(t_s: list[Any], picture: Any = LEFT) -> list[armsight.Frame]:
+    return [armsight.Frame(image=picture, t_s=t, sequence=i, source="mine") for i, t in enumerate(t_s)]
+
+
+def _path() -> armsight.TaughtPath:
+    T = np.tile(np.eye(4), (5, 1, 1))
+    T[:, 0, 3] = np.linspace(0.0, 0.2, 5)
+    return armsight.TaughtPath.of_poses(T)
+
+
+CANNOT_BE: dict[str, Callable[[Path], Any]] = {
+    "fps 0": lambda _: armsight.measure(RIG, TARGET, [LEFT], [RIGHT], fps=0.0),
+    "skew below 0": lambda _: armsight.measure(RIG, TARGET, [LEFT], [RIGHT], max_skew_s=-1.0),
+    "frames 0": lambda folder: armsight.record(folder / "a.mcap", [LEFT], [RIGHT], frames=0),
+    "seconds 0": lambda folder: armsight.record(folder / "a.mcap", [LEFT], [RIGHT], seconds_s=0.0),
+    "no ending": lambda folder: armsight.record(folder / "a", [LEFT], [RIGHT]),
+    "every 0": lambda _: armsight.calibrate_noise([LEFT] * 5, every=0),
+    "tolerance 0": lambda _: armsight.calibrate_arm(armsight.presets.ur10(), SPREAD, np.ones((9, 3)), tolerance_m=0.0),
+    "distance below 0": lambda _: armsight.compare(RIG, RIG, distance_m=-1.0),
+    "unit 0": lambda folder: armsight.convert(RIG, folder / "a.yaml", to="opencv", unit_m=0.0),
+    "size 0": lambda folder: armsight.read_camera(folder / "a.yaml", size=(0, 0)),
+    "cycle 0": lambda _: armsight.twin("alter", cycle_s=0.0).__enter__(),
+    "a simulation without end": lambda _: armsight.simulate("hand-cell", frames=10**9, room="dark"),
+    "no frames": lambda folder: armsight.write_simulation("hand-cell", folder / "cell", frames=0),
+    "a step in mm": lambda _: armsight.paths.resample(_path(), 10.0),
+    "three in a table": lambda _: armsight.join((np.arange(3.0), np.tile(np.eye(4), (3, 1, 1)), [1.0])),
+    "frames at one time": lambda _: armsight.measure(RIG, TARGET, _frames([0.0, 0.0]), _frames([0.0, 0.0], RIGHT)),
+    "frames without time": lambda _: _frames([np.nan]),
+    "frames at a text": lambda _: _frames(["0"]),
+    "frames without array": lambda _: _frames([0.0], [[0, 1], [1, 0]]),
+    "frames on two clocks": lambda _: armsight.measure(RIG, TARGET, _frames([0.0]), _frames([9.0], RIGHT)),
+    "a covariance below 0": lambda _: armsight.Spots.of_centres(PIXELS, -COV),
+}
+"""What was taken, or raised another error than ours, until a person tried it."""
+
+
+@pytest.mark.parametrize("what", CANNOT_BE)
+def test_what_cannot_be_is_refused(what: str, tmp_path: Path) -> None:
+    with pytest.raises(armsight.ArmsightError) as caught:
+        CANNOT_BE[what](tmp_path)
+    assert caught.value.cause and caught.value.cure
+
+
+def test_a_cut_keeps_its_source_and_tells_that_nothing_was_recorded_then(tmp_path: Path) -> None:
+    run = tmp_path / "run.mcap"
+    armsight.record(run, [LEFT] * 3, [RIGHT] * 3, rig=RIG, target=TARGET, fps=10.0)
+    before = run.read_bytes()
+    with pytest.raises(armsight.UsageError, match="both source and result"):
+        armsight.cut_recording(run, run, 0.0, 0.1, overwrite=True)
+    with pytest.raises(armsight.UsageError, match="before start_s"):
+        armsight.cut_recording(run, tmp_path / "part.mcap", 0.2, 0.1)
+    with pytest.raises(armsight.NotEnoughData, match="between these times"):
+        armsight.cut_recording(run, tmp_path / "part.mcap", 5.0, 6.0)
+    assert run.read_bytes() == before and list(tmp_path.iterdir()) == [run]
+    assert armsight.cut_recording(run, tmp_path / "part.mcap", 0.05, 0.25).duration_s == pytest.approx(0.1)
 
 
 COMPILED = ("Camera.project", "Camera.rays", "Rig.project", "triangulate", "Arm.fk", "Arm.jacobian", "Arm.ik")
