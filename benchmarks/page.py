@@ -33,6 +33,7 @@ SECTIONS = {
     "identify": "Identification of an arm",
     "identify_live": "Identification online",
     "calibrate_arm": "Calibration of an arm",
+    "sagging_arm": "Joints that give way",
     "other_arm": "Nominal figures of another arm",
     "handeye": "Hand-eye calibration",
     "tooltip": "Tool tip",

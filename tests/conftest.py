@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy; for processes that tests begin too: see cli.main
+if "PYTHONPATH" in os.environ:  # a process that a test begins in another folder has to find this source too
+    os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, os.environ["PYTHONPATH"].split(os.pathsep)))
 
 import cv2
 import numpy as np

@@ -7,59 +7,149 @@ one, and `T_a_b` is the pose of frame b in frame a.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from armsight._version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from armsight.api import paths as paths
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
     from armsight.api.cameras import calibrate_camera as calibrate_camera
     from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
     from armsight.api.cameras import calibrate_stereo as calibrate_stereo
-    from armsight.api.files import open_recording as open_recording
+    from armsight.api.convert import convert as convert
+    from armsight.api.convert import cut_recording as cut_recording
+    from armsight.api.convert import export_recording as export_recording
+    from armsight.api.convert import open_recording as open_recording
+    from armsight.api.convert import show_arm as show_arm
+    from armsight.api.convert import write_formulas as write_formulas
     from armsight.api.files import read_arm as read_arm
     from armsight.api.files import read_camera as read_camera
+    from armsight.api.files import read_hand_eye as read_hand_eye
     from armsight.api.files import read_joints as read_joints
+    from armsight.api.files import read_limits as read_limits
     from armsight.api.files import read_path as read_path
     from armsight.api.files import read_poses as read_poses
     from armsight.api.files import read_rig as read_rig
+    from armsight.api.files import read_table as read_table
     from armsight.api.files import read_target as read_target
+    from armsight.api.files import read_tool_tip as read_tool_tip
+    from armsight.api.files import read_world as read_world
+    from armsight.api.files import write_joints as write_joints
+    from armsight.api.files import write_table as write_table
+    from armsight.api.hand_eye import HandEyeResult as HandEyeResult
+    from armsight.api.hand_eye import calibrate_hand_eye as calibrate_hand_eye
+    from armsight.api.hand_eye import calibrate_hand_eye_from_images as calibrate_hand_eye_from_images
+    from armsight.api.hand_eye import calibrate_hand_eye_from_streams as calibrate_hand_eye_from_streams
+    from armsight.api.identify import ArmIdentification as ArmIdentification
+    from armsight.api.identify import identify_arm as identify_arm
+    from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
+    from armsight.api.light import NoiseResult as NoiseResult
+    from armsight.api.light import TargetResult as TargetResult
+    from armsight.api.light import TimingResult as TimingResult
+    from armsight.api.light import ZoomRigResult as ZoomRigResult
+    from armsight.api.light import calibrate_noise as calibrate_noise
+    from armsight.api.light import calibrate_target as calibrate_target
+    from armsight.api.light import calibrate_timing as calibrate_timing
+    from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
+    from armsight.api.light import check_mirrors as check_mirrors
+    from armsight.api.links import check_robot as check_robot
+    from armsight.api.links import jog as jog
+    from armsight.api.links import twin as twin
+    from armsight.api.machine import doctor as doctor
+    from armsight.api.machine import reproduce as reproduce
+    from armsight.api.motion import TeachResult as TeachResult
+    from armsight.api.motion import play as play
+    from armsight.api.motion import servo as servo
+    from armsight.api.motion import teach as teach
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
     from armsight.api.pose import PoseTracker as PoseTracker
     from armsight.api.pose import estimate_pose as estimate_pose
+    from armsight.api.pose import estimate_pose_from_spots as estimate_pose_from_spots
     from armsight.api.pose import find_spots as find_spots
+    from armsight.api.remote import RemoteState as RemoteState
     from armsight.api.remote import RobotConnection as RobotConnection
+    from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
-    from armsight.api.robots import ArmIdentification as ArmIdentification
     from armsight.api.robots import ArmResult as ArmResult
-    from armsight.api.robots import HandEyeResult as HandEyeResult
-    from armsight.api.robots import ToolTipResult as ToolTipResult
+    from armsight.api.robots import RobotWorldResult as RobotWorldResult
     from armsight.api.robots import calibrate_arm as calibrate_arm
-    from armsight.api.robots import calibrate_hand_eye as calibrate_hand_eye
-    from armsight.api.robots import calibrate_tool_tip as calibrate_tool_tip
-    from armsight.api.robots import identify_arm as identify_arm
+    from armsight.api.robots import calibrate_robot_world as calibrate_robot_world
+    from armsight.api.runs import JoinResult as JoinResult
+    from armsight.api.runs import MeasureResult as MeasureResult
+    from armsight.api.runs import VerifyResult as VerifyResult
+    from armsight.api.runs import compare as compare
+    from armsight.api.runs import join as join
+    from armsight.api.runs import measure as measure
+    from armsight.api.runs import plan_verification as plan_verification
+    from armsight.api.runs import record as record
+    from armsight.api.runs import repair_recording as repair_recording
+    from armsight.api.runs import verify as verify
+    from armsight.api.simulation import SimulatedFrame as SimulatedFrame
     from armsight.api.simulation import Simulation as Simulation
+    from armsight.api.simulation import read_scenario as read_scenario
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
+    from armsight.api.simulation import write_simulation as write_simulation
+    from armsight.api.tool_tip import ToolTipResult as ToolTipResult
+    from armsight.api.tool_tip import calibrate_pivot as calibrate_pivot
+    from armsight.api.tool_tip import calibrate_tool_tip as calibrate_tool_tip
     from armsight.api.tracks import PoseTrack as PoseTrack
+    from armsight.api.watch import LiveIdentification as LiveIdentification
+    from armsight.api.watch import check_mastering as check_mastering
+    from armsight.api.watch import identify_arm_live as identify_arm_live
+    from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
+    from armsight.api.watch import supervise as supervise
+    from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.control.guard import Limits as Limits
+    from armsight.drivers import CameraSettings as CameraSettings
+    from armsight.drivers import Robot as Robot
+    from armsight.drivers import RobotState as RobotState
+    from armsight.drivers import Sent as Sent
+    from armsight.errors import Ambiguous as Ambiguous
     from armsight.errors import ArmsightError as ArmsightError
+    from armsight.errors import BadFile as BadFile
+    from armsight.errors import BadImage as BadImage
+    from armsight.errors import Cancelled as Cancelled
     from armsight.errors import DataRefused as DataRefused
+    from armsight.errors import Degenerate as Degenerate
+    from armsight.errors import DeviceFailed as DeviceFailed
+    from armsight.errors import DeviceLost as DeviceLost
+    from armsight.errors import DeviceNotFound as DeviceNotFound
+    from armsight.errors import Inconsistent as Inconsistent
+    from armsight.errors import NotConverged as NotConverged
+    from armsight.errors import NotEnoughData as NotEnoughData
+    from armsight.errors import StaleData as StaleData
+    from armsight.errors import Undetermined as Undetermined
     from armsight.errors import UsageError as UsageError
     from armsight.kinematics import Arm as Arm
+    from armsight.kinematics import Inverse as Inverse
     from armsight.kinematics import Joint as Joint
+    from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
     from armsight.records import Colour as Colour
+    from armsight.records import Frame as Frame
+    from armsight.records import JointReading as JointReading
+    from armsight.records import NoiseModel as NoiseModel
     from armsight.records import PoseStatus as PoseStatus
+    from armsight.records import Progress as Progress
     from armsight.records import Spots as Spots
     from armsight.records import Target as Target
+    from armsight.records import TargetPose as TargetPose
     from armsight.records import TaughtPath as TaughtPath
+    from armsight.store import World as World
+    from armsight.store.foreign import FrameNames as FrameNames
+    from armsight.store.interpret import TableFormat as TableFormat
+    from armsight.store.recording import Recording as Recording
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.pose": (
@@ -67,66 +157,130 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "PoseEstimate",
         "PoseTracker",
         "estimate_pose",
+        "estimate_pose_from_spots",
         "find_spots",
     ),
     "armsight.api.tracks": ("PoseTrack",),
-    "armsight.api.cameras": (
-        "CameraResult",
-        "RigResult",
-        "calibrate_camera",
-        "calibrate_mirrors",
-        "calibrate_stereo",
+    "armsight.api.runs": (
+        "JoinResult",
+        "MeasureResult",
+        "VerifyResult",
+        "compare",
+        "join",
+        "measure",
+        "plan_verification",
+        "record",
+        "repair_recording",
+        "verify",
     ),
-    "armsight.api.robots": (
-        "ArmIdentification",
-        "ArmResult",
+    "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
+    "armsight.api.light": (
+        "NoiseResult",
+        "TargetResult",
+        "TimingResult",
+        "ZoomRigResult",
+        "calibrate_noise",
+        "calibrate_target",
+        "calibrate_timing",
+        "calibrate_zoom_rig",
+        "check_mirrors",
+    ),
+    "armsight.api.hand_eye": (
         "HandEyeResult",
-        "ToolTipResult",
-        "calibrate_arm",
         "calibrate_hand_eye",
-        "calibrate_tool_tip",
-        "identify_arm",
+        "calibrate_hand_eye_from_images",
+        "calibrate_hand_eye_from_streams",
+    ),
+    "armsight.api.tool_tip": ("ToolTipResult", "calibrate_pivot", "calibrate_tool_tip"),
+    "armsight.api.robots": (
+        "ArmResult",
+        "RobotWorldResult",
+        "calibrate_arm",
+        "calibrate_robot_world",
+    ),
+    "armsight.api.links": ("check_robot", "jog", "twin"),
+    "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
+    "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
+    "armsight.api.machine": ("doctor", "reproduce"),
+    "armsight.api.watch": (
+        "LiveIdentification",
+        "check_mastering",
+        "identify_arm_live",
+        "propose_mastering_poses",
+        "supervise",
+    ),
+    "armsight.api.convert": (
+        "convert",
+        "cut_recording",
+        "export_recording",
+        "open_recording",
+        "show_arm",
+        "write_formulas",
     ),
     "armsight.api.files": (
-        "open_recording",
         "read_arm",
         "read_camera",
+        "read_hand_eye",
         "read_joints",
+        "read_limits",
         "read_path",
         "read_poses",
         "read_rig",
+        "read_table",
         "read_target",
+        "read_tool_tip",
+        "read_world",
+        "write_joints",
+        "write_table",
     ),
-    "armsight.api.remote": (
-        "RobotConnection",
-        "connect",
-    ),
+    "armsight.api.remote": ("RemoteState", "RobotConnection", "RobotDriver", "connect"),
     "armsight.api.simulation": (
+        "SimulatedFrame",
         "Simulation",
+        "read_scenario",
         "scenarios",
         "simulate",
+        "write_simulation",
     ),
+    "armsight.api": ("paths",),
     "armsight.measure.settings": ("SpotSettings",),
-    "armsight.kinematics": (
-        "Arm",
-        "Joint",
-        "presets",
-    ),
-    "armsight.optics": (
-        "Camera",
-        "Rig",
-        "triangulate",
-    ),
+    "armsight.calibrate.cameras": ("BoardOptions",),
+    "armsight.control.guard": ("Limits",),
+    "armsight.drivers": ("CameraSettings", "Robot", "RobotState", "Sent"),
+    "armsight.kinematics": ("Arm", "Inverse", "Joint", "JointPath", "presets"),
+    "armsight.optics": ("Camera", "Rig", "triangulate"),
     "armsight.records": (
         "Colour",
+        "Frame",
+        "JointReading",
+        "NoiseModel",
         "PoseStatus",
+        "Progress",
         "Spots",
         "Target",
+        "TargetPose",
         "TaughtPath",
     ),
+    "armsight.store": ("World",),
+    "armsight.store.foreign": ("FrameNames",),
+    "armsight.store.interpret": ("TableFormat",),
+    "armsight.store.recording": ("Recording",),
     "armsight.errors": (
+        "Ambiguous",
         "ArmsightError",
+        "BadFile",
+        "BadImage",
+        "Cancelled",
         "DataRefused",
+        "Degenerate",
+        "DeviceFailed",
+        "DeviceLost",
+        "DeviceNotFound",
+        "Inconsistent",
+        "NotConverged",
+        "NotEnoughData",
+        "StaleData",
+        "Undetermined",
         "UsageError",
     ),
 }
@@ -135,14 +289,28 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module 'armsight' has no attribute {name!r}")
-    module = import_module(_PLACES[name])
-    value = getattr(module, name)
-    globals()[name] = value
-    return value
+class _Face(ModuleType):
+    """Keeps a public name such as armsight.measure what it is: importing the package of that name binds nothing."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _PLACES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
 
 
-def __dir__() -> list[str]:
-    return sorted([*_PLACES, "__version__"])
+sys.modules[__name__].__class__ = _Face
+
+if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
+    __all__ = sorted([*_PLACES, "__version__"])
+
+    def __getattr__(name: str) -> Any:
+        if name not in _PLACES:
+            raise AttributeError(f"module 'armsight' has no attribute {name!r}")
+        module = import_module(_PLACES[name])
+        value = getattr(module, name, None)
+        if value is None:  # a module of the face, such as armsight.paths
+            value = import_module(f"{_PLACES[name]}.{name}")
+        globals()[name] = value
+        return value
+
+    def __dir__() -> list[str]:
+        return list(__all__)

@@ -5,13 +5,16 @@ Simulated here: Denavit-Hartenberg links, masses in their middles, torques from 
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints, calibrate_arm
-from armsight.kinematics import dh_arm
+from armsight.kinematics import Arm, dh_arm
 
 Array = NDArray[np.float64]
 
@@ -50,17 +53,19 @@ def torque(q: Array) -> Array:
     return out
 
 
-def calibrated(seed: int, compliance: float, gear: float = 1.0) -> ArmCalibration:
+def calibrated(
+    seed: int, compliance: float, gear: float = 1.0, nominal: Arm | None = None, zero_rad: float = 0.02
+) -> ArmCalibration:
     """Return the calibration of an arm with zeros off by a degree; compliance in rad/Nm, gear of the second joint."""
     rng = np.random.default_rng(seed)
     q = MIDDLE + rng.uniform(-1.0, 1.0, (ROWS + 60, 9)) * HALF
-    links = LINKS + rng.normal(0.0, 1.0, LINKS.shape) * [3e-4, 1e-3, 3e-4, 0.02]
+    links = LINKS + rng.normal(0.0, 1.0, LINKS.shape) * [3e-4, 1e-3, 3e-4, zero_rad]
     R, x = frames(links, q + compliance * SOFT * torque(q))[-1]
     seen = x + R.apply([0.03, 0.02, -0.1]) + rng.normal(0.0, 4e-4, x.shape)
     q[:, 1] /= gear
     first, rest = np.split(np.arange(len(q)), [ROWS])
     return calibrate_arm(
-        dh_arm("humanoid", LINKS.tolist()),
+        nominal or dh_arm("humanoid", LINKS.tolist()),
         ArmPoints(q=q[first], xyz_m=seen[first]),
         holdout=ArmPoints(q=q[rest], xyz_m=seen[rest]),
     )
@@ -78,3 +83,58 @@ def test_another_gear_is_told_where_no_sag_explains_it() -> None:
     other = calibrated(1, 0.0, gear=1.03).other_arm
     assert other is not None
     assert other.found[0].name == "j2.scale"
+
+
+def with_masses() -> Arm:
+    """Return the nominal arm with each link's mass in the middle between its ends."""
+    at = frames(LINKS, np.zeros((1, 9)))
+    middles = [R.inv().apply(0.5 * (before - x))[0] for (_, before), (R, x) in pairwise(at)]
+    arm = dh_arm("humanoid", LINKS.tolist())
+    rows = zip(arm.joints, MASS_KG.tolist(), middles, strict=True)
+    return replace(
+        arm, joints=tuple(replace(joint, mass_kg=kg, com_m=tuple(middle.tolist())) for joint, kg, middle in rows)
+    )
+
+
+def test_torque_is_that_of_the_masses() -> None:
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 9))
+    assert with_masses().gravity_torque(q) == pytest.approx(torque(q) * (9.80665 / 9.81), abs=1e-9)
+
+
+def test_values_and_readings_of_soft_joints_are_inverse() -> None:
+    arm = with_masses()
+    soft = replace(arm, joints=tuple(replace(joint, compliance=5e-4) for joint in arm.joints))
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (20, 9))
+    rest = soft.values(q)
+    assert np.abs(rest - q).max() > 0.02
+    assert rest == pytest.approx(q + 5e-4 * soft.gravity_torque(rest), abs=1e-11)
+    assert soft.readings(rest) == pytest.approx(q, abs=1e-11)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_compliance_is_recovered_within_its_claims(seed: int) -> None:
+    result = calibrated(seed, 4e-4, nominal=with_masses(), zero_rad=2e-3)
+    arm, std = result.arm, result.std()
+    found = [k for k, joint in enumerate(arm.joints) if f"{joint.name}.sag" in result.free]
+    assert len(found) >= 3
+    carried = 9.80665 * np.cumsum(MASS_KG[::-1])[::-1]
+    for k in found:
+        off = arm.joints[k].compliance - 4e-4 * SOFT[k]
+        assert abs(off) < 4.0 * std[f"{arm.joints[k].name}.sag"] / carried[k]
+    assert result.left_after.mean_m < 0.75 * result.left_before.mean_m  # 0.64 mm of it is noise
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_stiff_arm_gains_no_compliance(seed: int) -> None:
+    result = calibrated(seed, 0.0, nominal=with_masses())
+    assert not result.arm.compliant
+    assert not [name for name in result.free if name.endswith(".sag")]
+
+
+@pytest.mark.parametrize(("off_m", "told"), [(9e-3, False), (25e-3, True)])
+def test_links_of_a_soft_arm_bend_but_another_length_is_told(off_m: float, told: bool) -> None:
+    arm = with_masses()
+    wrong = tuple(replace(joint, d_m=joint.d_m + off_m * (k == 4)) for k, joint in enumerate(arm.joints))
+    result = calibrated(0, 6e-4, nominal=replace(arm, joints=wrong), zero_rad=2e-3)
+    assert (result.other_arm is not None) == told
+    assert result.gain != told

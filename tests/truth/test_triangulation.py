@@ -98,7 +98,7 @@ def test_shapes_that_do_not_belong_together() -> None:
     left, right = seen(np.array([[0.0, 0.0, 0.6], [0.02, 0.01, 0.7]]))
     with pytest.raises(Inconsistent):
         triangulate(rig(), left, right[:1], COV, COV)
-    with pytest.raises(Inconsistent, match="cov_left_px2"):
+    with pytest.raises(Inconsistent, match="covariance_left_px2"):
         triangulate(rig(), left, right, np.tile(COV, (3, 1, 1)), np.tile(COV, (3, 1, 1)))
 
 

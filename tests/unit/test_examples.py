@@ -1,4 +1,4 @@
-"""Every example runs as written."""
+"""Every example runs as written, is short, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -9,15 +9,23 @@ from pathlib import Path
 
 import pytest
 
-EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.py"))
+EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*"))
+LONGEST = 25
+"""Lines of an example that are not blank: what is longer is no example."""
+
+
+def test_they_are_numbered_and_short() -> None:
+    assert [path.name[:3] for path in EXAMPLES] == [f"{number:02d}_" for number in range(1, 17)]
+    counts = {path.name: sum(bool(line.strip()) for line in path.read_text().splitlines()) for path in EXAMPLES}
+    assert {name: count for name, count in counts.items() if count > LONGEST} == {}
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs(example: Path, tmp_path: Path) -> None:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         [sys.executable, "-W", "error", str(example)],
-        cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False,
+        cwd=tmp_path, env={**os.environ, "TMPDIR": str(tmp_path)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     assert done.stdout
+    assert list(tmp_path.iterdir()) == []

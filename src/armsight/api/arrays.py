@@ -13,40 +13,33 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
-from armsight.errors import BadImage, Inconsistent, UsageError
-from armsight.records import Frame, checked_array, real_array, require_kind, require_rigid
+from armsight.api.commands import in_python
+from armsight.drivers.images import LARGEST_BYTES, LEAST_BITS, image_of_8_bits, too_large
+from armsight.errors import ArmsightError, BadImage, Inconsistent, UsageError
+from armsight.records import Frame, checked_array, real_array, require_count, require_kind, require_rigid
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-ImageLike = ArrayLike | str | PathLike[str]
+ImageLike = ArrayLike | str | PathLike[str] | Frame
 Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
 
 
-def as_image(image: ImageLike, name: str = "the image") -> Image:
-    """Return an 8-bit image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read.
+def as_image(image: ImageLike, name: str = "the image", bits: int | None = None) -> Image:
+    """Return an image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read, of a Frame its image taken.
 
-    Raises BadImage for any other type or shape.
+    Colours are in OpenCV's order, blue first, as cv2.imread gives them. bits: of the light in uint16 arrays and 16-bit
+    files alike, scaled so that full scale is 255. Raises BadImage for any other type or shape, and for 16 bits of which
+    nothing says how many carry the light.
     """
+    if bits is not None:
+        require_count("bits", bits, least=LEAST_BITS)
     if isinstance(image, str | PathLike):
-        return read_image(fspath(image))
-    try:
-        array = np.asarray(image)
-    except (TypeError, ValueError) as error:
-        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
-    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
-        raise BadImage(
-            f"{name} is masked in places",
-            consequence="What is below the mask would be measured",
-            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
-        )
+        return read_image(fspath(image), bits)
+    array = _plain(image.image if isinstance(image, Frame) else image, name)
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
-    if array.dtype == np.uint16:
-        raise BadImage(
-            f"{name} has 16 bits a pixel",
-            consequence="Its full scale is not known, so saturation cannot be told",
-            cure="Scale it to 8 bits: (image >> 4).astype(numpy.uint8) for a 12-bit camera, >> 8 for a 16-bit one",
-        )
+    if array.dtype == np.uint16 and array.size:
+        array = _of_8_bits(array, bits, name)
     if array.dtype != np.uint8 or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3):
         raise BadImage(
             f"{name} is of type {array.dtype} and shape {array.shape}",
@@ -58,34 +51,55 @@ def as_image(image: ImageLike, name: str = "the image") -> Image:
     return np.ascontiguousarray(array)
 
 
-def read_image(path: str) -> Image:
-    """Return an image file's content, grey or BGR as stored. Raises BadImage where it cannot be read."""
-    from armsight.drivers.images import LARGEST_BYTES, too_large
+def _plain(image: object, name: str) -> NDArray[Any]:
+    try:
+        array = np.asarray(image)
+    except (TypeError, ValueError) as error:
+        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
+    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
+        raise BadImage(
+            f"{name} is masked in places",
+            consequence="What is below the mask would be measured",
+            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
+        )
+    return array
 
+
+def read_image(path: str, bits: int | None = None) -> Image:
+    """Return an image file's content, grey or BGR as stored. Raises BadImage where it cannot be read; see as_image."""
     try:
         data = read_file(Path(path), limit=LARGEST_BYTES)
     except OSError as error:
         raise BadImage(f"{path} cannot be read ({error.strerror})", cure="Check the path") from error
-    image = None if too_large(data) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR)
+    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+    image = None if too_large(data) else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
         raise BadImage(f"{path} is no image", cure="Give PNG, JPEG, BMP or TIFF")
-    return np.asarray(image, dtype=np.uint8)
+    return _of_8_bits(image, bits, path)
 
 
-def as_frame(image: ImageLike, *, name: str, t_s: float = 0.0, sequence: int = 0) -> Frame:
+def _of_8_bits(image: NDArray[Any], bits: int | None, name: str) -> Image:
+    try:
+        return image_of_8_bits(image, bits if image.dtype == np.uint16 else None, name)
+    except ArmsightError as error:
+        in_python(error)
+        raise
+
+
+def as_frame(image: ImageLike, *, name: str, t_s: float = 0.0, sequence: int = 0, bits: int | None = None) -> Frame:
     """Return an image as a Frame; a copy where the caller's array could be written to, for frames are read-only."""
-    array = as_image(image, name)
+    array = as_image(image, name, bits)
     if isinstance(image, np.ndarray) and np.shares_memory(array, image) and image.flags.writeable:
         array = array.copy()
     return Frame(image=array, t_s=t_s, sequence=sequence, source=name)
 
 
-def as_images(images: ImageLike | Iterable[ImageLike], name: str) -> list[tuple[str, Image]]:
+def as_images(images: ImageLike | Iterable[ImageLike], name: str, bits: int | None = None) -> list[tuple[str, Image]]:
     """Return (name, image) of many images: arrays, paths, or one folder or file pattern of images."""
     if isinstance(images, str | PathLike):
         from armsight.drivers import list_images
 
-        return [(path.name, read_image(str(path))) for path in list_images(fspath(images))]
+        return [(path.name, read_image(str(path), bits)) for path in list_images(fspath(images))]
     if not isinstance(images, Iterable) or (isinstance(images, np.ndarray) and images.ndim < 3):
         raise UsageError(
             f"{name}s are one {type(images).__name__}",
@@ -96,7 +110,7 @@ def as_images(images: ImageLike | Iterable[ImageLike], name: str) -> list[tuple[
     out = []
     for number, image in enumerate(many):
         called = Path(fspath(image)).name if isinstance(image, str | PathLike) else f"{name} {number}"
-        out.append((called, as_image(image, called)))
+        out.append((called, as_image(image, called, bits)))
     return out
 
 

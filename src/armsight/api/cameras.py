@@ -5,31 +5,35 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from armsight.api.arrays import Image, ImageLike, as_images, as_path
+from armsight.api.arrays import Image, ImageLike, as_images
 from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.cameras import camera_output, stereo_output
 from armsight.app.calibrate.mirrors import mirrors_output
+from armsight.app.calibrate.zoom import ZoomValue, add_setting
 from armsight.app.schemas.cameras import CameraOutput, StereoOutput
 from armsight.calibrate import cameras as solvers
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors import calibration as mirror_solver
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.boards import find_two_boards
+from armsight.measure.boards import DETECTORS, find_two_boards
 from armsight.optics import Camera, Rig
-from armsight.records import BoardView, Frame, NotSeen, Target, require_kind, require_number
+from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Target, require_kind, require_number
 from armsight.store import parse_board, write_camera
+from armsight.store.saving import YAML, file_to_write
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 Images = ImageLike | Iterable[ImageLike]
+Detector = Literal["auto", "classic", "sectors", "xcorner"]
 Rejected = tuple[tuple[str, str], ...]
 
 
@@ -46,7 +50,7 @@ class _BoardResult(Result):
         return self.output.rms_px
 
     @property
-    def holdout_rms_px(self) -> float | None:
+    def left_out_rms_px(self) -> float | None:
         """The same on images left out of the fit; None where there were too few."""
         return self.output.holdout_rms_px
 
@@ -65,7 +69,7 @@ class _BoardResult(Result):
         return self.output.to_dict()
 
     def _fit_rows(self) -> list[Row]:
-        left_out = "" if self.holdout_rms_px is None else f"; {self.holdout_rms_px:.3g} px on images left out"
+        left_out = "" if self.left_out_rms_px is None else f"; {self.left_out_rms_px:.3g} px on images left out"
         rows = [("reprojection", f"{self.rms_px:.3g} px RMS{left_out}"), ("rejected", str(len(self.rejected)))]
         return rows + [("advice", text) for text in self.advice]
 
@@ -91,9 +95,28 @@ class CameraResult(_BoardResult):
         rows = [(name, with_std(v, std.get(name), "px" if i < 5 else "")) for i, (name, v) in enumerate(values)]
         return rows + self._fit_rows()
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write camera.yaml with the covariance."""
-        write_camera(as_path(path), self.camera, covariance=self.detail.covariance, rms_px=self.rms_px)
+    def save(
+        self,
+        path: str | PathLike[str],
+        *,
+        zoom: float | None = None,
+        pupil_m: float | None = None,
+        pupil_std_m: float = 0.0,
+        noise: NoiseModel | None = None,
+    ) -> Path:
+        """Write camera.yaml with the covariance, and return its path.
+
+        zoom: of a zoom lens, the setting at which the images were taken; the file keeps its other settings. pupil_m,
+        pupil_std_m: where the centre of projection stands along the axis, forward. noise: of calibrate_noise.
+        """
+        file, found = file_to_write(path, *YAML), self.detail
+        if zoom is None:
+            write_camera(file, self.camera, covariance=found.covariance, rms_px=self.rms_px, noise=noise)
+        else:
+            for name, value in (("zoom", zoom), ("pupil_m", pupil_m or 0.0), ("pupil_std_m", pupil_std_m)):
+                require_number(name, value)
+            add_setting(file, ZoomValue(zoom=zoom, pupil_m=pupil_m, pupil_std_m=pupil_std_m), found, noise=noise)
+        return file
 
     def plot(self) -> go.Figure:
         """Return a plotly figure of the residuals over the image."""
@@ -122,9 +145,9 @@ class RigResult(_BoardResult):
             rows += [(f"{side} {name}", with_std(v, std.get(f"{side}.{name}_px"), "px")) for name, v in values]
         return [*rows, ("epipolar", f"{self.output.epipolar_rms_px:.3g} px RMS"), *self._fit_rows()]
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write rig.yaml with the covariance."""
-        self.rig.save(path)
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write rig.yaml with the covariance, and return its path."""
+        return self.rig.save(path)
 
     def plot(self) -> go.Figure:
         """Return a plotly figure of both cameras' residuals over the image."""
@@ -132,7 +155,14 @@ class RigResult(_BoardResult):
         return _residual_figure({s: (found.uv_px[s], found.residual_px[s]) for s in ("left", "right")}, self.title)
 
 
-def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptions | None = None) -> CameraResult:
+def calibrate_camera(
+    images: Images,
+    board: str | Target,
+    *,
+    options: BoardOptions | None = None,
+    detector: Detector = "auto",
+    bits: int | None = None,
+) -> CameraResult:
     """Return the camera that took the images of a printed board.
 
     Parameters
@@ -143,7 +173,11 @@ def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptio
         'checkerboard:9x6:0.025' (inner corners, side of a square in m), 'circles:CxR:PITCH', 'acircles:CxR:PITCH',
         'charuco:CxR:SQUARE:MARKER:DICTIONARY', or a Target.
     options
-        What is held fixed, and how outliers are rejected.
+        What is held fixed, the kind of lens, and how outliers are rejected.
+    detector
+        How checkerboards are looked for.
+    bits
+        Of the light in 16-bit images, such as 12.
 
     Raises
     ------
@@ -159,7 +193,7 @@ def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptio
         One of them is no image.
     """
     target, options = _board(board), _options(options)
-    seen = _seen(as_images(images, "image"), target)
+    seen = _seen(as_images(images, "image", bits), target, _detector(detector))
     views = [view for _, view in seen if isinstance(view, BoardView)]
     missed = tuple((name, view.why) for name, view in seen if isinstance(view, NotSeen))
     _require(views, missed)
@@ -169,7 +203,13 @@ def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptio
 
 
 def calibrate_stereo(
-    left_images: Images, right_images: Images, board: str | Target, *, options: BoardOptions | None = None
+    left_images: Images,
+    right_images: Images,
+    board: str | Target,
+    *,
+    options: BoardOptions | None = None,
+    detector: Detector = "auto",
+    bits: int | None = None,
 ) -> RigResult:
     """Return the rig of two cameras that took images of a printed board at the same moments.
 
@@ -181,8 +221,8 @@ def calibrate_stereo(
         As many, in the same order.
     board
         As calibrate_camera takes it.
-    options
-        What is held fixed, and how outliers are rejected.
+    options, detector, bits
+        As calibrate_camera takes them.
 
     Raises
     ------
@@ -190,8 +230,9 @@ def calibrate_stereo(
         Not as many left as right images; else as calibrate_camera.
     """
     target, options = _board(board), _options(options)
-    pairs = _paired(as_images(left_images, "left image"), as_images(right_images, "right image"))
-    left, right, missed = _both(_seen(pairs[0], target), _seen(pairs[1], target))
+    pairs = _paired(as_images(left_images, "left image", bits), as_images(right_images, "right image", bits))
+    how = _detector(detector)
+    left, right, missed = _both(_seen(pairs[0], target, how), _seen(pairs[1], target, how))
     _require(left, missed)
     done = solvers.calibrate_stereo(left, right, target, options)
     output = stereo_output(done, missed, n_pairs=len(pairs[0]))
@@ -252,10 +293,16 @@ def _options(options: BoardOptions | None) -> BoardOptions | None:
     return options
 
 
-def _seen(images: list[tuple[str, Image]], board: Target) -> list[tuple[str, Seen]]:
+def _detector(detector: str) -> str:
+    if detector not in DETECTORS:
+        raise UsageError(f"there is no detector {detector!r}", cure=f"Use one of: {', '.join(DETECTORS)}")
+    return detector
+
+
+def _seen(images: list[tuple[str, Image]], board: Target, detector: str) -> list[tuple[str, Seen]]:
     def look(item: tuple[str, Image]) -> tuple[str, Seen]:
         name, image = item
-        return name, see_board(Frame(image=image.copy(), t_s=0.0, sequence=0, source=name), board)
+        return name, see_board(Frame(image=image.copy(), t_s=0.0, sequence=0, source=name), board, detector)
 
     return list(in_parallel(look, images))
 

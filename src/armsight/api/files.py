@@ -1,52 +1,115 @@
-"""Files by path: what is in them as records, and records into them."""
+"""Files by path: what is in them as records, and records into them; the name's ending and the content decide."""
 
 from __future__ import annotations
 
-from os import PathLike
+from collections.abc import Mapping
+from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armsight import store
 from armsight.api.arrays import Array, as_path
-from armsight.api.tracks import PoseTrack
+from armsight.api.checks import speaks_python
+from armsight.api.given import Given, PathText, as_table
+from armsight.api.runs import Columns, read_columns
+from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
+from armsight.app.calibrate.zoom import fix_camera, fix_rig
+from armsight.app.convert import (
+    load_camera,
+    load_rig,
+    load_tum,
+)
+from armsight.app.tables import convert_table
+from armsight.control.guard import Limits
 from armsight.errors import UsageError
-from armsight.records import require_kind
-from armsight.store import arm_file, path_file
+from armsight.kinematics import Arm
+from armsight.optics import Camera, Rig
+from armsight.records import Motion, Target, TaughtPath, checked_array, require_kind, require_number
+from armsight.store import arm_file, limits_file, path_file, write_text
+from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.saving import file_to_write
 from armsight.store.urdf import read_urdf
-
-if TYPE_CHECKING:
-    from armsight.kinematics import Arm
-    from armsight.optics import Camera, Rig
-    from armsight.records import Target, TaughtPath
-    from armsight.store.recording import Recording
-
-PathText = str | PathLike[str]
+from armsight.store.worlds import World
 
 FRAMES = ("world", "base")
 """Frames that a path.csv may be said to be in."""
 
 
-def read_rig(path: PathText) -> Rig:
-    """Return the rig in a rig.yaml. Raises BadFile, naming the key."""
-    return store.read_rig(as_path(path))
+@speaks_python
+def read_rig(
+    path: PathText | list[PathText] | tuple[PathText, ...],
+    *,
+    size: tuple[int, int] | None = None,
+    unit_m: float = 1.0,
+    zoom_left: float | None = None,
+    zoom_right: float | None = None,
+) -> Rig:
+    """Return the rig in a rig.yaml, or in a file of OpenCV or Kalibr, or in the two files of ROS or OpenCV.
+
+    size (width, height) and unit_m (length of its unit): of an OpenCV file that leaves them open. zoom_left,
+    zoom_right: of a rig with zoom lenses, where they stand. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> rig = armsight.simulate("hand-cell", frames=1).rig
+    >>> armsight.read_rig(rig.save(folder / "rig.yaml")) == rig
+    True
+    """
+    require_number("unit_m", unit_m)
+    files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
+    if zoom_left is None and zoom_right is None:
+        return load_rig(files, size=image_size(size), unit_m=unit_m)
+    with Given(name="rig.yaml") as given:
+        fix_rig(files[0], given.out, (zoom_left, zoom_right))
+        return store.read_rig(given.out)
 
 
-def read_camera(path: PathText) -> Camera:
-    """Return the camera in a camera.yaml. Raises BadFile, naming the key."""
-    return store.read_camera(as_path(path))
+@speaks_python
+def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: float | None = None) -> Camera:
+    """Return the camera in a camera.yaml, or in a file of ROS, OpenCV or Kalibr. Raises BadFile, naming the key.
+
+    size (width, height): of an OpenCV file that leaves it open. zoom: of a zoom lens, where it stands.
+
+    Examples
+    --------
+    >>> camera = armsight.Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
+    >>> armsight.read_camera(camera.save(folder / "camera.yaml")).width
+    640
+    """
+    if zoom is None:
+        return load_camera(as_path(path), size=image_size(size))
+    require_number("zoom", zoom)
+    with Given(name="camera.yaml") as given:
+        fix_camera(as_path(path), given.out, zoom)
+        return store.read_camera(given.out)
 
 
 def read_target(path: PathText) -> Target:
-    """Return the target in a target.yaml. Raises BadFile, naming the key."""
+    """Return the target in a target.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> target = armsight.LightTarget({"A": (0, 0, 0), "B": (0.1, 0, 0), "C": (0, 0.07, 0)})
+    >>> armsight.read_target(target.save(folder / "target.yaml")).names
+    ('A', 'B', 'C')
+    """
     return store.read_target(as_path(path))
 
 
+@speaks_python
 def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None) -> Arm:
     """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element.
 
     tip, base: of a URDF, the last and the first link of the arm's chain, where the file holds more than one chain.
+
+    Examples
+    --------
+    >>> armsight.read_arm(armsight.presets.ur10().save(folder / "arm.urdf")).n
+    6
     """
     file = as_path(path)
     for name, link in (("tip", tip), ("base", base)):
@@ -58,13 +121,36 @@ def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None)
     return arm_file.read_arm(file)
 
 
-def read_poses(path: PathText) -> PoseTrack:
-    """Return the poses in a poses.csv. Raises BadFile, naming line and column."""
-    return PoseTrack(poses=store.read_poses(as_path(path)))
+@speaks_python
+def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
+    """Return the poses in a poses.csv, in TUM (.tum, .txt), or in a table that says what its columns are.
+
+    table: what a foreign table leaves open. Raises BadFile, naming line and column.
+
+    Examples
+    --------
+    >>> T = armsight.simulate("hand-cell", frames=3).T_rig_target
+    >>> file = armsight.write_table(folder / "poses.csv", (np.arange(3.0), T))
+    >>> armsight.read_poses(armsight.read_poses(file).save(folder / "poses.tum")).T_parent_target.shape
+    (3, 4, 4)
+    """
+    require_kind("table", table, TableFormat)
+    file = as_path(path)
+    if file.suffix.lower() in TUM_SUFFIXES and table is OURS:
+        return PoseTrack(poses=tuple(load_tum(file)))
+    return PoseTrack(poses=store.read_poses(file, format_=table))
 
 
-def read_path(path: PathText, *, frame: str = "world") -> TaughtPath:
-    """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column."""
+def read_path(path: PathText, *, frame: Literal["world", "base"] = "world") -> TaughtPath:
+    """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column.
+
+    Examples
+    --------
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = [0.0, 0.1, 0.2]
+    >>> len(armsight.read_path(armsight.TaughtPath.of_poses(T).save(folder / "path.csv")))
+    3
+    """
     if frame not in FRAMES:
         raise UsageError(
             f"there is no frame {frame!r}", consequence="No path is read", cure=f"Use {' or '.join(FRAMES)}"
@@ -72,17 +158,128 @@ def read_path(path: PathText, *, frame: str = "world") -> TaughtPath:
     return path_file.read_path(as_path(path), parent=frame)
 
 
-def read_joints(path: PathText) -> tuple[Array, Array]:
-    """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile."""
-    motion = store.read_joints(as_path(path))
+@speaks_python
+def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Array]:
+    """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile.
+
+    table: what a foreign table leaves open.
+
+    Examples
+    --------
+    >>> t_s, q = armsight.read_joints(armsight.write_joints(folder / "joints.csv", [0.0, 0.1], np.zeros((2, 6))))
+    >>> q.shape
+    (2, 6)
+    """
+    require_kind("table", table, TableFormat)
+    motion = store.read_joints(as_path(path), table)
     return np.asarray(motion.t_s), np.asarray(motion.q)
 
 
-def open_recording(path: PathText) -> Recording:
-    """Return a recording (.mcap) open for reading: use it as a context manager. Raises BadFile.
+def write_joints(path: PathText, t_s: ArrayLike, q: ArrayLike) -> Path:
+    """Write joints.csv of times (n,) and values (n, m), and return its path. Raises UsageError, Inconsistent.
 
-    `cameras` names its cameras, `frames(camera)` yields frames with image and t_s, `poses()` and `joints()` the rest.
+    Examples
+    --------
+    >>> armsight.write_joints(folder / "joints.csv", [0.0, 0.1], np.zeros((2, 6))).name
+    'joints.csv'
     """
-    from armsight.store.recording import Recording
+    file = file_to_write(path, ".csv")
+    store.write_joints(file, Motion(t_s=t_s, q=q))  # type: ignore[arg-type]  # the record makes arrays of them
+    return file
 
-    return Recording(as_path(path))
+
+@speaks_python
+def read_table(path: PathText, *, kind: str | None = None, table: TableFormat = OURS) -> Columns:
+    """Return any table (points, spots, pairs, sweeps, a robot's log) as columns by name, in our names and units.
+
+    kind: joints, poses, points, pairs, robot_poses or sweep; else that which the columns can be. table: what it leaves
+    open. Raises UsageError, BadFile.
+
+    Examples
+    --------
+    >>> file = folder / "tracker.csv"
+    >>> file.write_text("time [s],X [mm],Y [mm],Z [mm],rx [deg],ry [deg],rz [deg]\\n0,100,200,300,0,0,90\\n")
+    78
+    >>> armsight.read_table(file, kind="poses", table=armsight.TableFormat(euler="xyz-fixed"))["x_m"]
+    array([0.1])
+    """
+    require_kind("kind", kind, str, NoneType)
+    require_kind("table", table, TableFormat)
+    with Given(name="table.csv") as given:
+        convert_table(as_path(path), given.out, kind=kind, format_=table)
+        return read_columns(given.out.read_bytes())
+
+
+def write_table(path: PathText, columns: Mapping[str, Any] | ArrayLike) -> Path:
+    """Write columns by name (a DataFrame), (t_s, q), (t_s, T), q or T as CSV, and return its path.
+
+    Examples
+    --------
+    >>> armsight.write_table(folder / "points.csv", {"x_m": [0.1, 0.2], "point": ["A", "B"]}).read_text()
+    'x_m,point\\n0.1,A\\n0.2,B\\n'
+    """
+    file = file_to_write(path, ".csv")
+    write_text(file, as_table("columns", columns))
+    return file
+
+
+def read_world(path: PathText) -> World:
+    """Return where a rig stands, from a world.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> done = armsight.write_simulation("webcam-cell", folder / "cell", frames=1)
+    >>> armsight.read_world(folder / "cell" / "world.yaml").parent
+    'world'
+    """
+    return store.read_world(as_path(path))
+
+
+def read_hand_eye(path: PathText) -> HandEyeFile:
+    """Return where a camera and its target are, from a handeye.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> done = armsight.write_simulation("webcam-cell", folder / "cell", frames=1)
+    >>> armsight.read_hand_eye(folder / "cell" / "handeye.yaml").setup
+    <Setup.EYE_TO_HAND: 'eye-to-hand'>
+    """
+    return read_handeye(as_path(path))
+
+
+def read_tool_tip(path: PathText) -> TipFile:
+    """Return where a tool's tip is, from a tip.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> turn = Rotation.from_rotvec(np.random.default_rng(1).normal(0.0, 0.4, (20, 3)))
+    >>> poses = RigidTransform.from_components(-turn.apply([0.0, 0.0, 0.2]), turn)
+    >>> file = armsight.calibrate_tool_tip(poses).save(folder / "tip.yaml")
+    >>> armsight.read_tool_tip(file).tip_m.round(6) + 0.0
+    array([0. , 0. , 0.2])
+    """
+    return read_tip(as_path(path))
+
+
+def read_limits(path: PathText) -> Limits:
+    """Return what the guard keeps, from a limits.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> armsight.read_limits(armsight.Limits(speed_m_s=0.05).save(folder / "limits.yaml")).speed_m_s
+    0.05
+    """
+    return limits_file.read_limits(as_path(path))
+
+
+def image_size(size: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return width and height as whole numbers, None where not given. Raises UsageError."""
+    require_kind("size", size, tuple, list, NoneType, cure="Give (width, height)")
+    if size is None:
+        return None
+    width, height = checked_array("size", size, (2,)).tolist()
+    if min(width, height) < 1.0 or width % 1.0 or height % 1.0:
+        raise UsageError(
+            f"size is {size}, no image's", consequence="It cannot be used", cure="Give (width, height) in px"
+        )
+    return int(width), int(height)

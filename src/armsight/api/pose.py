@@ -12,16 +12,25 @@ from scipy.spatial.transform import RigidTransform
 from armsight.api.arrays import Array, ImageLike, as_frame, as_image
 from armsight.api.results import POSE_NAMES, Result, Row, pose_rows
 from armsight.api.tracks import PoseTrack
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
 from armsight.measure.consistency.check import RunCheck, settled
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.outcome import Measured, Track
-from armsight.measure.poses.pipeline import Setup, measure_pair
+from armsight.measure.poses.pipeline import Setup, measure_pair, measure_spots
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.optics import Rig, RigKind
-from armsight.records import PoseStatus, Spots, Target, TargetPose, require_kind, require_number, spot_target
+from armsight.records import (
+    PoseStatus,
+    Spots,
+    Target,
+    TargetPose,
+    require_count,
+    require_kind,
+    require_number,
+    spot_target,
+)
 from armsight.records.target import Colour
 
 
@@ -54,7 +63,7 @@ def LightTarget(
     return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
 
 
-def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
+def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS, *, bits: int | None = None) -> Spots:
     """Return all spots of light in an image, searched without prior.
 
     Parameters
@@ -63,6 +72,8 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
         uint8 (h, w) grey or (h, w, 3) BGR, or an image file's path.
     settings
         Threshold, mask, colour and sizes of the search.
+    bits
+        Of the light in uint16 arrays and 16-bit files, such as 12.
 
     Returns
     -------
@@ -76,28 +87,54 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
         It is no such image.
     Inconsistent
         The settings' mask has another size.
+
+    Examples
+    --------
+    >>> image = np.zeros((240, 320), np.uint8)
+    >>> image[100:104, 200:204] = 255
+    >>> armsight.find_spots(image).uv_px.round(1).tolist()
+    [[201.5, 101.5]]
     """
     require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
-    return detection.find_spots(as_image(image), settings)
+    return detection.find_spots(as_image(image, bits=bits), settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PoseEstimate(Result):
     """The target's pose in the rig's frame at one moment, or why there is none.
 
-    status: 'ok', 'doubtful' (not to be acted on), 'position_only' or 'lost'; why: the reason where it is not 'ok'.
-    T_rig_target: (4, 4), of which only the translation means something where the position alone is known; None where
-    lost. covariance: (6, 6) of translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position
-    alone; it holds all that is known of: the spots' noise, and the rig's and the target's own covariance where they
-    have one. detail: everything that the pose came from.
+    status: 'ok', 'doubtful' (not to be acted on), 'position_only' or 'lost'; why: the reason where it is not 'ok'. Of a
+    lost pose T_rig_target, xyz_m, covariance and std raise NotEnoughData with that reason: ask `ok` before. detail:
+    everything that the pose came from.
     """
 
     status: PoseStatus
     why: str
     t_s: float
-    T_rig_target: Array | None
-    covariance: Array | None
     detail: Measured
+
+    @property
+    def T_rig_target(self) -> Array:
+        """The pose (4, 4); where the position alone is known, only its translation means something."""
+        return self._known(self.detail.pose.T_parent_target)
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position alone.
+
+        It holds all that is known of: the spots' noise, and the rig's and the target's own covariance where they have
+        one.
+        """
+        return self._known(self.detail.pose.covariance)
+
+    def _known(self, value: Array | None) -> Array:
+        if value is None:
+            raise NotEnoughData(
+                f"the pose is lost: {self.why}",
+                consequence="It has no place and no standard deviation",
+                cure="Take it only where `ok` is true",
+            )
+        return value
 
     @property
     def ok(self) -> bool:
@@ -105,15 +142,13 @@ class PoseEstimate(Result):
         return self.status is PoseStatus.OK
 
     @property
-    def xyz_m(self) -> Array | None:
-        """The target's position (3,) in the rig's frame; None where lost."""
-        return None if self.T_rig_target is None else self.T_rig_target[:3, 3]
+    def xyz_m(self) -> Array:
+        """The target's position (3,) in the rig's frame."""
+        return self.T_rig_target[:3, 3]
 
     @property
     def std(self) -> dict[str, float]:
         """Standard deviations by name: x_m, y_m, z_m and, of a complete pose, rx_rad, ry_rad, rz_rad."""
-        if self.covariance is None:
-            return {}
         return dict(zip(POSE_NAMES, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
 
     @property
@@ -129,22 +164,24 @@ class PoseEstimate(Result):
 
     def rows(self) -> list[Row]:
         """Return the pose's coordinates in mm and degrees (R = Rz Ry Rx), with standard deviations."""
-        return pose_rows(self._values(), self.std)
+        values = self._values()
+        return pose_rows(values, self.std) if values else []
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers in SI units."""
+        """Return plain numbers in SI units; None and {} for what a lost pose has not."""
+        known = self.detail.pose.T_parent_target is not None
         return {
             "status": str(self.status),
             "why": self.why,
             "t_s": self.t_s,
-            "T_rig_target": None if self.T_rig_target is None else self.T_rig_target.tolist(),
-            "covariance": None if self.covariance is None else self.covariance.tolist(),
-            "std": self.std,
+            "T_rig_target": self.T_rig_target.tolist() if known else None,
+            "covariance": self.covariance.tolist() if known else None,
+            "std": self.std if known else {},
             "lights": list(self.lights),
         }
 
     def _values(self) -> dict[str, float]:
-        if self.T_rig_target is None:
+        if self.detail.pose.T_parent_target is None:
             return {}
         values = self.T_rig_target[:3, 3].tolist()
         if self.ok:
@@ -160,6 +197,7 @@ def estimate_pose(
     *,
     settings: SpotSettings = DEFAULTS,
     t_s: float = 0.0,
+    bits: int | None = None,
 ) -> PoseEstimate:
     """Return the target's pose from one pair of images, taken by itself.
 
@@ -181,6 +219,8 @@ def estimate_pose(
         Threshold, mask and sizes of the search for lights.
     t_s
         Time of the exposure in s; it is handed on.
+    bits
+        Of the light in uint16 arrays and 16-bit files, such as 12.
 
     Returns
     -------
@@ -195,9 +235,56 @@ def estimate_pose(
         An image has not the size of its camera, or left and right are swapped.
     Degenerate
         The target's lights are on one line.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=1)
+    >>> frame = next(iter(cell))
+    >>> pose = armsight.estimate_pose(frame.left, frame.right, cell.rig, cell.target)
+    >>> pose.ok, bool(abs(pose.xyz_m - frame.T_rig_target[:3, 3]).max() < 0.005)
+    (True, True)
     """
     require_number("t_s", t_s)
-    return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None))
+    return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None, bits))
+
+
+def estimate_pose_from_spots(left: Spots, right: Spots, rig: Rig, target: Target, *, t_s: float = 0.0) -> PoseEstimate:
+    """Return the target's pose from spots that a detector of one's own found in both images.
+
+    Parameters
+    ----------
+    left, right
+        Spots of both images, in any order: Spots.of_centres(uv_px, covariance_px2). Which belong together is found out.
+    rig, target
+        As estimate_pose takes them; the target is of lights.
+    t_s
+        Time of the exposure in s; it is handed on.
+
+    Returns
+    -------
+    PoseEstimate
+        As estimate_pose gives it.
+
+    Raises
+    ------
+    Inconsistent
+        Left and right are swapped, or the target is a printed board.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=1)
+    >>> xyz_m = cell.T_rig_target[0, :3, 3] + cell.target.xyz_m @ cell.T_rig_target[0, :3, :3].T
+    >>> left, right = (armsight.Spots.of_centres(uv, 0.01 * np.eye(2)) for uv in cell.rig.project(xyz_m))
+    >>> armsight.estimate_pose_from_spots(left, right, cell.rig, cell.target).ok
+    True
+    """
+    require_number("t_s", t_s)
+    for name, spots in (("left", left), ("right", right)):
+        require_kind(name, spots, Spots, cure="Give Spots.of_centres(uv_px, covariance_px2)")
+    setup = _setup(rig, target, DEFAULTS, one_image=False)
+    if target.is_board:
+        raise Inconsistent("the target is a printed board", cure="Give a target of lights, or images to estimate_pose")
+    return _estimate(measure_spots(setup, float(t_s), left, right))
 
 
 class PoseTracker:
@@ -207,9 +294,11 @@ class PoseTracker:
     residuals are asked whether rig and target can be right; poses that follow are widened where they cannot.
     """
 
-    def __init__(self, rig: Rig, target: Target, *, settings: SpotSettings = DEFAULTS) -> None:
+    def __init__(self, rig: Rig, target: Target, *, settings: SpotSettings = DEFAULTS, bits: int | None = None) -> None:
         _require_setup(rig, target, settings)
-        self._rig, self._target, self._settings = rig, target, settings
+        if bits is not None:
+            require_count("bits", bits, least=1)
+        self._rig, self._target, self._settings, self._bits = rig, target, settings, bits
         self.reset()
 
     def reset(self) -> None:
@@ -246,7 +335,7 @@ class PoseTracker:
         if self._setup is None or self._check is None or self._setup.overlaid != (right is None):
             self._setup = _setup(self._rig, self._target, self._settings, right is None)
             self._check = RunCheck(self._setup)
-        measured = _measure(self._setup, left, right, t_s, self._track)
+        measured = _measure(self._setup, left, right, t_s, self._track, self._bits)
         self._track = measured.track
         measured = self._check.add(measured)
         self._poses.append(measured.pose)
@@ -281,9 +370,11 @@ def _require_setup(rig: Rig, target: Target, settings: SpotSettings) -> None:
     require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
 
 
-def _measure(setup: Setup, left: ImageLike, right: ImageLike | None, t_s: float, track: Track | None) -> Measured:
-    at_left = as_frame(left, name="the left image" if right is not None else "the image", t_s=t_s)
-    at_right = at_left if right is None else as_frame(right, name="the right image", t_s=t_s)
+def _measure(
+    setup: Setup, left: ImageLike, right: ImageLike | None, t_s: float, track: Track | None, bits: int | None
+) -> Measured:
+    at_left = as_frame(left, name="the left image" if right is not None else "the image", t_s=t_s, bits=bits)
+    at_right = at_left if right is None else as_frame(right, name="the right image", t_s=t_s, bits=bits)
     return measure_pair(setup, at_left, at_right, track)
 
 
@@ -293,7 +384,5 @@ def _estimate(measured: Measured) -> PoseEstimate:
         status=pose.status,
         why=pose.why,
         t_s=pose.t_s,
-        T_rig_target=pose.T_parent_target,
-        covariance=pose.covariance,
         detail=measured,
     )

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.display import Row as Row
+from armsight.app.display import as_html, as_text
+from armsight.records import ByValue
 from armsight.units import DEG, MM
 
-Row = tuple[str, str]
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """What a pose's six numbers are called."""
 
 
-class Result:
+class Result(ByValue):
     """A result that prints itself. Subclasses give `title`, `rows` and `to_dict`."""
 
     __slots__ = ()
@@ -33,13 +39,10 @@ class Result:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        rows = self.rows()
-        width = max((len(name) for name, _ in rows), default=0)
-        return "\n".join([self.title, *(f"  {name:<{width}}  {value}".rstrip() for name, value in rows)])
+        return as_text(self.title, self.rows())
 
     def _repr_html_(self) -> str:
-        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self.rows())
-        return f"<table><caption>{escape(self.title)}</caption>{cells}</table>"
+        return as_html(self.title, self.rows())
 
 
 def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) -> str:
@@ -71,3 +74,13 @@ def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row
         for name, (unit, scale) in POSE_UNITS.items()
         if name in values
     ]
+
+
+def error_figure(title: str, error_m: NDArray[np.float64], names: Sequence[str] = ()) -> go.Figure:
+    """Return a plotly figure of errors (n,) in mm by row; names: of the rows."""
+    import plotly.graph_objects as go
+
+    rows = list(names) or [str(row) for row in range(len(error_m))]
+    figure = go.Figure(go.Bar(x=rows, y=error_m / MM))
+    figure.update_layout(title=title, xaxis_title="row", yaxis_title="error, mm")
+    return figure

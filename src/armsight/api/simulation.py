@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from os import PathLike
 from types import NoneType
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.api.arrays import Array, Image
+from armsight.api.arrays import Array, Image, as_path
+from armsight.api.checks import speaks_python
+from armsight.app.schemas.files import SimulateOutput
+from armsight.app.simulate import MOST_FRAMES
 from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES
-from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names
+from armsight.app.simulate.run import simulate as write_files
+from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.drivers import CELLS, known
+from armsight.errors import UsageError
+from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import Target, require_count, require_kind
+from armsight.records import ByValue, Progress, Target, require_count, require_kind, require_number
 from armsight.store import rig_from_mapping, target_from_mapping
+from armsight.store.arm_file import arm_from_mapping
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SimulatedFrame:
+class SimulatedFrame(ByValue):
     """What the cameras see at t_s, and where the target truly is: T_rig_target (4, 4). right: None for a mirror rig."""
 
     t_s: float
@@ -31,11 +39,17 @@ class SimulatedFrame:
 
 
 class Simulation:
-    """A simulated cell: iterate for its frames. rig, target: as a perfect calibration would give them."""
+    """A simulated cell: iterate for its frames. rig, target: as a perfect calibration would give them.
 
-    def __init__(self, world: Any, name: str) -> None:
+    What is true is there as arrays over the frames: t_s (n,), T_rig_target (n, 4, 4); of a cell with a robot also
+    arm_true, arm (as its data sheet has it), q_true (n, joints), joints, what the encoders tell, as (t_s, q), and where
+    the rig is: T_base_rig of one that stands, T_flange_rig of one on the arm; None where it is not so.
+    """
+
+    def __init__(self, world: Any, name: str, scenario: Any = None) -> None:
         self._world = world
         self.name = name
+        self.scenario = scenario
         self.rig: Rig = rig_from_mapping(world.rig, f"{name}'s rig")
         self.target: Target = target_from_mapping(world.target, f"{name}'s target")
 
@@ -45,28 +59,85 @@ class Simulation:
     def __repr__(self) -> str:
         return f"Simulation of {self.name}: {len(self)} frames"
 
+    @property
+    def t_s(self) -> Array:
+        """Times (n,) of the frames in s."""
+        return np.array([t_s for t_s, _, _ in self._world.truth])
+
+    @property
+    def T_rig_target(self) -> Array:
+        """True poses (n, 4, 4) of the target in the rig."""
+        xyz = np.array([xyz_m for _, xyz_m, _ in self._world.truth])
+        quat = np.array([quat_xyzw for _, _, quat_xyzw in self._world.truth])
+        return np.asarray(RigidTransform.from_components(xyz, Rotation.from_quat(quat)).as_matrix())
+
+    @property
+    def arm(self) -> Arm | None:
+        """The arm as its data sheet has it; None in a cell without one."""
+        return self._arm("nominal")
+
+    @property
+    def arm_true(self) -> Arm | None:
+        """The arm as it is."""
+        return self._arm("true")
+
+    @property
+    def joints(self) -> tuple[Array, Array] | None:
+        """What the encoders tell: times (m,) in s and readings (m, joints) in rad or m."""
+        read = getattr(self._world, "joints", ())
+        return (np.array([t_s for t_s, _ in read]), np.array([q for _, q in read])) if len(read) else None
+
+    @property
+    def T_base_rig(self) -> Array | None:
+        """Where a rig that stands truly is."""
+        return self._place("T_base_rig")
+
+    @property
+    def T_flange_rig(self) -> Array | None:
+        """Where a rig on the arm truly is."""
+        return self._place("T_flange_rig")
+
+    def _arm(self, which: str) -> Arm | None:
+        arm = getattr(self._world, which, None)
+        if arm is None:
+            return None
+        content = {"format": "armsight/arm", "version": 1, **arm.mapping(self._world.T_flange_tool)}
+        return arm_from_mapping(content, f"{self.name}'s arm")
+
+    def _place(self, which: str) -> Array | None:
+        T = getattr(self._world, which, None)
+        return None if T is None else np.asarray(T.as_matrix())
+
     def __iter__(self) -> Iterator[SimulatedFrame]:
-        for seen, (t_s, xyz_m, quat_xyzw) in zip(self._world.frames(), self._world.truth, strict=True):
-            T = RigidTransform.from_components(xyz_m, Rotation.from_quat(quat_xyzw)).as_matrix()
+        for seen, t_s, T in zip(self._world.frames(), self.t_s, self.T_rig_target, strict=True):
             right = seen[1].image if len(seen) == 2 else None
-            yield SimulatedFrame(t_s=float(t_s), left=seen[0].image, right=right, T_rig_target=np.asarray(T))
+            yield SimulatedFrame(t_s=float(t_s), left=seen[0].image, right=right, T_rig_target=T)
 
 
 def simulate(
-    scenario: str = "webcam-cell", *, frames: int | None = None, seed: int | None = None, room: str | None = None
+    scenario: str | Mapping[str, Any] = "webcam-cell",
+    *,
+    frames: int | None = None,
+    seed: int | None = None,
+    room: str | None = None,
+    zoom: float | None = None,
 ) -> Simulation:
     """Return a simulated cell, to be iterated over for its frames.
 
     Parameters
     ----------
     scenario
-        A built-in scenario or cell (see `scenarios`), or a scenario file (.yaml).
+        A built-in scenario or cell (see `scenarios`), a scenario file (.yaml), or what such a file holds (see
+        `read_scenario`), changed as wanted.
     frames
         How many; its own number if not given.
     seed
         Of everything random in it; its own if not given.
     room
-        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given.
+        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given. To light a workshop takes some
+        seconds each time, 'dark' none.
+    zoom
+        Zoom lenses before the cameras, at this setting.
 
     Raises
     ------
@@ -76,20 +147,86 @@ def simulate(
         A scenario file's key cannot be as it is.
     UsageError
         A number of frames below 1, or what is no number or no text.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=2)
+    >>> [frame.left.shape for frame in cell], cell.T_rig_target.shape
+    ([(720, 1280), (720, 1280)], (2, 4, 4))
     """
-    require_kind("scenario", scenario, str, cure="Give one of scenarios(), or a scenario file's path")
+    require_kind("scenario", scenario, str, Mapping, cure="Give one of scenarios(), or a scenario file's path")
     require_kind("room", room, str, NoneType, cure="Give a room's name, or a picture's path")
     if seed is not None:
         require_count("seed", seed)
     if frames is not None:
-        require_count("frames", frames, least=1)
-    if scenario in known(CELLS) and scenario not in scenario_names():
-        return Simulation(load_cell(scenario, seed=seed or 0, frames=frames or CELL_FRAMES, room=room), scenario)
-    model = load_scenario(scenario)[0]
+        require_frames(frames)
+    if zoom is not None:
+        require_number("zoom", zoom)
+    if isinstance(scenario, str) and scenario in known(CELLS) and scenario not in scenario_names():
+        cell = load_cell(scenario, seed=seed or 0, frames=frames or CELL_FRAMES, room=room, zoom=zoom)
+        return Simulation(cell, scenario)
+    name = scenario if isinstance(scenario, str) else str(scenario.get("name", "the scenario"))
+    model = load_scenario(scenario)[0] if isinstance(scenario, str) else scenario_model(scenario, name)
     chosen = None if room is None else room_choice(room)
-    return Simulation(build_world(scenario, model, seed=seed, frames=frames, room=chosen), scenario)
+    world = build_world(name, model, seed=seed, frames=frames, room=chosen, zoom=zoom)
+    return Simulation(world, name, model.model_dump(mode="json"))
+
+
+def read_scenario(scenario: str) -> dict[str, Any]:
+    """Return what a built-in scenario or a scenario file holds, for `simulate`. Raises DeviceNotFound, BadFile.
+
+    Examples
+    --------
+    >>> plain = armsight.read_scenario("webcam-cell")
+    >>> armsight.simulate({**plain, "seed": 7}, frames=1).name
+    'webcam-cell'
+    """
+    require_kind("scenario", scenario, str, cure="Give one of scenarios(), or a scenario file's path")
+    content: dict[str, Any] = load_scenario(scenario)[0].model_dump(mode="json", exclude_unset=True)
+    return content
+
+
+@speaks_python
+def write_simulation(
+    scenario: str,
+    out: str | PathLike[str],
+    *,
+    frames: int | None = None,
+    seed: int | None = None,
+    room: str | None = None,
+    zoom: float | None = None,
+    progress: Progress | None = None,
+) -> SimulateOutput:
+    """Write a simulated cell's frames, files and truth into a folder; or a set for one calibration, by its name.
+
+    frames, seed, room, zoom: as `simulate` takes them. Raises as it, and DeviceFailed where the disk refuses.
+
+    Examples
+    --------
+    >>> armsight.write_simulation("hand-cell", folder / "cell", frames=2).n_frames
+    2
+    """
+    require_kind("scenario", scenario, str)
+    if frames is not None:
+        require_frames(frames)
+    return write_files(scenario, as_path(out, "out"), seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
 
 def scenarios() -> tuple[str, ...]:
-    """Return the names of the built-in scenarios and cells."""
+    """Return the names of the built-in scenarios and cells.
+
+    Examples
+    --------
+    >>> "webcam-cell" in armsight.scenarios()
+    True
+    """
     return tuple(sorted({*scenario_names(), *known(CELLS)}))
+
+
+def require_frames(frames: int) -> None:
+    """Raise UsageError for a number of frames that no simulation has."""
+    require_count("frames", frames, least=1)
+    if frames > MOST_FRAMES:
+        raise UsageError(
+            f"frames is {frames}, more than {MOST_FRAMES}", consequence="Nothing is simulated", cure="Ask for fewer"
+        )

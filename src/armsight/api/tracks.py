@@ -12,14 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.api.arrays import Array, as_path
+from armsight.api.arrays import Array
 from armsight.api.results import POSE_NAMES, Result, Row
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
+from armsight.store import write_poses, write_tum
+from armsight.store.saving import file_to_write
 from armsight.units import DEG
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
+
+TUM_SUFFIXES = (".tum", ".txt")
 
 BAND: dict[str, Any] = {
     "mode": "lines",
@@ -101,11 +105,11 @@ class PoseTrack(Result):
         return content
 
     def save(self, path: str | PathLike[str]) -> Path:
-        """Write poses.csv and return its path."""
-        from armsight.store import write_poses
-
-        write_poses(as_path(path), self.poses)
-        return as_path(path)
+        """Write poses.csv, or complete poses as TUM where the name ends in .tum or .txt, and return its path."""
+        file = file_to_write(path, ".csv", *TUM_SUFFIXES)
+        write = write_tum if file.suffix.lower() in TUM_SUFFIXES else write_poses
+        write(file, self.poses)
+        return file
 
     def plot(self) -> go.Figure:
         """Return a plotly figure: position (mm) and orientation (deg) over time with their 95 % bands."""

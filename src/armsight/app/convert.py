@@ -59,13 +59,7 @@ def convert_camera(
     """Convert a camera's file; to: one of WRITTEN, default armsight. Raises DataRefused or UsageError."""
     kind = _kind(source, "armsight/camera")
     to = _wanted(kind, to)
-    read: Mapping[str, Callable[[Path], Camera]] = {
-        "armsight": read_camera,
-        "ros": camera_from_ros,
-        "opencv": lambda path: camera_from_opencv(path, size=size),
-        "kalibr": camera_from_kalibr,
-    }
-    camera = read[kind](source)
+    camera = load_camera(source, size=size)
     write: Mapping[str, Callable[[], None]] = {
         "armsight": lambda: write_camera(out, camera, inputs=[source]),
         "ros": lambda: camera_to_ros(out, camera),
@@ -75,6 +69,30 @@ def convert_camera(
     }
     write[to]()
     return _done(kind, to, [out])
+
+
+def load_camera(source: Path, *, size: tuple[int, int] | None = None) -> Camera:
+    """Return the camera in a file of ours or of one of KINDS. Raises BadFile."""
+    read: Mapping[str, Callable[[Path], Camera]] = {
+        "armsight": read_camera,
+        "ros": camera_from_ros,
+        "opencv": lambda path: camera_from_opencv(path, size=size),
+        "kalibr": camera_from_kalibr,
+    }
+    return read[_kind(source, "armsight/camera")](source)
+
+
+def load_rig(sources: Sequence[Path], *, size: tuple[int, int] | None = None, unit_m: float = 1.0) -> Rig:
+    """Return the rig in a file, or in the two files, of ours or of one of KINDS. Raises BadFile, UsageError."""
+    kind = _kind(sources[0], "armsight/rig")
+    _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
+    read: Mapping[str, Callable[[], Rig]] = {
+        "armsight": lambda: read_rig(sources[0]),
+        "ros": lambda: rig_from_ros(sources[0], sources[1]),
+        "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m),
+        "kalibr": lambda: rig_from_kalibr(sources[0]),
+    }
+    return read[kind]()
 
 
 def convert_rig(
@@ -93,15 +111,8 @@ def convert_rig(
     """
     kind = _kind(sources[0], "armsight/rig")
     to = _wanted(kind, to)
-    _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
+    rig, note = load_rig(sources, size=size, unit_m=unit_m), ""
     _count("output", outs, to, (2, 3) if to == "ros" else (1,))
-    read: Mapping[str, Callable[[], Rig]] = {
-        "armsight": lambda: read_rig(sources[0]),
-        "ros": lambda: rig_from_ros(sources[0], sources[1]),
-        "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m),
-        "kalibr": lambda: rig_from_kalibr(sources[0]),
-    }
-    rig, note = read[kind](), ""
     if to != "armsight" and rig.left.plate is not None:
         rig, rms_px = pinhole_pair(rig)
         note = f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off"
@@ -160,13 +171,18 @@ def convert_poses(source: Path, out: Path) -> ConvertOutput:
         )
     if to_tum:
         return _done("poses.csv", "tum", [out], rows=write_tum(out, read_poses(source)))
+    poses = load_tum(source)
+    write_poses(out, poses)
+    return _done("tum", "poses.csv", [out], rows=len(poses))
+
+
+def load_tum(source: Path) -> list[TargetPose]:
+    """Return the poses of a TUM file, which tells no uncertainty. Raises BadFile."""
     track = read_tum(source)
-    poses = [
+    return [
         TargetPose(t_s=float(t_s), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=np.zeros((6, 6)))
         for t_s, T in zip(track.t_s, track.pose.as_matrix(), strict=True)
     ]
-    write_poses(out, poses)
-    return _done("tum", "poses.csv", [out], rows=len(poses))
 
 
 def _done(source: str, target: str, files: Sequence[Path], *, rows: int | None = None, note: str = "") -> ConvertOutput:

@@ -88,7 +88,11 @@ def _check(job: JoinJob) -> None:
     if job.kind not in KINDS:
         raise UsageError(f"no table is called {job.kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
     if (job.joints is None) == (job.robot_stream is None):
-        raise UsageError("give --joints with --arm, or --robot-stream with the flange's poses")
+        raise UsageError(
+            "what the robot did is not said, or twice",
+            consequence="Nothing is joined",
+            cure="Give --joints with --arm, or --robot-stream with the flange's poses",
+        )
     if job.joints is not None and job.arm is None:
         raise UsageError("--joints needs --arm", cure="Give the arm: its nominal geometry is enough")
     if job.robot_stream is not None and job.kind != "pairs":
@@ -109,7 +113,7 @@ def _reported(job: JoinJob, arm: Arm | None) -> Reported:
     if found.q is None or found.q.shape[1] != arm.n:
         count = 0 if found.q is None else found.q.shape[1]
         raise UsageError(f"{job.joints} has {count} joints, {arm.name} has {arm.n}", cure="Give the log of this arm")
-    return replace(found, q=found.q @ arm.gearing.T) if arm.couplings else found
+    return found if arm.direct else replace(found, q=arm.values(found.q))
 
 
 def _inverse(measured: Measured) -> Measured:

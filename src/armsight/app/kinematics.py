@@ -238,7 +238,7 @@ def write_joint_path(
 ) -> PathOutput:
     """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
     model = load_arm(arm)
-    targets = read_poses(poses, parent="world", format_=format_)
+    targets = read_poses(poses, parent="world", format_=format_, stream=True)
     blind = [k for k, target in enumerate(targets) if target.status is not PoseStatus.OK]
     if blind:
         raise Inconsistent(
@@ -282,11 +282,11 @@ def write_formulas(arm: str, out: Path) -> FormulasOutput:
     suffix = out.suffix.lower()
     if suffix not in (".py", ".tex"):
         raise UsageError(f"{out.name} ends in neither .py nor .tex", cure="Choose one of them")
-    if model.couplings:
+    if not model.direct:
         raise Inconsistent(
-            f"the readings of {', '.join(c.joint for c in model.couplings)} are coupled to other joints'",
+            f"the joints of {model.name} are not where its controller shows them: readings are coupled, or joints sag",
             consequence="The formulas, which are of the joints' own values, would be taken for those of the readings",
-            cure="Leave `coupled` out of a copy of the arm file, and give the formulas the joints' own values",
+            cure="Leave `coupled` and `compliance` out of a copy of the file; give the formulas the joints' own values",
         )
     write_text(out, python_source(model) if suffix == ".py" else latex_source(model))
     return FormulasOutput(arm=model.name, file=str(out))

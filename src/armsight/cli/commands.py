@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
@@ -22,7 +23,6 @@ from armsight.cli.identify import identify
 from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import (
-    MOST_FRAMES,
     SRC,
     AsJson,
     Bits,

@@ -19,8 +19,6 @@ BOARD = "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
 Board: TypeAlias = Annotated[str, typer.Option("--board", metavar="BOARD", help=BOARD)]
 OutFolder: TypeAlias = Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the results go.")]
-MOST_FRAMES = 100_000
-"""Of a simulation: an hour at 30 frames a second. Its tables, in memory, are 1 GB then."""
 Seed: TypeAlias = Annotated[int, typer.Option("--seed", help="The same seed gives the same frames.", min=0)]
 Every: TypeAlias = Annotated[int, typer.Option("--every", min=1, help="Use every n-th frame, for videos.")]
 Limit: TypeAlias = Annotated[int | None, typer.Option("--frames", min=1, help="Stop after so many.")]

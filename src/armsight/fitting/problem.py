@@ -57,7 +57,11 @@ class Prior:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mean) and self.sigma > 0.0):
-            raise Inconsistent(f"a prior of {self.mean} +- {self.sigma} says nothing")
+            raise Inconsistent(
+                f"a prior of {self.mean} +- {self.sigma} says nothing",
+                consequence="Nothing is fitted",
+                cure="Give a standard deviation above zero",
+            )
 
 
 Evaluate = Callable[[Array, Array], Evaluation]

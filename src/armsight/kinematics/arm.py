@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from enum import StrEnum
-from numbers import Real
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import NoneType
 from typing import TYPE_CHECKING, Literal
 
@@ -16,7 +14,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
+from armsight.kinematics.joints import Coupling, Joint, JointType, ToolPoint, check_couplings
 from armsight.kinematics.kernels.chain import one_pose
+from armsight.kinematics.kernels.gravity import many_torques, settle_under_weight
 from armsight.records import (
     NamedCovariance,
     Saveable,
@@ -30,6 +30,7 @@ from armsight.records import (
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
+    from armsight.kinematics.path import JointPath
 
 Array = NDArray[np.float64]
 
@@ -42,133 +43,21 @@ FAR_TURNED_RAD = 4.0 * math.pi
 LIMIT_SLACK = 1e-9
 """Joint values this far (rad or m) beyond a limit are at it: rounding of a solution that ends there."""
 
-SAME_DIRECTION = 1e-12
-"""Share (squared) of an axis along another below which they are square to each other."""
-
-GAIN_RANGE = (0.5, 2.0)
-"""The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
-
-
-class JointType(StrEnum):
-    """A joint turns about its z axis or slides along it."""
-
-    REVOLUTE = "revolute"
-    PRISMATIC = "prismatic"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Joint:
-    """One joint and the link behind it.
-
-    Revolute: theta = sign * q + theta_rad. Prismatic: d = sign * q + d_m. beta_rad: Hayati's turn about y, for
-    nearly parallel axes. lower, upper: limits of q (rad or m). max_speed (rad/s or m/s) and stall_effort (N m or N)
-    where known. sign: +1 or -1, times the joint's scale where one was identified.
-    """
-
-    name: str
-    type: JointType = JointType.REVOLUTE
-    a_m: float = 0.0
-    alpha_rad: float = 0.0
-    d_m: float = 0.0
-    theta_rad: float = 0.0
-    beta_rad: float = 0.0
-    lower: float = -math.inf
-    upper: float = math.inf
-    sign: float = 1.0
-    max_speed: float | None = None
-    stall_effort: float | None = None
-
-    def __post_init__(self) -> None:
-        try:
-            object.__setattr__(self, "type", JointType(self.type))
-        except ValueError:
-            raise Inconsistent(
-                f"joint {self.name} is of unknown type {str(self.type)!r}",
-                consequence="The arm cannot be modelled",
-                cure="Use one of: " + ", ".join(JointType),
-            ) from None
-        require_kind("the name of a joint", self.name, str)
-        for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
-            value = getattr(self, key)
-            if isinstance(value, Real) and not math.isfinite(value):
-                raise Inconsistent(f"{key} of joint {self.name} is not finite", consequence="The arm has no geometry")
-            require_number(f"{key} of joint {self.name}", value)
-        for key in ("lower", "upper"):
-            require_kind(f"{key} of joint {self.name}", getattr(self, key), Real, cure="Give a number")
-        if not GAIN_RANGE[0] <= abs(self.sign) <= GAIN_RANGE[1]:
-            raise Inconsistent(
-                f"the sign of joint {self.name} is {self.sign:g}",
-                consequence="Its readings cannot be turned into angles",
-                cure="Use +1 or -1, times the joint's scale where that was identified",
-            )
-        if not self.lower < self.upper:
-            raise Inconsistent(
-                f"the limits of joint {self.name} are swapped or equal: lower {self.lower:g}, upper {self.upper:g}",
-                consequence="The joint could not move",
-                cure="Give the smaller one as lower; leave both out for a joint without limits",
-            )
-        for key in ("max_speed", "stall_effort"):
-            value = getattr(self, key)
-            if value is None:
-                continue
-            require_kind(f"{key} of joint {self.name}", value, Real, cure="Give a number")
-            if not (math.isfinite(value) and value > 0.0):
-                raise Inconsistent(
-                    f"{key} of joint {self.name} is {value:g}, which is not a positive number",
-                    consequence="No track can be held against it",
-                    cure="Leave it out where it is not known",
-                )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coupling:
-    """A controller's reading that is not the joint's own: value of joint = its reading + share * reading of by."""
-
-    joint: str
-    by: str
-    share: float = 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ToolPoint:
-    """A named point of the tool: xyz_m (3,) in flange axes, std_m (3,) of its coordinates, infinite where not known."""
-
-    name: str
-    xyz_m: Array
-    std_m: Array
-
-    def __post_init__(self) -> None:
-        if not self.name:
-            raise Inconsistent("a point of the tool has no name", cure="Name it, for instance A")
-        object.__setattr__(self, "xyz_m", frozen_array(f"the place of tool point {self.name}", self.xyz_m, (3,)))
-        std = np.array(self.std_m, dtype=np.float64)
-        if std.shape != (3,) or not (std >= 0.0).all():  # also false for NaN
-            raise Inconsistent(
-                f"the standard deviations of tool point {self.name} are {std.tolist()}",
-                cure="Give three of x, y, z in m, none negative",
-            )
-        std.setflags(write=False)
-        object.__setattr__(self, "std_m", std)
-
-    def seen_from(self, T: RigidTransform) -> ToolPoint:
-        """Return the point in other axes, T those of the old ones in them; deviations turned as if independent."""
-        turn = np.asarray(T.rotation.as_matrix())
-        known = np.where(np.isfinite(self.std_m), self.std_m, 0.0)
-        std = np.sqrt(turn**2 @ known**2)
-        std[(turn**2 @ np.isinf(self.std_m)) > SAME_DIRECTION] = np.inf
-        return ToolPoint(name=self.name, xyz_m=np.asarray(T.apply(self.xyz_m)), std_m=std)
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity; it differs by 0.3 % over the earth, which no compliance is known to."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm(Saveable):
     """A serial arm: joints from base to flange, T_world_base, T_flange_tool.
 
-    All kinematics is in the joints' own values q, which are the controller's readings unless `couplings` say otherwise:
-    `values` and `readings` turn one into the other.
+    All kinematics is in the joints' own values q, which are the controller's readings unless `couplings` say otherwise
+    or joints give way under the arm's weight (`compliance`): `values` and `readings` turn one into the other.
 
     convention says how the joints' a, alpha, beta are read: standard (behind the joint) or craig (before it).
     source: where the numbers come from. covariance: of identified parameters, named as in `parameter_names`.
-    tool_points: points of the tool that were measured by name, such as a beacon's lights.
+    tool_points: points of the tool that were measured by name, such as a beacon's lights. down_in_base: the unit vector
+    (3,) in base axes along which things fall; None for an arm whose world's z axis points up.
     chain (n + 2, 12): the same arm as compiled code sees it (kernels.chain), always in standard convention. found: what
     other modules worked out once from the fields above (its closed form); never part of the arm's value.
     """
@@ -182,6 +71,7 @@ class Arm(Saveable):
     covariance: NamedCovariance | None = None
     couplings: tuple[Coupling, ...] = ()
     tool_points: tuple[ToolPoint, ...] = ()
+    down_in_base: Array | None = None
     chain: Array = field(init=False, repr=False)
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
@@ -203,10 +93,19 @@ class Arm(Saveable):
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
-        _check_couplings(self.couplings, names)
+        check_couplings(self.couplings, names)
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
+        self.found["compliant"] = any(joint.compliance > 0.0 for joint in self.joints)
+        if self.compliant and not any(joint.mass_kg for joint in self.joints):
+            raise Inconsistent(
+                f"joints of {self.name} have a compliance, and none of its links a mass_kg",
+                consequence="How far they give way under its weight is not known",
+                cure="Give the links' mass_kg and com_m, or leave compliance out",
+            )
+        if self.down_in_base is not None:
+            object.__setattr__(self, "down_in_base", _unit(self.down_in_base))
         chain = _chain(self)
         chain.setflags(write=False)
         object.__setattr__(self, "chain", chain)
@@ -261,15 +160,77 @@ class Arm(Saveable):
             gearing[place[coupling.joint], place[coupling.by]] += coupling.share
         return gearing
 
+    @property
+    def compliant(self) -> bool:
+        """Whether a joint gives way under the arm's weight."""
+        return bool(self.found["compliant"])
+
+    @property
+    def direct(self) -> bool:
+        """Whether the joints' own values are what the controller shows."""
+        return not (self.couplings or self.compliant)
+
     def values(self, readings: ArrayLike) -> Array:
-        """Return the joints' own values (n,) or (m, n) of a controller's readings; raises as `checked`."""
+        """Return the joints' own values (n,) or (m, n) of a controller's readings at rest; raises as `checked`."""
         readings = self.checked(readings)
-        return readings @ self.gearing.T if self.couplings else readings
+        driven = readings @ self.gearing.T if self.couplings else readings
+        return self.sagged(driven) if self.compliant else driven
 
     def readings(self, q: ArrayLike) -> Array:
-        """Return what the controller shows, (n,) or (m, n), at the joints' values q."""
+        """Return what the controller shows, (n,) or (m, n), where the joints' values are q and the arm rests."""
         q = self.checked(q)
+        if self.compliant:
+            q = q - np.array([joint.compliance for joint in self.joints]) * self.gravity_torque(q)
         return np.asarray(np.linalg.solve(self.gearing, q.T).T) if self.couplings else q
+
+    @property
+    def down(self) -> Array:
+        """The unit vector (3,) in world axes along which things fall."""
+        if self.down_in_base is None:
+            return np.array([0.0, 0.0, -1.0])
+        return np.asarray(self.T_world_base.as_matrix()[:3, :3] @ self.down_in_base)
+
+    def based(self) -> Arm:
+        """Return the arm with its base as the world; what falls still falls along the same line in it."""
+        return replace(self, T_world_base=RigidTransform.identity(), down_in_base=self.base_down)
+
+    @property
+    def base_down(self) -> Array:
+        """The unit vector (3,) in base axes along which things fall."""
+        if "base_down" not in self.found:
+            self.found["base_down"] = self.T_world_base.as_matrix()[:3, :3].T @ self.down
+        return np.asarray(self.found["base_down"])
+
+    @property
+    def weight(self) -> Array:
+        """Return (n, 4): of each link what it weighs in N, and its centre of mass in the frame behind its joint."""
+        return np.array([(GRAVITY_M_S2 * joint.mass_kg, *joint.com_m) for joint in self.joints])
+
+    def gravity_torque(self, q: ArrayLike) -> Array:
+        """Return by how much the links' weight turns each joint forwards at the joints' values q, N m (slides: N),
+        (n,) or (m, n); 0 without masses (Siciliano 2009, Robotics, 7.1: minus the slope of the potential energy)."""
+        values = self.checked(q)
+        tau = np.empty(np.atleast_2d(values).shape)
+        many_torques(self.chain, self.weight, self.down, np.atleast_2d(values), tau)
+        return tau.reshape(values.shape)
+
+    def sagged(self, q: ArrayLike) -> Array:
+        """Return where joints that are driven to q, (n,) or (m, n), come to rest: q + compliance * torque there.
+
+        Raises Inconsistent where they find no rest: the arm would fall.
+        """
+        values = self.checked(q)
+        if not self.compliant:
+            return values
+        rows, soft = np.atleast_2d(values), np.array([joint.compliance for joint in self.joints])
+        rest = np.empty(rows.shape)
+        if not settle_under_weight(self.chain, self.weight, self.down, soft, rows, rest):
+            raise Inconsistent(
+                f"the joints of {self.name} are so soft that its weight turns them without end",
+                consequence="Where its tool is cannot be told",
+                cure="Check compliance (rad per N m), mass_kg and com_m in its file",
+            )
+        return rest.reshape(values.shape)
 
     def checked(self, q: ArrayLike) -> Array:
         """Return joint values as float64 (n,) or (m, n); Inconsistent where their number or size cannot be."""
@@ -322,14 +283,61 @@ class Arm(Saveable):
 
         return jacobian(self, q, axes=axes)
 
-    def ik(self, T_world_tool: RigidTransform | ArrayLike, q0: ArrayLike | None = None) -> Inverse:
-        """Return every solution found for one pose, nearest to q0 (n,) first: `arm.ik(T, q0)[0].q`.
+    def ik(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        near: ArrayLike | None = None,
+        *,
+        task: Literal["pose", "position"] | None = None,
+    ) -> Inverse:
+        """Return every solution found for one pose, nearest to near (n,) first: `arm.ik(T, near)[0].q`.
 
-        See kinematics.ik; where there is none, `status` and `why` say the reason.
+        task: position: the tool's rotation is left free; None: as many as the arm's joints can hold. See kinematics.ik;
+        where there is none, `status` and `why` say the reason.
         """
         from armsight.kinematics.inverse_kinematics import ik
 
-        return ik(self, T_world_tool, q0)
+        return ik(self, T_world_tool, near, task=task)
+
+    def ik_many(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        near: ArrayLike | None = None,
+        *,
+        task: Literal["pose", "position"] | None = None,
+    ) -> tuple[Inverse, ...]:
+        """Return the solutions of many poses (m, 4, 4), one entry a pose; raises as ik.
+
+        near: (n,) for the first pose, each further one being solved near the one before; or (m, n), one row a pose.
+        """
+        from armsight.kinematics.inverse_kinematics import ik_each
+
+        return ik_each(self, T_world_tool, near, task=task)
+
+    def track(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        *,
+        t_s: ArrayLike | None = None,
+        near: ArrayLike | None = None,
+        task: Literal["pose", "position"] | None = None,
+    ) -> JointPath:
+        """Return one continuous joint track along poses (m, 4, 4), as far as it goes, with what is wrong where.
+
+        t_s (m,): for the joints' speeds. near (n,): where the arm stands. See kinematics.track_path.
+        """
+        from armsight.kinematics.path import track_path
+
+        return track_path(self, T_world_tool, t_s=t_s, start=near, task=task)
+
+    def moved(self, changes: Mapping[str, float]) -> Arm:
+        """Return the arm with parameters changed by so much: {"j3.theta_rad": 0.005}; see kinematics.moved."""
+        from armsight.kinematics.derivatives import moved
+
+        require_kind("changes", changes, Mapping, cure='Give {"j3.theta_rad": 0.005}')
+        for name, by in changes.items():
+            require_number(name, by)
+        return moved(self, changes)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""
@@ -338,18 +346,18 @@ class Arm(Saveable):
         return np.asarray(inside.all(axis=-1))
 
 
-def _check_couplings(couplings: Sequence[Coupling], names: Sequence[str]) -> None:
-    """Raise Inconsistent where a coupling names no joints, or one that does not come before."""
-    for coupling in couplings:
-        known = coupling.joint in names and coupling.by in names
-        if not known or names.index(coupling.by) >= names.index(coupling.joint):
-            raise Inconsistent(
-                f"{coupling.joint} is coupled to {coupling.by}, which is no joint before it",
-                consequence="Its readings cannot be turned into values",
-                cure=f"Name joints in their order from the base: {', '.join(names)}",
-            )
-        if not (math.isfinite(coupling.share) and abs(coupling.share) <= 2.0):
-            raise Inconsistent(f"{coupling.joint} is coupled to {coupling.by} by {coupling.share:g}, not by about one")
+def _unit(down: Array) -> Array:
+    """Return the direction (3,) at unit length, read-only; Inconsistent where it is none."""
+    down = np.array(frozen_array("down_in_base", down, (3,)))
+    if not abs((size := float(np.linalg.norm(down))) - 1.0) < 1e-3:
+        raise Inconsistent(
+            f"down_in_base {down.tolist()} is not of unit length",
+            consequence="Which way the arm's weight pulls is not known",
+            cure="Give the direction in which things fall, in base axes: [0, 0, -1] for an arm that stands upright",
+        )
+    down /= size
+    down.setflags(write=False)
+    return down
 
 
 def _chain(arm: Arm) -> Array:

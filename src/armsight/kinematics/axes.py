@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import atan2, inf
 
 import numpy as np
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
-from armsight.kinematics.arm import Arm, Joint, JointType
+from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention, link_matrix
-from armsight.kinematics.forward_kinematics import in_convention
+from armsight.kinematics.forward_kinematics import in_convention, link_frames
+from armsight.kinematics.joints import Joint, JointType
 from armsight.kinematics.lines import link_to_line, unit_direction
 
 Array = NDArray[np.float64]
@@ -28,7 +29,10 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisJoint:
-    """A joint as URDF has it: T_parent_joint (4, 4) to the link before, axis (3,) in its own frame, limits."""
+    """A joint as URDF has it: T_parent_joint (4, 4) to the link before, axis (3,) in its own frame, limits.
+
+    mass_kg, com_m: of what it carries up to the next joint, its centre of mass (3,) in the joint's frame.
+    """
 
     name: str
     type: JointType
@@ -38,6 +42,8 @@ class AxisJoint:
     upper: float = inf
     max_speed: float | None = None
     stall_effort: float | None = None
+    mass_kg: float = 0.0
+    com_m: Array = field(default_factory=lambda: np.zeros(3))
 
 
 def arm_from_axes(
@@ -69,12 +75,28 @@ def arm_from_axes(
             theta, d, a, alpha, T_flange_tool = _last_link(frame, here @ T_last_flange, T_flange_tool)
             beta = 0.0
         rows.append(_row(joint, sign, a, alpha, d, theta, beta))
-    return Arm(
+    arm = Arm(
         name=name,
         joints=tuple(rows),
         T_world_base=RigidTransform.from_matrix(base),
         T_flange_tool=RigidTransform.from_matrix(T_flange_tool),
     )
+    return _loaded(arm, joints, [here for here, _, _ in lines])
+
+
+def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array]) -> Arm:
+    """Return the arm with the masses of its links, whose joints' frames (4, 4) are those of all joints at zero."""
+    if not any(joint.mass_kg for joint in joints):
+        return arm
+    behind = np.linalg.inv(link_frames(arm, np.zeros(arm.n))[1:-1])
+    places = [
+        (T @ here)[:3] @ [*joint.com_m, 1.0] for T, here, joint in zip(behind, T_world_joint, joints, strict=True)
+    ]
+    rows = [
+        replace(row, mass_kg=joint.mass_kg, com_m=tuple(com_m.tolist()))
+        for row, joint, com_m in zip(arm.joints, joints, places, strict=True)
+    ]
+    return replace(arm, joints=tuple(rows))
 
 
 def _row(joint: AxisJoint, sign: float, a: float, alpha: float, d: float, theta: float, beta: float) -> Joint:

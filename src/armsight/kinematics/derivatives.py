@@ -91,6 +91,7 @@ def moved(arm: Arm, changes: Mapping[str, float]) -> Arm:
         T_world_base=_moved_pose(arm.T_world_base, [changes.get(f"base.{key}", 0.0) for key in POSE_KEYS]),
         T_flange_tool=_moved_pose(arm.T_flange_tool, [changes.get(f"tool.{key}", 0.0) for key in POSE_KEYS]),
         source=arm.source,
+        down_in_base=arm.down_in_base,
     )
 
 

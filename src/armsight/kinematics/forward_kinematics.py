@@ -125,13 +125,16 @@ def in_convention(arm: Arm, convention: Convention | str) -> Arm:
     )
     T_flange_tool = RigidTransform.from_matrix(tool)
     T_new_old = T_flange_tool * arm.T_flange_tool.inv()  # of the flange
+    T_old_new_base = arm.T_world_base.inv() * RigidTransform.from_matrix(base)
+    last = joints[-1]
     return Arm(
         name=arm.name,
-        joints=joints,
+        joints=(*joints[:-1], dataclasses.replace(last, com_m=tuple(T_new_old.apply(last.com_m).tolist()))),
         convention=wanted,
         T_world_base=RigidTransform.from_matrix(base),
         T_flange_tool=T_flange_tool,
         source=arm.source,
         couplings=arm.couplings,
         tool_points=tuple(point.seen_from(T_new_old) for point in arm.tool_points),
+        down_in_base=None if arm.down_in_base is None else T_old_new_base.as_matrix()[:3, :3].T @ arm.down_in_base,
     )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of
 from armsight.kinematics.kernels.closed import (
@@ -48,6 +48,8 @@ FINE = 1e-11
 NUMERIC_SEARCHES = 24
 """Searches from different starts for the several solutions of an arm without a closed form."""
 
+USUAL = Tolerance()
+
 
 class Status(StrEnum):
     """How an inverse problem ended."""
@@ -81,13 +83,19 @@ class Solution:
         cls, q: Array, branch: tuple[str, ...], singular: tuple[str, ...], error_m: float, error_rad: float
     ) -> Solution:
         """Return the record of a read-only q that nobody else writes to, unchecked: eight of them a pose."""
-        made, put = object.__new__(cls), object.__setattr__
-        put(made, "q", q)
-        put(made, "branch", branch)
-        put(made, "singular", singular)
-        put(made, "error_m", error_m)
-        put(made, "error_rad", error_rad)
+        made = object.__new__(cls)
+        _PUT_Q(made, q)
+        _PUT_BRANCH(made, branch)
+        _PUT_SINGULAR(made, singular)
+        _PUT_ERROR_M(made, error_m)
+        _PUT_ERROR_RAD(made, error_rad)
         return made
+
+
+_PUT_Q, _PUT_BRANCH, _PUT_SINGULAR, _PUT_ERROR_M, _PUT_ERROR_RAD = (
+    vars(Solution)[name].__set__ for name in ("q", "branch", "singular", "error_m", "error_rad")
+)
+"""Put a field's value into a new record, in half the time of object.__setattr__."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -150,7 +158,7 @@ def ik(
     within limits and nearest to near (default: the middle of the range). In a singular pose the free joint keeps the
     value of near. A result that misses the tolerance is not a solution. Raises as `target_matrices`.
     """
-    tolerance = tolerance or Tolerance()
+    tolerance = tolerance or USUAL
     T = target_matrices(arm, T_world_tool)
     if len(T) != 1:
         raise UsageError("give one pose; `ik_many` takes many")
@@ -170,6 +178,32 @@ def ik(
     return _sorted_out(arm, found, within, family.exact, "no joint values bring the wrist there")
 
 
+def ik_each(
+    arm: Arm,
+    poses: RigidTransform | ArrayLike,
+    q_seed: ArrayLike | None = None,
+    *,
+    task: Task | str | None = None,
+) -> tuple[Inverse, ...]:
+    """Return the solutions of each pose, near (n,) for the first and then near the one before, or near rows (m, n).
+
+    Raises as ik, and Inconsistent where there are other counts of rows and poses.
+    """
+    T = target_matrices(arm, poses)
+    rows = None if q_seed is None else arm.checked(q_seed)
+    if rows is not None and rows.ndim == 2 and len(rows) != len(T):
+        raise Inconsistent(
+            f"{len(rows)} rows of joint values for {len(T)} poses", cure="Give one row for all, or one for each pose"
+        )
+    here = start_values(arm, None if rows is None or rows.ndim == 2 else rows)
+    found = []
+    for i, one in enumerate(T):
+        answer = ik(arm, one, here if rows is None or rows.ndim == 1 else rows[i], task=task)
+        here = answer[0].q if len(answer) else here
+        found.append(answer)
+    return tuple(found)
+
+
 def ik_many(
     arm: Arm, poses: RigidTransform | ArrayLike, q_seed: ArrayLike | None = None
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
@@ -185,15 +219,9 @@ def ik_many(
     T = target_matrices(arm, poses)
     Q = np.full((len(T), 8, 6), np.nan)
     code, count = np.zeros((len(T), 8), dtype=np.int64), np.empty(len(T), dtype=np.int64)
-    theta = dh_angles(arm, start_values(arm, q_seed))
-    solve_closed_many(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code, count)
+    here = start_values(arm, q_seed)
+    solve_closed_many(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, here, Q, code, count)
     return Q, code, count
-
-
-def dh_angles(arm: Arm, q: Array) -> Array:
-    """Return the DH angles theta (n,) of turning joints at q (n,)."""
-    rows = arm.chain[1:-1]
-    return np.asarray(rows[:, 1] * q + rows[:, 2])
 
 
 def in_range(arm: Arm, q: Array, q_seed: Array) -> Array:
@@ -212,26 +240,17 @@ def _closed(
     """
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
     errors, inside = np.empty((9, 3)), np.empty(9, dtype=np.bool_)
-    theta = dh_angles(arm, q_seed)
-    count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code)
+    count = solve_closed(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, q_seed, Q, code)
     if not family.exact:
         Q[count], code[count] = q_seed, -1
         count = _refine(arm, T, Q, code, count + 1, tolerance)
-    settle(arm.chain, T, count, q_seed, LIMIT_SLACK, Q, errors, inside)
+    count = settle(arm.chain, T, count, q_seed, LIMIT_SLACK, tolerance.m, tolerance.rad, Q, code, errors, inside)
     Q.setflags(write=False)
-    codes, off, inner = code.tolist(), errors.tolist(), inside.tolist()
     found: list[Solution] = []
-    within: list[bool] = []
-    for k in sorted(range(count), key=lambda k: off[k][2]):
-        m, rad, _ = off[k]
-        if not (m <= tolerance.m and rad <= tolerance.rad):  # also where one is NaN
-            continue
-        q, bits = Q[k], codes[k]
+    for q, bits, (m, rad, _) in zip(Q[:count], code.tolist(), errors.tolist(), strict=False):
         singular = singular_names(bits) if family.exact else near_singularities(arm, q, SINGULAR_HERE)
-        branch = branch_names(bits) if bits >= 0 else ()
-        found.append(Solution.of_solver(q, branch, singular, m, rad))
-        within.append(inner[k])
-    return found, within
+        found.append(Solution.of_solver(q, branch_names(bits) if bits >= 0 else (), singular, m, rad))
+    return found, inside[:count].tolist()
 
 
 def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, tolerance: Tolerance) -> int:
@@ -298,13 +317,13 @@ def _gap(arm: Arm, a: Array, b: Array) -> float:
 
 def _sorted_out(arm: Arm, found: list[Solution], within: list[bool], complete: bool, why_none: str) -> Inverse:
     """Return the record: found, nearest first, parted into within limits and beyond, and the status."""
-    inside = tuple(compress(found, within))
+    inside = tuple(found) if all(within) else tuple(compress(found, within))
     beyond = () if len(inside) == len(found) else tuple(s for s, fits in zip(found, within, strict=True) if not fits)
+    status, why = Status.OK, ""
     if inside:
-        singular = all(solution.singular for solution in inside)
-        names = sorted({name for solution in inside for name in solution.singular})
-        why = f"singular: {', '.join(names)}" if singular else ""
-        status = Status.SINGULAR if singular else Status.OK
+        if all(solution.singular for solution in inside):
+            names = sorted({name for solution in inside for name in solution.singular})
+            status, why = Status.SINGULAR, f"singular: {', '.join(names)}"
     elif beyond:
         wrong = [
             joint.name

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import NotConverged, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of
-from armsight.kinematics.inverse_kinematics import branch_names, dh_angles, ik, in_range
+from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
 from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
 from armsight.kinematics.singular import NEAR, UNNAMED, singular_values, singularity_measures
@@ -159,7 +159,7 @@ def _track(arm: Arm, T: Array, q0: Array, times: Array | None, task: Task, toler
 def _nearest_closed(arm: Arm, family: Family, T: Array, q_seed: Array) -> tuple[Array | None, int]:
     """Return the closed-form solution whose largest joint step from here is least, and its code."""
     Q, code = np.empty((8, 6)), np.zeros(8, dtype=np.int64)
-    count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, dh_angles(arm, q_seed), Q, code)
+    count = solve_closed(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, q_seed, Q, code)
     best, best_code, best_step = None, -1, np.inf
     for k in range(count):
         q = in_range(arm, Q[k], q_seed)

@@ -7,8 +7,9 @@ from math import inf, pi
 from types import MappingProxyType
 
 from armsight.errors import UsageError
-from armsight.kinematics.arm import Arm, Joint, JointType
+from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention
+from armsight.kinematics.joints import Joint, JointType
 from armsight.records import require_kind
 from armsight.units import DEG
 

@@ -15,8 +15,9 @@ import sympy as sp  # type: ignore[import-untyped]  # sympy ships no types
 from sympy.printing.pycode import PythonCodePrinter  # type: ignore[import-untyped]  # likewise
 
 from armsight.errors import UsageError
-from armsight.kinematics.arm import Arm, JointType
+from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import distal_rows
+from armsight.kinematics.joints import JointType
 
 QUARTER_TOLERANCE = 1e-12
 """Twists this close to a quarter turn are written as one."""

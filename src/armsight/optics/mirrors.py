@@ -44,7 +44,9 @@ class Mirrors:
         if not (self.baseline_m > 0.0 and self.near_m > 0.0 and self.gap_m > 0.0):
             raise Inconsistent(
                 f"mirrors with a baseline of {self.baseline_m:g} m, {self.near_m:g} m before the lens and "
-                f"{self.gap_m:g} m apart cannot be"
+                f"{self.gap_m:g} m apart cannot be",
+                consequence="There is no rig",
+                cure="Give lengths above zero, in m",
             )
 
     def rig(self, camera: Camera) -> Rig:

@@ -45,7 +45,11 @@ def resolution(rig: Rig, depth_m: float, sigma_px: float = CENTROID_SIGMA_PX) ->
     Degenerate where the two views cannot place it.
     """
     if not (depth_m > 0.0 and sigma_px > 0.0):
-        raise Inconsistent(f"a depth of {depth_m} m and a standard deviation of {sigma_px} px must be positive")
+        raise Inconsistent(
+            f"a depth of {depth_m} m with a standard deviation of {sigma_px} px: both must be positive",
+            consequence="There is no resolution",
+            cure="Give both above zero",
+        )
     axes = mean_axes(rig)  # columns: along the baseline, square to it, mean optical axis
     middle = 0.5 * (np.asarray(rig.T_rig_left.translation) + np.asarray(rig.T_rig_right.translation))
     point = middle + depth_m * axes[:, 2]

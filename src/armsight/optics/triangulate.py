@@ -64,36 +64,55 @@ class Triangulation:
 
 
 def triangulate(
-    rig: Rig, left_px: ArrayLike, right_px: ArrayLike, cov_left_px2: ArrayLike, cov_right_px2: ArrayLike
+    rig: Rig,
+    uv_left_px: ArrayLike,
+    uv_right_px: ArrayLike,
+    covariance_left_px2: ArrayLike,
+    covariance_right_px2: ArrayLike,
 ) -> Triangulation:
     """Return the points of greatest likelihood: least whitened reprojection error in both distorted images.
 
-    left_px, right_px: (n, 2), or (2,) of one point. cov_left_px2, cov_right_px2: (n, 2, 2), or (2, 2) for all rows.
+    uv_left_px, uv_right_px: (n, 2), or (2,) of one point. covariance_left_px2, covariance_right_px2: (n, 2, 2), or
+    (2, 2) for all rows.
     A row that is NaN in any of them gives none (`Verdict.NO_RAY`). Raises Inconsistent where the shapes do not belong
     together.
+
+    Examples
+    --------
+    >>> rig = armsight.simulate("hand-cell", frames=1).rig
+    >>> left, right = rig.project([[0.1, 0.0, 1.0]])
+    >>> armsight.triangulate(rig, left, right, np.eye(2), np.eye(2)).xyz_m.round(6) + 0.0
+    array([[0.1, 0. , 1. ]])
     """
-    return _triangulate(rig, left_px, right_px, cov_left_px2, cov_right_px2, likeliest=True)
+    return _triangulate(rig, uv_left_px, uv_right_px, covariance_left_px2, covariance_right_px2, likeliest=True)
 
 
 def triangulate_closed(
-    rig: Rig, left_px: ArrayLike, right_px: ArrayLike, cov_left_px2: ArrayLike, cov_right_px2: ArrayLike
+    rig: Rig,
+    uv_left_px: ArrayLike,
+    uv_right_px: ArrayLike,
+    covariance_left_px2: ArrayLike,
+    covariance_right_px2: ArrayLike,
 ) -> Triangulation:
     """Return the points of the linear closed form, with first-order covariances; arguments as `triangulate`."""
-    return _triangulate(rig, left_px, right_px, cov_left_px2, cov_right_px2, likeliest=False)
+    return _triangulate(rig, uv_left_px, uv_right_px, covariance_left_px2, covariance_right_px2, likeliest=False)
 
 
 def _triangulate(
     rig: Rig,
-    left_px: ArrayLike,
-    right_px: ArrayLike,
-    cov_left_px2: ArrayLike,
-    cov_right_px2: ArrayLike,
+    uv_left_px: ArrayLike,
+    uv_right_px: ArrayLike,
+    covariance_left_px2: ArrayLike,
+    covariance_right_px2: ArrayLike,
     *,
     likeliest: bool,
 ) -> Triangulation:
     require_kind("rig", rig, Rig)
     packed = PackedRig.of(rig)
-    left, right = checked_rows("left_px", left_px, 2, nan=True), checked_rows("right_px", right_px, 2, nan=True)
+    left, right = (
+        checked_rows("uv_left_px", uv_left_px, 2, nan=True),
+        checked_rows("uv_right_px", uv_right_px, 2, nan=True),
+    )
     n = len(left)
     if len(right) != n:
         raise Inconsistent(
@@ -104,12 +123,11 @@ def _triangulate(
     uv, cov = np.empty((n, 2, 2)), np.empty((n, 2, 2, 2))
     uv[:, 0], uv[:, 1] = left, right
     cov[:, 0], cov[:, 1] = (
-        _covariances("cov_left_px2", cov_left_px2, n),
-        _covariances("cov_right_px2", cov_right_px2, n),
+        _covariances("covariance_left_px2", covariance_left_px2, n),
+        _covariances("covariance_right_px2", covariance_right_px2, n),
     )
     xyz, covariance, chi2 = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
-    for out in (xyz, covariance, chi2):
-        out.fill(np.nan)
+    chi2.fill(np.nan)
     verdict = np.zeros(n, np.int8)
     kernels.triangulate_rows(packed.k, packed.R, packed.t, uv, cov, likeliest, xyz, covariance, chi2, verdict)
     return Triangulation(xyz_m=xyz, covariance_m2=covariance, chi2=chi2, verdict=verdict)

@@ -1,6 +1,7 @@
 """The nouns that flow through armsight: frozen, checked, copied, read-only."""
 
 from armsight.records.board import BoardView
+from armsight.records.by_value import ByValue
 from armsight.records.checks import (
     checked_array,
     checked_poses,
@@ -35,6 +36,7 @@ __all__ = [
     "WELD_OFF",
     "WELD_ON",
     "BoardView",
+    "ByValue",
     "CameraTiming",
     "Colour",
     "Frame",

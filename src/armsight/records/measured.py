@@ -65,6 +65,12 @@ class Spots:
         """
         uv_px = checked_array("uv_px", uv_px, (None, 2))
         n, covariance_px2 = len(uv_px), real_array("covariance_px2", covariance_px2)
+        if covariance_px2.ndim < 2 or (np.diagonal(covariance_px2, axis1=-2, axis2=-1) < 0.0).any():
+            raise Inconsistent(
+                "covariance_px2 is no covariance",
+                consequence="Nobody can weigh the spots",
+                cure="Give (n, 2, 2) or (2, 2) in px^2, such as 0.1**2 * np.eye(2)",
+            )
         return cls(
             uv_px=uv_px,
             covariance_px2=np.broadcast_to(covariance_px2, (n, 2, 2)) if covariance_px2.ndim == 2 else covariance_px2,

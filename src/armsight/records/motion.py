@@ -39,5 +39,7 @@ class Motion:
         if (np.diff(self.t_s) <= 0.0).any():
             row = int(np.argmax(np.diff(self.t_s) <= 0.0)) + 1
             raise Inconsistent(
-                f"time does not increase at row {row}", consequence="The track has no order", cure="Sort it"
+                f"time does not increase at row {row}: {self.t_s[row]:.9g} s after {self.t_s[row - 1]:.9g} s",
+                consequence="The track has no order",
+                cure="Give each time once, in order",
             )

@@ -82,6 +82,7 @@ def _corrections(result: ArmCalibration) -> str:
     rows = []
     for name in result.free:
         unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
+        unit, factor = ("mrad per m", 1e-3) if name.endswith(".sag") else (unit, factor)
         shown, uncertainty = with_deviation(result.change(name) / factor, std[name] / factor)
         rows.append([name.removesuffix("_rad").removesuffix("_m"), shown, uncertainty, unit])
     return table(["parameter", "change", "±", "unit"], rows, numbers=(1, 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
+import cv2
 import numpy as np
 
 from armsight.report.boards import add_boards
@@ -13,11 +14,8 @@ from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, resid
 from armsight.report.run import CalibrationRun, CameraFit
 from armsight.units import MM
 
-GRID = (8, 6)
-"""Cells, columns by rows, in which the points' spread over the image is counted."""
-
-COVERED = 0.6
-"""Share of cells with points from which the lens is called known all over the image."""
+COVERED = 0.5
+"""Share of the image around which points lie from which the lens is called known: 70 % of its width and height."""
 
 OVERFITTED = 1.5
 """Left-out error over fitted error: above it the fit follows its own images more than the camera."""
@@ -65,13 +63,11 @@ def _noun(run: CalibrationRun) -> str:
 
 
 def coverage(fit: CameraFit) -> float:
-    """Return the share of the image's cells in which points lie."""
-    columns, rows = GRID
+    """Return the share of the image that lies between the points (their convex hull)."""
     if not len(fit.uv_px):
         return 0.0
-    i = np.clip((fit.uv_px[:, 0] / fit.camera.width * columns).astype(int), 0, columns - 1)
-    j = np.clip((fit.uv_px[:, 1] / fit.camera.height * rows).astype(int), 0, rows - 1)
-    return len(set(zip(i.tolist(), j.tolist(), strict=True))) / (columns * rows)
+    hull = cv2.convexHull(fit.uv_px.astype(np.float32))
+    return float(cv2.contourArea(hull)) / (fit.camera.width * fit.camera.height)
 
 
 def _doubts(run: CalibrationRun) -> list[str]:

@@ -127,6 +127,12 @@ def _inside(errors: Errors) -> tuple[float, float, float]:
     return float(np.mean(distance2 <= INSIDE_95)), float(low) / n, float(min(high, n)) / n
 
 
+def _judged(inside: float, low: float, high: float) -> str:
+    if low <= inside <= high:
+        return "the claims are true"
+    return f"the claimed standard deviations are {'too small' if inside < low else 'larger than the errors'}"
+
+
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
     n = len(run.poses)
     count = {status: int(series.where(status).sum()) for status in PoseStatus}
@@ -174,20 +180,13 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
     known = np.isfinite(errors.values[:, 0])
     values, std = errors.values[known], errors.std[known]
     claimed = _rms_columns(std)
+    rms = _rms_columns(values)
+    figures = np.stack([values.mean(axis=0), values.std(axis=0), rms, np.abs(values).max(axis=0), claimed], axis=1)
     rows = [
         [
             f"{axis}, {unit}",
-            *(
-                figure_of(float(x))
-                for x in (
-                    np.mean(values[:, i]),
-                    np.std(values[:, i]),
-                    np.sqrt(np.mean(values[:, i] ** 2)),
-                    np.abs(values[:, i]).max(),
-                    claimed[i],
-                )
-            ),
-            figure_of(float(np.sqrt(np.mean(values[:, i] ** 2)) / claimed[i])) if claimed[i] > 0.0 else "–",
+            *(figure_of(float(figure)) for figure in figures[i]),
+            figure_of(float(rms[i] / claimed[i])) if claimed[i] > 0.0 else "–",
         ]
         for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
     ]
@@ -196,7 +195,7 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
         "Errors against the truth",
         f"Measured minus true over {len(values):,} full poses; rotations as a vector in the parent's axes. "
         f"{100 * inside:.1f} % of the errors lie inside their own 95 % ellipsoid; true claims leave "
-        f"{100 * low:.1f} to {100 * high:.1f} %. A ratio near 1 says that the claimed standard deviations are true.",
+        f"{100 * low:.1f} to {100 * high:.1f} %: {_judged(inside, low, high)}.",
         table(
             ["", "mean", "standard deviation", "RMS", "largest", "claimed (RMS)", "RMS / claimed"],
             rows,

@@ -46,6 +46,9 @@ class JointModel(Strict):
     sign: Finite = 1.0
     max_speed: Finite | None = None
     stall_effort: Finite | None = None
+    compliance: Finite = 0.0
+    mass_kg: Finite = 0.0
+    com_m: list[Finite] = Field(default=[0.0, 0.0, 0.0], min_length=3, max_length=3)
     coupled: dict[str, Finite] | None = None
     std: dict[str, Finite] | None = None
 
@@ -99,6 +102,7 @@ class ArmModel(Origin):
     source: str = ""
     covariance: CovarianceModel | None = None
     tool_points: list[ToolPointModel] = Field(default_factory=list)
+    down_in_base: list[Finite] | None = Field(default=None, min_length=3, max_length=3)
 
 
 def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
@@ -121,6 +125,7 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
                 for by, share in (joint.coupled or {}).items()
             ),
             tool_points=tuple(point.point() for point in model.tool_points),
+            down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
             **poses,
         )
 
@@ -145,6 +150,7 @@ def arm_mapping(arm: Arm) -> dict[str, Any]:
         "convention": arm.convention.value,
         "T_world_base": pose_mapping(arm.T_world_base),
         "T_flange_tool": pose_mapping(arm.T_flange_tool),
+        "down_in_base": None if arm.down_in_base is None else arm.down_in_base.tolist(),
         "tool_points": [_tool_point_mapping(point) for point in arm.tool_points] or None,
         "joints": [joint_mapping(joint, std, arm.couplings) for joint in arm.joints],
         "source": arm.source or None,
@@ -173,6 +179,9 @@ def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Co
         "sign": joint.sign,
         "max_speed": joint.max_speed,
         "stall_effort": joint.stall_effort,
+        "compliance": joint.compliance or None,
+        "mass_kg": joint.mass_kg or None,
+        "com_m": list(joint.com_m) if joint.mass_kg else None,
         "coupled": {c.by: c.share for c in couplings if c.joint == joint.name} or None,
         "std": own or None,
     }

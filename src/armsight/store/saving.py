@@ -1,51 +1,64 @@
-"""Which file each record is written to."""
+"""Which file each record is written to: the name's ending decides."""
 
 from __future__ import annotations
 
-from functools import singledispatch
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
+from armsight.control.guard import Limits
+from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
+from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
 from armsight.store.targets import write_target
+from armsight.store.urdf import write_urdf
+from armsight.store.worlds import World, write_world
+
+Writer = Callable[[Path, Any], object]
+
+YAML = (".yaml", ".yml")
+WRITERS: Mapping[type, Mapping[str, Writer]] = {
+    Camera: dict.fromkeys(YAML, write_camera),
+    Rig: dict.fromkeys(YAML, write_rig),
+    Target: dict.fromkeys(YAML, write_target),
+    Arm: {**dict.fromkeys(YAML, write_arm), ".urdf": write_urdf},
+    TaughtPath: {".csv": write_path},
+    World: dict.fromkeys(YAML, write_world),
+    Limits: dict.fromkeys(YAML, write_limits),
+}
 
 
-@singledispatch
-def save(record: object, path: str | PathLike[str]) -> None:
-    """Write a record's file. Raises TypeError for a record that has none, DeviceFailed where the disk refuses."""
+def save(record: object, path: str | PathLike[str]) -> Path:
+    """Write a record's file and return its path. Raises UsageError for another ending or no such folder, DeviceFailed.
+
+    Raises TypeError for a record that has no file.
+    """
+    for kind, writers in WRITERS.items():
+        if isinstance(record, kind):
+            file = file_to_write(path, *writers)
+            writers[file.suffix.lower()](file, record)
+            return file
     raise TypeError(f"{type(record).__name__} has no file of its own; {path} is not written")
 
 
-@save.register
-def _(record: Camera, path: str | PathLike[str]) -> None:
-    write_camera(_file(path), record)
-
-
-@save.register
-def _(record: Rig, path: str | PathLike[str]) -> None:
-    write_rig(_file(path), record)
-
-
-@save.register
-def _(record: Target, path: str | PathLike[str]) -> None:
-    write_target(_file(path), record)
-
-
-@save.register
-def _(record: Arm, path: str | PathLike[str]) -> None:
-    write_arm(_file(path), record)
-
-
-@save.register
-def _(record: TaughtPath, path: str | PathLike[str]) -> None:
-    write_path(_file(path), record)
-
-
-def _file(path: str | PathLike[str]) -> Path:
+def file_to_write(path: str | PathLike[str], *endings: str) -> Path:
+    """Return the path of a file with one of these endings in a folder that is there; raises UsageError for another."""
     require_kind("path", path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
-    return Path(path)
+    file = Path(path)
+    if file.suffix.lower() not in endings:
+        raise UsageError(
+            f"{file} ends in {file.suffix or 'nothing'}",
+            consequence="Nothing is written",
+            cure=f"Give a name that ends in {' or '.join(endings)}",
+        )
+    if not file.parent.is_dir():
+        raise UsageError(
+            f"there is no folder {file.parent}", consequence="Nothing is written", cure="Make it, or give another path"
+        )
+    return file

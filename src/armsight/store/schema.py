@@ -120,9 +120,18 @@ def write_document(
         **{key: plain(value) for key, value in content.items() if value is not None},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "software": f"armsight {__version__}",
-        "inputs": [*earlier, *({"path": item.as_posix(), "sha256": sha256(item)} for item in inputs)],
+        "inputs": [*earlier, *({"path": item.as_posix(), "sha256": sha256(item)} for item in _files(inputs))],
     }
     write_text(path, dump_yaml(document))
+
+
+def _files(inputs: Sequence[Path]) -> Iterator[Path]:
+    """Yield the files among inputs, and those in folders that are."""
+    for item in inputs:
+        if item.is_dir():
+            yield from sorted(file for file in item.iterdir() if file.is_file())
+        else:
+            yield item
 
 
 def read_document(path: Path, format_: str) -> dict[str, Any]:

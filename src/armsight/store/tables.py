@@ -7,9 +7,10 @@ import difflib
 import io
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,6 +191,41 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def in_time(table: Table, tell: Callable[[str], None]) -> Table:
+    """Return a table with t_s as a stream: rows that repeat the row before, stamp and all, are left out and told.
+
+    Loggers that poll faster than a controller speaks write such rows. Raises BadFile, naming the line, where a stamp
+    comes again with other values, or goes back.
+    """
+    t_s, cells = table.numbers["t_s"], [*table.numbers.values(), *(np.array(c) for c in table.text.values())]
+    again = np.zeros(len(table), dtype=bool)
+    again[1:] = np.all([_equal(column[1:], column[:-1]) for column in cells], axis=0)
+    kept = np.flatnonzero(~again)
+    late = np.flatnonzero(np.diff(t_s[kept]) <= 0.0)
+    if late.size:
+        before, row = int(kept[late[0]]), int(kept[late[0] + 1])
+        back = t_s[row] < t_s[before]
+        raise BadFile(
+            f"{table.place(row)}, column t_s: "
+            + (f"{t_s[row]:.9g} s after {t_s[before]:.9g} s" if back else f"{t_s[row]:.9g} s again, with other values"),
+            consequence="Nobody knows what came when",
+            cure="Put the rows in the order of time" if back else "Write finer stamps, or leave one row out",
+        )
+    if again.any():
+        tell(f"{table.where}: {int(again.sum())} of {len(table)} rows repeat the row before them and are left out")
+    return Table(
+        where=table.where,
+        numbers={name: column[kept] for name, column in table.numbers.items()},
+        text={name: tuple(column[row] for row in kept) for name, column in table.text.items()},
+        lines=tuple(table.lines[row] for row in kept),
+    )
+
+
+def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where cells (n,) are equal; empty ones are to each other."""
+    return np.asarray((a == b) | ((a != a) & (b != b)))
 
 
 def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -32,7 +32,7 @@ from armsight.store.covariances import (
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
-from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table, word
+from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, read_table, word
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -184,24 +184,26 @@ def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
 
 
 def read_poses(
-    path: Path, *, parent: str = "rig", format_: TableFormat = OURS, timed: bool = True
+    path: Path, *, parent: str = "rig", format_: TableFormat = OURS, timed: bool = True, stream: bool = False
 ) -> tuple[TargetPose, ...]:
     """Return the poses in a poses.csv, or in a file that can be understood as one, in the frame parent.
 
-    timed: times are needed; else rows without them are counted. See parse_poses and interpret.
+    timed: times are needed; else rows without them are counted. stream: times must increase; rows that repeat the row
+    before, stamp and all, are left out. See parse_poses and interpret.
     """
     data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
-    return parse_poses(data, str(path), parent=parent)
+    return parse_poses(data, str(path), parent=parent, tell=format_.tell if stream else None)
 
 
-def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[TargetPose, ...]:
+def parse_poses(
+    data: bytes, where: str, *, parent: str = "rig", tell: Callable[[str], None] | None = None
+) -> tuple[TargetPose, ...]:
     """Return the poses in the bytes of a poses.csv, in the frame parent.
 
     The covariances come back whole; diagonal in files of standard deviations only (has_correlations tells), zero where
     the standard deviations' cells or columns are empty. The columns from sx_m on may be missing (status is then ok). A
-    position_only row has the
-    mean of its lights in lights_...; in files of earlier versions, which lack these columns, in x_m to z_m. Raises
-    BadFile that names file, line and column.
+    position_only row has the mean of its lights in lights_...; in files of earlier versions, which lack these columns,
+    in x_m to z_m. tell: given where the rows are a stream, see in_time. Raises BadFile, naming file, line and column.
     """
     further = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
     table = parse_table(
@@ -212,6 +214,7 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
         text=("status", "spots"),
         blank=(*POSE_COLUMNS[1:14], *further),
     )
+    table = table if tell is None else in_time(table, tell)
     statuses = [_status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
     of_lights = {row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, LIGHTS)}
@@ -307,7 +310,7 @@ def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True) 
 
 def parse_joints(data: bytes, where: str, format_: TableFormat = OURS) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
-    table = parse_table(data, where, ("t_s", "q1"), series="q")
+    table = in_time(parse_table(data, where, ("t_s", "q1"), series="q"), format_.tell)
     check_joint_values(table.stacked(table.series("q")), where, format_)
     with named(where):
         return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))

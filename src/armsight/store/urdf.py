@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,6 +17,7 @@ from armsight.kinematics import Arm, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
 from armsight.store.atomic import disk_errors, read_bytes, write_text
 from armsight.store.schema import named
+from armsight.store.urdf_elements import Mass, masses, numbers, origin_of, together
 
 Array = NDArray[np.float64]
 
@@ -63,8 +64,9 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
 
     With a base named, its frame is the world's. Without tip the chain must not branch, but for fixed branches beside
     it; after the last joint the longest fixed chain is the tool. Fixed joints are folded in; joints outside the chain
-    do not matter. Raises BadFile that names the joint: in the chain floating, planar and unknown types, mimicking
-    joints, axes not of unit length, limits swapped; branches, with the links to choose from; loops.
+    matter only by the masses of their links, which count as standing at zero. Raises BadFile that names the joint: in
+    the chain floating, planar and unknown types, mimicking joints, axes not of unit length, limits swapped; branches,
+    with the links to choose from; loops; masses below zero.
     """
     root = _parsed(text, where)
     joints = [_joint(element, where) for element in root.findall("joint")]
@@ -74,6 +76,7 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
     for joint in chain:
         _check_kind(joint, where)
     before, moving, after = _folded(chain, where)
+    moving = _loaded(moving, chain, tree, masses(root, where))
     with named(where):
         return arm_from_axes(root.get("name") or "arm", before, moving, *after)
 
@@ -104,17 +107,6 @@ def _name(element: ElementTree.Element, kind: str, where: str) -> str:
     return name
 
 
-def _numbers(text: str | None, default: str, count: int, what: str) -> Array:
-    """Return so many finite numbers from an attribute."""
-    try:
-        values = np.array([float(part) for part in (text if text is not None else default).split()])
-    except ValueError:
-        values = np.empty(0)
-    if len(values) != count or not np.isfinite(values).all():
-        raise BadFile(f"{what} is {str(text)[:40]!r}, not {count} finite numbers", consequence="The file is not used")
-    return values
-
-
 def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
     """Return one joint's place and kind."""
     name = _name(element, "joint", where)
@@ -125,30 +117,14 @@ def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
         links[role] = link.get("link") if link is not None else None
         if not links[role]:
             raise BadFile(f"{at}: has no {role} link", consequence="The arm cannot be put together")
-    origin = element.find("origin")
-    xyz = _numbers(origin.get("xyz") if origin is not None else None, "0 0 0", 3, f"{at}: origin xyz")
-    rpy = _numbers(origin.get("rpy") if origin is not None else None, "0 0 0", 3, f"{at}: origin rpy")
     return UrdfJoint(
         name=name,
         type=element.get("type") or "",
         parent=str(links["parent"]),
         child=str(links["child"]),
-        T_parent_joint=_matrix(xyz, rpy),
+        T_parent_joint=origin_of(element, at),
         element=element,
     )
-
-
-def _matrix(xyz: Array, rpy: Array) -> Array:
-    """Return the (4, 4) matrix of an origin: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    T = np.eye(4)
-    T[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    T[:3, 3] = xyz
-    return T
 
 
 def _check_kind(joint: UrdfJoint, where: str) -> None:
@@ -296,20 +272,36 @@ def _folded(chain: list[UrdfJoint], where: str) -> tuple[Array, list[AxisJoint],
     return base, moving, (flange, tool)
 
 
+def _loaded(moving: list[AxisJoint], chain: list[UrdfJoint], tree: _Tree, mass: Mapping[str, Mass]) -> list[AxisJoint]:
+    """Return the moving joints with the masses of all that hangs on each of them before the next."""
+    own = {joint.child for joint in chain if joint.type != "fixed"}
+
+    def hanging(link: str, T: Array) -> list[tuple[Array, Mass]]:
+        found = [(T, mass[link])] if link in mass else []
+        for joint in tree.below.get(link, ()):
+            if joint.child not in own:
+                found += hanging(joint.child, T @ joint.T_parent_joint)
+        return found
+
+    links = [joint.child for joint in chain if joint.type != "fixed"]
+    loads = [together(hanging(link, np.eye(4))) for link in links]
+    return [replace(joint, mass_kg=load.kg, com_m=load.com_m) for joint, load in zip(moving, loads, strict=True)]
+
+
 def _axis_joint(joint: UrdfJoint, T: Array, where: str) -> AxisJoint:
     """Return a moving joint with its axis and limits."""
     at = f"{where}: joint {joint.name}"
     axis = joint.element.find("axis")
-    direction = _numbers(axis.get("xyz") if axis is not None else None, "1 0 0", 3, f"{at}: axis")
+    direction = numbers(axis.get("xyz") if axis is not None else None, "1 0 0", 3, f"{at}: axis")
     limit = joint.element.find("limit")
     lower, upper = -math.inf, math.inf
     if joint.type != "continuous":
         if limit is None:
             raise BadFile(f"{at}: has no <limit>", cure="Give lower and upper, or make it continuous")
-        lower = float(_numbers(limit.get("lower"), "0", 1, f"{at}: lower limit")[0])
-        upper = float(_numbers(limit.get("upper"), "0", 1, f"{at}: upper limit")[0])
+        lower = float(numbers(limit.get("lower"), "0", 1, f"{at}: lower limit")[0])
+        upper = float(numbers(limit.get("upper"), "0", 1, f"{at}: upper limit")[0])
     values = [
-        float(_numbers(limit.get(key) if limit is not None else None, "0", 1, f"{at}: {key}")[0])
+        float(numbers(limit.get(key) if limit is not None else None, "0", 1, f"{at}: {key}")[0])
         for key in ("velocity", "effort")
     ]
     speed, effort = (value if 0.0 < value < NO_LIMIT else None for value in values)
@@ -340,9 +332,15 @@ def delete_urdf(path: Path) -> None:
 def urdf_text(arm: Arm) -> str:
     """Return the arm's kinematics as URDF: links world, base, link1.., flange, tool; no shapes, no masses.
 
-    Poses are the same to rounding, also after reading it back. Raises Inconsistent for a joint with a scale and for
-    coupled readings.
+    Poses are the same to rounding, also after reading it back. Raises Inconsistent for a joint with a scale, for joints
+    that give way and for coupled readings.
     """
+    if arm.compliant:
+        raise Inconsistent(
+            f"the joints {', '.join(joint.name for joint in arm.joints if joint.compliance)} give way under the weight",
+            consequence="URDF has no place for it",
+            cure="Keep this arm as arm.yaml",
+        )
     if arm.couplings:
         raise Inconsistent(
             f"the readings of {', '.join(c.joint for c in arm.couplings)} are coupled to other joints'",

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile
-from armsight.records import NamedCovariance
+from armsight.records import NamedCovariance, Saveable
 from armsight.store.schema import (
     CovarianceModel,
     Finite,
@@ -42,7 +42,7 @@ class WorldModel(Origin):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class World:
+class World(Saveable):
     """The rig's pose in its parent frame, 'world' or 'base'; covariance (6, 6) named POSE_NAMES, where known."""
 
     parent: str

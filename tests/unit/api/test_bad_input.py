@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -118,6 +119,9 @@ def number(good: Any, **wrong: Any) -> Arg:
     return Arg(good=good, wrong=none | wrong)
 
 
+BITS = number(12, none_at_all=0, share=1.5)
+
+
 def choice(good: str) -> Arg:
     return Arg(good=good, wrong={"another": "nonsense", "a number": 3, "a list": [good], "none": None})
 
@@ -193,6 +197,7 @@ SETTINGS = record(armsight.SpotSettings())
 BOARDS = Arg(good=BOARD, wrong={"a tuple": (9, 6, 0.025), "a dict": {}, "lights": TARGET, "nonsense": "chess", "no": 3})
 OPTIONS = Arg(good=None, wrong={"a dict": {"fixed": ["skew"]}, "a text": "fast"})
 SIDE = choice("left")
+TASK = Arg(good="pose", wrong={"another": "nonsense", "a number": 3, "a list": ["pose"]})
 JOINT_VALUES = array(QS, more={"degrees": DEGREES, "empty": []})
 AT_HOME = Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "many": QS}, same=array(Q).same)
 COV = np.array([[1.0, 0.0], [0.0, 1.0]])
@@ -200,20 +205,181 @@ FOUND = armsight.Spots.of_centres(PIXELS, COV)
 INTRINSICS = np.array([250.0, 250.0, 160.0, 120.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 LENGTHS = {"width": number(320), "height": number(240), "fx": number(250.0), "fy": number(250.0)}
 CENTRE = {"cx": number(160.0), "cy": number(120.0), "skew": number(0.0)}
+POINT_NAMES = Arg(good=(), wrong={"a text": "AAAAAAAAA", "too few": ("A",), "numbers": (1,) * 9})
+SPREAD = np.random.default_rng(5).uniform(-1.5, 1.5, (9, 6))
 NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "too few": ["A"]})
+
+SIZE = Arg(good=None, wrong={"a number": 640, "a text": "640x480"})
+TABLES = Arg(good=None, wrong={"a text": "mm", "a dict": {"units": "mm"}})
+
+WRONG: dict[str, dict[str, Any]] = {
+    "float": {"a text": "1.0", "nan": np.nan, "a row": [1.0, 2.0], "a dict": {}},
+    "int": {"a text": "1", "share": 1.5, "a row": [1]},
+    "bool": {"a text": "yes", "a number": 3},
+    "Literal": {"another": "nonsense", "a list": ["a"], "a number": 3},
+    "str": {"a number": 3, "a list": ["a"]},
+    "RigLike": {"a number": 3, "an array": np.eye(3), "nowhere": "no-such-file.yaml", "the kind": armsight.Rig},
+    "TargetLike": {"a number": 3, "an array": np.eye(3), "nowhere": "no-such-file.yaml"},
+    "ArmLike": {"a number": 3, "an array": np.eye(3), "nowhere": "no-such-arm"},
+    "Source": {"a number": 3, "a dict": {}, "nowhere": "no-such-folder", "floats": [np.ones((4, 4))]},
+    "TableLike": {"ragged": {"a": [1.0], "b": [1.0, 2.0]}, "a set": {1.0}, "nowhere": "no-such-file.csv", "none": {}},
+    "PlaceLike": {"a number": 3, "scaled": 2.0 * np.eye(4), "nowhere": "no-such-file.yaml"},
+    "Poses": {"a number": 3, "scaled": 2.0 * np.eye(4)},
+    "PathText": {"a number": 3, "a list": [1]},
+    "CameraSettings": {"a dict": {"gain": 1.0}, "a text": "auto"},
+    "PairSettings": {"a dict": {"gain": 1.0}, "a text": "auto"},
+    "TableFormat": {"a dict": {"units": "mm"}, "a text": "mm"},
+    "Progress": {"a text": "bar"},
+    "Confirm": {"a text": "yes", "a number": 3},
+    "ArrayLike": {"a text": "values", "nan": [np.nan], "a dict": {"x": 1.0}},
+    "Camera": {"a number": 3, "nowhere": "no-such-file.yaml"},
+    "Target": {"a number": 3, "nonsense": "chess"},
+    "TaughtPath": {"a number": 3, "an array": np.eye(4)},
+    "Sequence": {"a number": 3, "texts": ["a"]},
+    "RobotLike": {"a number": 3, "nonsense": "robot", "nobody": "nobody:1"},
+    "FrameNames": {"a dict": {}, "a text": "tool0"},
+    "Limits": {"a number": 3, "a dict": {}},
+}
+"""What is refused by the kind that a parameter's annotation names first."""
+
+UNCHECKED = {("convert", "source"), ("compare", "a"), ("compare", "b"), ("write_table", "columns")}
+
+
+def by_annotation(call: Callable[..., Any], good: dict[str, Any]) -> tuple[Callable[..., Any], dict[str, Arg]]:
+    """What a function takes, by its annotations: good holds what it must be given."""
+    out = {}
+    for name, one in inspect.signature(call).parameters.items():
+        kinds = re.findall(r"[A-Za-z]+", str(one.annotation))
+        kind = next((kind for kind in kinds if kind in WRONG), None)
+        out[name] = Arg(good=good.get(name), wrong=WRONG[kind] if kind else {"a number": 3})
+    return call, out
+
+
+ROBOT = {"robot": "sim:webcam-cell"}
+SEEN_BY = {"rig": RIG, "target": TARGET}
+LIVE = {**ROBOT, **SEEN_BY, "left": "camera:sim:webcam-cell:left", "right": "camera:sim:webcam-cell:right"}
+PAIR = {**SEEN_BY, "left": [LEFT], "right": [RIGHT]}
+PATH = armsight.TaughtPath.of_poses(_poses(3, 1))
+AWAY = "/dev/null/out"
+MCAP = str(Path(__file__).parents[2] / "golden" / "no-such.mcap")
+
+
+@wraps(armsight.twin)
+def _begun(*args: Any, **given: Any) -> str:
+    with armsight.twin(*args, **given) as address:
+        return address
+
+
+JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "measure": (armsight.measure, PAIR),
+    "record": (armsight.record, {"out": AWAY, "cell": "hand-cell"}),
+    "repair_recording": (armsight.repair_recording, {"path": MCAP}),
+    "verify": (armsight.verify, {"measured": ARM.fk(SPREAD)}),
+    "plan_verification": (armsight.plan_verification, {"arm": ARM, "out": AWAY}),
+    "compare": (armsight.compare, {"a": RIG, "b": ARM}),
+    "join": (armsight.join, {"measured": ARM.fk(SPREAD)}),
+    "doctor": (armsight.doctor, {"depths_m": [1.0]}),
+    "reproduce": (armsight.reproduce, {"paper": "korayem2018", "out": AWAY}),
+    "calibrate_hand_eye_from_images": (
+        armsight.calibrate_hand_eye_from_images,
+        {"images": [LEFT], "T_base_flange": FLANGE[:1], "camera": CAMERA, "board": BOARD},
+    ),
+    "calibrate_hand_eye_from_streams": (
+        armsight.calibrate_hand_eye_from_streams,
+        {"robot_stream": (np.arange(12.0), FLANGE), "camera_stream": (np.arange(12.0), SEEN)},
+    ),
+    "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
+    "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
+    "calibrate_timing": (armsight.calibrate_timing, PAIR),
+    "calibrate_noise": (armsight.calibrate_noise, {"frames": [LEFT]}),
+    "calibrate_zoom_rig": (armsight.calibrate_zoom_rig, {"rig": RIG}),
+    "check_mirrors": (armsight.check_mirrors, {"image": [LEFT], "board": BOARD}),
+    "identify_arm_from_frames": (
+        armsight.identify_arm_from_frames,
+        {**PAIR, "joints": {"frame": [0], "joint": [1], "q1": [0.0]}},
+    ),
+    "identify_arm_live": (armsight.identify_arm_live, {**LIVE, "limits": np.array([[-1.0, 1.0]] * 6)}),
+    "supervise": (armsight.supervise, {**LIVE, "arm": ARM, "world": np.eye(4)}),
+    "propose_mastering_poses": (
+        armsight.propose_mastering_poses,
+        {"arm": ARM, "around": Q, "rig": RIG, "target": TARGET, "world": np.eye(4)},
+    ),
+    "check_mastering": (armsight.check_mastering, {"measured": ARM.fk(SPREAD), "joints": SPREAD, "arm": ARM}),
+    "servo": (armsight.servo, {**ROBOT, **SEEN_BY, "handeye": "no-such-file.yaml"}),
+    "teach": (armsight.teach, {}),
+    "play": (armsight.play, {**ROBOT, "path": PATH}),
+    "jog": (armsight.jog, {**ROBOT, "joint": 1, "by": 0.01}),
+    "check_robot": (armsight.check_robot, ROBOT),
+    "twin": (_begun, {"name": "alter"}),
+    "convert": (armsight.convert, {"source": CAMERA, "out": AWAY}),
+    "cut_recording": (armsight.cut_recording, {"path": MCAP, "out": AWAY, "start_s": 0.0, "end_s": 1.0}),
+    "export_recording": (armsight.export_recording, {"path": MCAP, "out": AWAY}),
+    "show_arm": (armsight.show_arm, {"arm": ARM, "out": AWAY}),
+    "write_formulas": (armsight.write_formulas, {"arm": ARM, "out": AWAY}),
+    "write_joints": (armsight.write_joints, {"path": AWAY, "t_s": [0.0], "q": np.zeros((1, 6))}),
+    "write_table": (armsight.write_table, {"path": AWAY, "columns": {"x_m": [0.0]}}),
+    "write_simulation": (armsight.write_simulation, {"scenario": "hand-cell", "out": AWAY}),
+    **{
+        f"paths.{name}": (getattr(armsight.paths, name), {"path": PATH, **more})
+        for name, more in {
+            "smooth": {},
+            "resample": {"step_m": 0.01},
+            "fillet": {"radius_m": 0.01},
+            "offset": {"by_m": 0.01},
+            "angle": {},
+            "reverse": {},
+            "check": {"arm": ARM},
+            "export": {"out": AWAY},
+        }.items()
+    },
+    "paths.join": (armsight.paths.join, {"first": PATH, "second": PATH}),
+    "paths.from_picks": (
+        armsight.paths.from_picks,
+        {"left": [LEFT], "right": [RIGHT], "rig": RIG, "picks": {"u_px": [1.0], "v_px": [1.0]}},
+    ),
+}
+"""Functions that fill a job: each with what must be given, so that it refuses at once whatever else is wrong."""
 
 TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "Arm.values": (ARM.values, {"readings": JOINT_VALUES}),
     "Arm.readings": (ARM.readings, {"q": JOINT_VALUES}),
+    "Arm.sagged": (ARM.sagged, {"q": JOINT_VALUES}),
+    "Arm.gravity_torque": (ARM.gravity_torque, {"q": JOINT_VALUES}),
     "Arm.checked": (ARM.checked, {"q": JOINT_VALUES}),
     "Arm.fk": (ARM.fk, {"q": JOINT_VALUES}),
     "Arm.jacobian": (ARM.jacobian, {"q": JOINT_VALUES, "axes": choice("world")}),
+    "Arm.moved": (
+        ARM.moved,
+        {
+            "changes": Arg(
+                good={}, wrong={"a text": "j3", "no name": {"j9.a_m": 1.0}, "texts": {"j3.a_m": "1"}, "a list": [1]}
+            )
+        },
+    ),
     "Arm.within_limits": (ARM.within_limits, {"q": JOINT_VALUES}),
     "Arm.ik": (
         ARM.ik,
         {
             "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(Q)), millimetres=np.diag([1e3, 1e3, 1e3, 1.0])),
-            "q0": AT_HOME,
+            "near": AT_HOME,
+            "task": TASK,
+        },
+    ),
+    "Arm.ik_many": (
+        ARM.ik_many,
+        {
+            "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(QS))),
+            "near": Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "other rows": np.tile(Q, (5, 1))}),
+            "task": TASK,
+        },
+    ),
+    "Arm.track": (
+        ARM.track,
+        {
+            "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(np.array([Q, Q + 1e-3])))),
+            "t_s": array(np.arange(2.0), more={"backwards": [1.0, 0.0]}),
+            "near": AT_HOME,
+            "task": TASK,
         },
     ),
     "Camera": (
@@ -250,6 +416,9 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "sign": number(1.0, percent=100.0),
             "max_speed": number(1.0),
             "stall_effort": number(1.0),
+            "compliance": number(0.0, negative=-1e-3),
+            "mass_kg": number(0.0, negative=-1.0),
+            "com_m": array((0.0, 0.1, 0.2)),
         },
     ),
     "Arm": (
@@ -266,6 +435,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
             "couplings": Arg(good=(), wrong={"texts": ("j1", "j2"), "a number": 3}),
             "tool_points": Arg(good=(), wrong={"texts": ("A",), "a number": 3}),
+            "down_in_base": array((0.0, 0.0, -1.0), more={"not of unit length": (0.0, 0.0, -9.8)}),
         },
     ),
     "LightTarget": (
@@ -289,7 +459,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "covariance": array(np.eye(9)),
         },
     ),
-    "PoseTracker": (armsight.PoseTracker, {"rig": record(RIG), "target": record(TARGET), "settings": SETTINGS}),
+    "PoseTracker": (
+        armsight.PoseTracker,
+        {"rig": record(RIG), "target": record(TARGET), "settings": SETTINGS, "bits": BITS},
+    ),
     "PoseTracker.update": (
         lambda left=LEFT, right=RIGHT, t_s=0.0: armsight.PoseTracker(RIG, TARGET).update(left, right, t_s),
         {"left": image(LEFT), "right": image(RIGHT), "t_s": number(0.0)},
@@ -401,10 +574,46 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "q": array(np.zeros((9, 6)), more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
             "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
             "rotation": array(np.tile(np.eye(3), (9, 1, 1)), more={"scaled": np.tile(2.0 * np.eye(3), (9, 1, 1))}),
-            "point": Arg(good=(), wrong={"a text": "AAAAAAAAA", "too few": ("A",), "numbers": (1,) * 9}),
+            "point": POINT_NAMES,
+            "holdout": Arg(
+                good=None, wrong={"a list": [1, 2], "one": (np.zeros((9, 6)),), "5 joints": (np.zeros((9, 5)), 1)}
+            ),
+            "scale": Arg(good=True, wrong={"a text": "yes"}),
+            "tolerance_m": number(0.002),
+            "tolerance_rad": number(0.03),
         },
     ),
-    "calibrate_camera": (armsight.calibrate_camera, {"images": IMAGES, "board": BOARDS, "options": OPTIONS}),
+    "calibrate_robot_world": (
+        armsight.calibrate_robot_world,
+        {
+            "arm": record(ARM),
+            "q": array(SPREAD, more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
+            "xyz_m": array(ARM.fk(SPREAD)[:, :3, 3], more={"fewer rows": np.ones((4, 3))}),
+            "point": POINT_NAMES,
+        },
+    ),
+    "ArmResult.propose": (
+        lambda n=1, rig=None, T_base_rig=None: _arm_result().propose(n, rig=rig, T_base_rig=T_base_rig),
+        {"n": number(1, none_at_all=0), "rig": record(RIG), "T_base_rig": poses(_poses(1, 4)[0])},
+    ),
+    "HandEyeResult.propose": (
+        lambda n=1, reachable=None: armsight.calibrate_hand_eye(FLANGE, SEEN).propose(n, reachable),
+        {"n": number(1, none_at_all=0), "reachable": Arg(good=None, wrong={"nowhere": lambda T: False})},
+    ),
+    "estimate_pose_from_spots": (
+        armsight.estimate_pose_from_spots,
+        {
+            "left": record(FOUND),
+            "right": record(FOUND),
+            "rig": record(RIG),
+            "target": record(TARGET),
+            "t_s": number(0.0),
+        },
+    ),
+    "calibrate_camera": (
+        armsight.calibrate_camera,
+        {"images": IMAGES, "board": BOARDS, "options": OPTIONS, "detector": choice("auto"), "bits": BITS},
+    ),
     "calibrate_hand_eye": (
         armsight.calibrate_hand_eye,
         {
@@ -420,7 +629,14 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "calibrate_stereo": (
         armsight.calibrate_stereo,
-        {"left_images": IMAGES, "right_images": IMAGES, "board": BOARDS, "options": OPTIONS},
+        {
+            "left_images": IMAGES,
+            "right_images": IMAGES,
+            "board": BOARDS,
+            "options": OPTIONS,
+            "detector": choice("auto"),
+            "bits": BITS,
+        },
     ),
     "calibrate_tool_tip": (
         armsight.calibrate_tool_tip,
@@ -445,9 +661,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "target": record(TARGET),
             "settings": SETTINGS,
             "t_s": number(0.0),
+            "bits": BITS,
         },
     ),
-    "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS}),
+    "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS, "bits": BITS}),
     "identify_arm": (
         armsight.identify_arm,
         {
@@ -459,17 +676,36 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
             "rig": record(RIG),
             "uv_px": array(np.ones((9, 2, 2))),
+            "T_base_rig": poses(_poses(1, 4)[0]),
+            "method": choice("ml"),
+            "increments": choice("known"),
+            "sigma": number(1e-4),
             "name": text("arm"),
         },
     ),
     "open_recording": (armsight.open_recording, {"path": path()}),
     "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
     "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
-    "read_camera": (armsight.read_camera, {"path": path()}),
-    "read_joints": (armsight.read_joints, {"path": path()}),
+    "read_camera": (armsight.read_camera, {"path": path(), "size": SIZE, "zoom": number(100.0)}),
+    "read_joints": (armsight.read_joints, {"path": path(), "table": TABLES}),
+    "read_hand_eye": (armsight.read_hand_eye, {"path": path()}),
+    "read_tool_tip": (armsight.read_tool_tip, {"path": path()}),
+    "read_world": (armsight.read_world, {"path": path()}),
+    "read_limits": (armsight.read_limits, {"path": path()}),
+    "read_scenario": (armsight.read_scenario, {"scenario": choice("webcam-cell")}),
+    "read_table": (armsight.read_table, {"path": path(), "kind": choice("poses"), "table": TABLES}),
     "read_path": (armsight.read_path, {"path": path(), "frame": choice("world")}),
-    "read_poses": (armsight.read_poses, {"path": path()}),
-    "read_rig": (armsight.read_rig, {"path": path()}),
+    "read_poses": (armsight.read_poses, {"path": path(), "table": TABLES}),
+    "read_rig": (
+        armsight.read_rig,
+        {
+            "path": path(),
+            "size": SIZE,
+            "unit_m": number(1.0),
+            "zoom_left": number(100.0),
+            "zoom_right": number(100.0),
+        },
+    ),
     "read_target": (armsight.read_target, {"path": path()}),
     "simulate": (
         armsight.simulate,
@@ -478,16 +714,17 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "frames": number(2, none_at_all=0, share=1.5),
             "seed": number(1, negative=-1, share=1.5),
             "room": Arg(good=None, wrong={"a number": 3, "nowhere": "no-such-room", "a list": ["office"]}),
+            "zoom": number(100.0),
         },
     ),
     "triangulate": (
         armsight.triangulate,
         {
             "rig": record(RIG),
-            "left_px": array(PIXELS, nan=True, more={"fewer rows": PIXELS[:2]}),
-            "right_px": array(PIXELS - (20.0, 0.0), nan=True, more={"fewer rows": PIXELS[:2]}),
-            "cov_left_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
-            "cov_right_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
+            "uv_left_px": array(PIXELS, nan=True, more={"fewer rows": PIXELS[:2]}),
+            "uv_right_px": array(PIXELS - (20.0, 0.0), nan=True, more={"fewer rows": PIXELS[:2]}),
+            "covariance_left_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
+            "covariance_right_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
         },
     ),
     **{
@@ -499,22 +736,51 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "Target": TARGET,
             "TaughtPath": armsight.TaughtPath.of_poses(_poses(3, 1)),
             "PoseTrack": armsight.PoseTrack(),
+            "Limits": armsight.Limits(),
+            "World": armsight.World(parent="base", T_parent_rig=RigidTransform.identity()),
         }.items()
     },
+    **{name: by_annotation(call, good) for name, (call, good) in JOBS.items()},
 }
 """By public name: what is called, and each of its parameters."""
 
 MADE_BY_US = (
     *("ArmIdentification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
-    *("RobotConnection", "Simulation", "ToolTipResult", "ArmsightError", "DataRefused", "UsageError", "PoseStatus"),
+    *("RobotWorldResult", "ToolTipResult", "MeasureResult", "VerifyResult", "JoinResult", "TargetResult"),
+    *("TimingResult", "NoiseResult", "ZoomRigResult", "TeachResult", "LiveIdentification", "SimulatedFrame"),
+    *("RobotConnection", "RobotDriver", "RemoteState", "Simulation", "PoseStatus", "Inverse", "JointPath", "World"),
+    "RobotState",
 )
 """Results, errors and names that people read but do not make: their constructors check nothing."""
 
-SAVED_ALIKE = tuple(f"{name}.save" for name in MADE_BY_US if name.endswith(("Result", "Identification", "Estimate")))
+CHECKED_WHERE_USED = (
+    *("BoardOptions", "CameraSettings", "FrameNames", "TableFormat", "NoiseModel", "TargetPose", "Frame", "Limits"),
+    *("JointReading", "Sent"),
+    *("Recording", "RobotDriver", "Progress", "Robot"),
+)
+"""Settings and records that others check when they get them, protocols, and what asks a file or a server."""
+
+SAVED_ALIKE = tuple(
+    f"{name}.{how}"
+    for name in MADE_BY_US
+    if name.endswith(("Result", "Identification", "Estimate"))
+    for how in ("save", "write")
+)
 """Results that take long to make; their `save` is one line, to the same writers."""
 
-NEEDED_TOGETHER = {"rig": "uv_px", "uv_px": "rig", "point_std_m": "point_m", "point_m": "point_std_m"}
+NEEDED_TOGETHER = {
+    "rig": ("uv_px", "T_base_rig"),
+    "uv_px": ("rig",),
+    "T_base_rig": ("rig", "uv_px"),
+    "point_std_m": ("point_m",),
+    "point_m": ("point_std_m",),
+}
 """Parameters that mean something only with another."""
+
+
+@cache
+def _arm_result() -> armsight.ArmResult:
+    return armsight.calibrate_arm(ARM, np.tile(SPREAD, (4, 1)), np.tile(ARM.fk(SPREAD)[:, :3, 3], (4, 1)))
 
 
 def _parameters(call: Callable[..., Any]) -> list[str]:
@@ -530,14 +796,21 @@ def _face() -> Iterator[tuple[str, list[str]]]:
                 if not inner.startswith("_") and function.__module__ == thing.__name__:
                     yield f"{name}.{inner}", _parameters(function)
         elif inspect.isclass(thing):
-            if name not in MADE_BY_US:
-                yield name, _parameters(thing)
-            for inner, method in inspect.getmembers(thing, callable):
-                ours = getattr(method, "__module__", None) or ""
-                if not inner.startswith("_") and ours.startswith("armsight"):
-                    yield f"{name}.{inner}", _parameters(method)
+            yield from _of_class(name, thing)
         elif callable(thing):
             yield name, _parameters(thing)
+
+
+def _of_class(name: str, kind: type) -> Iterator[tuple[str, list[str]]]:
+    if issubclass(kind, Exception):
+        return
+    if name not in (*MADE_BY_US, *CHECKED_WHERE_USED):
+        yield name, _parameters(kind)
+    for inner, method in inspect.getmembers(kind, callable):
+        ours = getattr(method, "__module__", None) or ""
+        held = inner == "save" or name not in CHECKED_WHERE_USED
+        if held and not inner.startswith("_") and ours.startswith("armsight"):
+            yield f"{name}.{inner}", _parameters(method)
 
 
 def test_the_table_has_every_public_function_and_parameter() -> None:
@@ -554,7 +827,10 @@ def _called(name: str, parameter: str, value: Any) -> Any:
         plain = inspect.signature(call).parameters[key].default
         if key == parameter:
             given[key] = value
-        elif plain is inspect.Parameter.empty or NEEDED_TOGETHER.get(parameter) == key:
+        elif plain is inspect.Parameter.empty or key in (
+            *NEEDED_TOGETHER.get(parameter, ()),
+            *JOBS.get(name, (None, ()))[1],
+        ):
             given[key] = argument.good
     return call(**given)
 
@@ -564,6 +840,7 @@ CASES = [
     for name, (_, arguments) in TABLE.items()
     for parameter, argument in arguments.items()
     for label in argument.wrong
+    if (name, parameter) not in UNCHECKED
 ]
 
 
@@ -607,6 +884,63 @@ def test_the_same_numbers_in_another_form_give_the_same_answer(name: str, parame
     assert len(found) == len(right) > 0
     for a, b in zip(found, right, strict=True):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-12, atol=1e-12)
+
+
+def _frames(t_s: list[Any], picture: Any = LEFT) -> list[armsight.Frame]:
+    return [armsight.Frame(image=picture, t_s=t, sequence=i, source="mine") for i, t in enumerate(t_s)]
+
+
+def _path() -> armsight.TaughtPath:
+    T = np.tile(np.eye(4), (5, 1, 1))
+    T[:, 0, 3] = np.linspace(0.0, 0.2, 5)
+    return armsight.TaughtPath.of_poses(T)
+
+
+CANNOT_BE: dict[str, Callable[[Path], Any]] = {
+    "fps 0": lambda _: armsight.measure(RIG, TARGET, [LEFT], [RIGHT], fps=0.0),
+    "skew below 0": lambda _: armsight.measure(RIG, TARGET, [LEFT], [RIGHT], max_skew_s=-1.0),
+    "frames 0": lambda folder: armsight.record(folder / "a.mcap", [LEFT], [RIGHT], frames=0),
+    "seconds 0": lambda folder: armsight.record(folder / "a.mcap", [LEFT], [RIGHT], seconds_s=0.0),
+    "no ending": lambda folder: armsight.record(folder / "a", [LEFT], [RIGHT]),
+    "every 0": lambda _: armsight.calibrate_noise([LEFT] * 5, every=0),
+    "tolerance 0": lambda _: armsight.calibrate_arm(armsight.presets.ur10(), SPREAD, np.ones((9, 3)), tolerance_m=0.0),
+    "distance below 0": lambda _: armsight.compare(RIG, RIG, distance_m=-1.0),
+    "unit 0": lambda folder: armsight.convert(RIG, folder / "a.yaml", to="opencv", unit_m=0.0),
+    "size 0": lambda folder: armsight.read_camera(folder / "a.yaml", size=(0, 0)),
+    "cycle 0": lambda _: armsight.twin("alter", cycle_s=0.0).__enter__(),
+    "a simulation without end": lambda _: armsight.simulate("hand-cell", frames=10**9, room="dark"),
+    "no frames": lambda folder: armsight.write_simulation("hand-cell", folder / "cell", frames=0),
+    "a step in mm": lambda _: armsight.paths.resample(_path(), 10.0),
+    "three in a table": lambda _: armsight.join((np.arange(3.0), np.tile(np.eye(4), (3, 1, 1)), [1.0])),
+    "frames at one time": lambda _: armsight.measure(RIG, TARGET, _frames([0.0, 0.0]), _frames([0.0, 0.0], RIGHT)),
+    "frames without time": lambda _: _frames([np.nan]),
+    "frames at a text": lambda _: _frames(["0"]),
+    "frames without array": lambda _: _frames([0.0], [[0, 1], [1, 0]]),
+    "frames on two clocks": lambda _: armsight.measure(RIG, TARGET, _frames([0.0]), _frames([9.0], RIGHT)),
+    "a covariance below 0": lambda _: armsight.Spots.of_centres(PIXELS, -COV),
+}
+"""What was taken, or raised another error than ours, until a person tried it."""
+
+
+@pytest.mark.parametrize("what", CANNOT_BE)
+def test_what_cannot_be_is_refused(what: str, tmp_path: Path) -> None:
+    with pytest.raises(armsight.ArmsightError) as caught:
+        CANNOT_BE[what](tmp_path)
+    assert caught.value.cause and caught.value.cure
+
+
+def test_a_cut_keeps_its_source_and_tells_that_nothing_was_recorded_then(tmp_path: Path) -> None:
+    run = tmp_path / "run.mcap"
+    armsight.record(run, [LEFT] * 3, [RIGHT] * 3, rig=RIG, target=TARGET, fps=10.0)
+    before = run.read_bytes()
+    with pytest.raises(armsight.UsageError, match="both source and result"):
+        armsight.cut_recording(run, run, 0.0, 0.1, overwrite=True)
+    with pytest.raises(armsight.UsageError, match="before start_s"):
+        armsight.cut_recording(run, tmp_path / "part.mcap", 0.2, 0.1)
+    with pytest.raises(armsight.NotEnoughData, match="between these times"):
+        armsight.cut_recording(run, tmp_path / "part.mcap", 5.0, 6.0)
+    assert run.read_bytes() == before and list(tmp_path.iterdir()) == [run]
+    assert armsight.cut_recording(run, tmp_path / "part.mcap", 0.05, 0.25).duration_s == pytest.approx(0.1)
 
 
 COMPILED = ("Camera.project", "Camera.rays", "Rig.project", "triangulate", "Arm.fk", "Arm.jacobian", "Arm.ik")

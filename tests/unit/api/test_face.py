@@ -128,7 +128,7 @@ def test_records_save_themselves(tmp_path: Path) -> None:
 def test_an_arm_solves_its_own_kinematics() -> None:
     arm = armsight.presets.ur10()
     q = np.array([0.1, -1.0, 1.2, 0.3, 0.5, 0.2])
-    solutions = arm.ik(arm.fk(q), q0=q)
+    solutions = arm.ik(arm.fk(q), near=q)
     np.testing.assert_allclose(solutions[0].q, q, atol=1e-9)
     assert len(solutions) == len(list(solutions)) == 8 and arm.jacobian(q).shape == (6, 6)
     far = np.eye(4)

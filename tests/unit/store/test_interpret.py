@@ -16,8 +16,10 @@ from armsight.store.handeye_file import read_pairs, read_robot_poses
 from armsight.store.interpret import OURS, TableFormat, interpret
 from armsight.store.interpret.rotations import ROBOT_FORMATS, euler_order
 from armsight.store.interpret.table_format import column_names
+from armsight.store.schema import write_document
 from armsight.store.sweeps import read_sweeps
 from armsight.store.verify_files import read_measured
+from armsight.store.yamls import read_yaml
 
 RNG = np.random.default_rng(7)
 QUAT = "0,0,0,1"
@@ -251,3 +253,21 @@ def test_a_table_of_ours_is_left_as_it_is(file) -> None:
     assert found.data == text.encode() and found.notes == ()
     with pytest.raises(BadFile, match="did you mean 't_s'"):
         read_joints(file("t_x,t_s,q1\n0,1,2\n"))
+
+
+def test_a_folder_may_hold_the_table_or_one_file_per_pose_and_both_are_named_as_inputs(tmp_path):
+    header, rows = "file,x_m,y_m,z_m,qx,qy,qz,qw\n", [f"{i}.png,0.1,0.2,0.{i},{QUAT}\n" for i in range(1, 4)]
+    whole, parted = tmp_path / "whole", tmp_path / "parted"
+    for folder in (whole, parted):
+        folder.mkdir()
+        (folder / "1.png").write_bytes(b"an image")
+    (whole / "robot_poses.csv").write_text(header + "".join(rows))
+    for i, row in enumerate(rows, start=1):
+        (parted / f"pose{i}.csv").write_text(header + row)
+    for folder in (whole, parted):
+        poses = read_robot_poses(folder)
+        assert [pose.translation[2] for pose in poses.values()] == [0.1, 0.2, 0.3]
+        write_document(tmp_path / "out.yaml", "armsight/none", {}, [folder])
+        inputs = read_yaml(tmp_path / "out.yaml")["inputs"]
+        assert {Path(item["path"]).parent for item in inputs} == {folder}
+        assert len(inputs) == len(list(folder.iterdir()))

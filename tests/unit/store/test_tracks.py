@@ -11,8 +11,17 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry import is_close
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.covariances import COVARIANCE
+from armsight.store.interpret import TableFormat
 from armsight.store.tables import parse_table
-from armsight.store.tracks import POSE_COLUMNS, parse_joints, parse_poses, parse_times, parse_tum
+from armsight.store.tracks import (
+    POSE_COLUMNS,
+    parse_joints,
+    parse_poses,
+    parse_times,
+    parse_tum,
+    read_joints,
+    read_poses,
+)
 
 
 def make_poses(n=20, seed=2):
@@ -239,7 +248,7 @@ REFUSED = {
     "semicolons": (parse_joints, b"t_s;q1\n0,5;1,5\n", BadFile, "commas, not semicolons"),
     "open quote": (parse_joints, b't_s,q1\n0,"1\n', BadFile, "line 2"),
     "time backwards": (parse_times, b"t_s\n0\n1\n0.5\n", BadFile, "line 4, column t_s"),
-    "joint time backwards": (parse_joints, b"t_s,q1\n1,0\n0,0\n", BadFile, "joints.csv: time does not increase"),
+    "joint time backwards": (parse_joints, b"t_s,q1\n1,0\n0,0\n", BadFile, "joints.csv, line 3, column t_s"),
     "status": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"fine,A\n", BadFile, "column status: 'fine'.*lost"),
     "ok without a pose": (parse_poses, POSES.encode() + b"\n0" + b"," * 14 + b"ok,A\n", BadFile, "column x_m: empty"),
     "no quaternion": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"ok,A\n", BadFile, "line 2: the quaternion"),
@@ -282,3 +291,34 @@ def test_a_table_knows_its_lines():
     table = parse_table(b"a,b\n\n1,x\n2,y\n", "t.csv", ("a", "b"), text=("b",))
     assert table.place(1) == "t.csv, line 4"
     assert table.stacked(()).shape == (2, 0)
+
+
+STREAMS = {
+    "joints": ("t_s,q1,q2", "0.5,1.0", "0.6,1.0", lambda path, format_: read_joints(path, format_).t_s),
+    "poses": (
+        "t_s,x_m,y_m,z_m,qx,qy,qz,qw",
+        "0.5,0.0,1.0,0,0,0,1",
+        "0.6,0.0,1.0,0,0,0,1",
+        lambda path, format_: [pose.t_s for pose in read_poses(path, format_=format_, stream=True)],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", STREAMS)
+def test_rows_that_repeat_the_row_before_are_merged_and_told(tmp_path, kind):
+    header, first, second, times = STREAMS[kind]
+    path, told = tmp_path / f"{kind}.csv", []
+    path.write_text(f"{header}\n0.1,{first}\n0.1,{first}\n\n0.2,{first}\n0.3,{second}\n0.3,{second}\n")
+    assert list(times(path, TableFormat(tell=told.append))) == [0.1, 0.2, 0.3]
+    assert "2 of 5 rows" in told[0]
+
+
+@pytest.mark.parametrize("kind", STREAMS)
+@pytest.mark.parametrize(("stamps", "said"), [((0.1, 0.2, 0.2), "other values"), ((0.1, 0.2, 0.15), "order of time")])
+def test_a_stamp_with_two_values_or_going_back_is_refused_by_its_line(tmp_path, kind, stamps, said):
+    header, first, second, times = STREAMS[kind]
+    path = tmp_path / f"{kind}.csv"
+    path.write_text("\n".join([header, *(f"{t},{row}" for t, row in zip(stamps, (first, first, second), strict=True))]))
+    with pytest.raises(BadFile, match="line 4") as caught:
+        times(path, TableFormat())
+    assert said in str(caught.value) + caught.value.cure

@@ -34,6 +34,7 @@ from armsight.calibrate.arm import (
     Errors,
     Proposal,
     Tolerance,
+    WorldCalibration,
     calibrate_arm,
     calibrate_world,
     propose,
@@ -123,7 +124,7 @@ def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposa
         with disk_errors(job.out):
             job.out.with_suffix(".proposed.csv").unlink(missing_ok=True)
         return None
-    seen = None if job.rig is None or job.world is None else _in_view(read_rig(job.rig), read_world(job.world))
+    seen = None if job.rig is None or job.world is None else in_view(read_rig(job.rig), read_world(job.world))
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
     nominal = result.nominal
@@ -133,7 +134,7 @@ def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposa
 
 
 def _write_urdf(path: Path, arm: Arm) -> Path | None:
-    """Write the arm as a URDF; return its path, None where joint scales or couplings have no place in one.
+    """Write the arm as a URDF; return its path, None where joint scales, sag or couplings have no place in one.
 
     An earlier run's URDF is deleted then: it is of another arm than the arm.yaml beside it.
     """
@@ -146,12 +147,12 @@ def _write_urdf(path: Path, arm: Arm) -> Path | None:
 
 
 def _measurements(arm: Arm, path: Path, format_: TableFormat) -> ArmPoints:
-    """Return points.csv with the controller's readings turned into the joints' own values."""
+    """Return points.csv with the controller's coupled readings parted into what each joint is driven to."""
     points = read_arm_points(path, format_.of_joints([joint.name for joint in arm.joints]))
-    return replace(points, q=arm.values(points.q)) if arm.couplings else points
+    return replace(points, q=points.q @ arm.gearing.T) if arm.couplings and points.q.shape[1] == arm.n else points
 
 
-def _in_view(rig: Rig, world: World) -> Any:
+def in_view(rig: Rig, world: World) -> Any:
     """Return the test whether positions (m, 3) in the world's frame are in both images."""
 
     def seen(xyz_m: Array) -> NDArray[np.bool_]:
@@ -254,19 +255,27 @@ def run_calibrate_world(arm: str, points: Path, out: Path, format_: TableFormat 
     """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
     model = load_arm(arm)
     result = calibrate_world(model, _measurements(model, points, format_))
-    n_used = len(result.residual_m) - len(result.rejected)
-    world = World(
+    write_world(out, world_of(result), inputs=[points])
+    return world_output(result)
+
+
+def world_of(result: WorldCalibration) -> World:
+    """Return where the rig stands as world.yaml holds it."""
+    return World(
         parent="base",
         T_parent_rig=result.T_base_rig,
         covariance=result.covariance,
         residual_rms_m=result.residual_rms_m,
-        n_used=n_used,
+        n_used=len(result.residual_m) - len(result.rejected),
     )
-    write_world(out, world, inputs=[points])
+
+
+def world_output(result: WorldCalibration) -> RobotWorldOutput:
+    """Return where the rig stands as --json gives it."""
     return RobotWorldOutput(
         T_base_rig=PoseOutput(**pose_mapping(result.T_base_rig)),
         std=PoseStd(**result.covariance.std()),
         residual_rms_m=result.residual_rms_m,
-        n_used=n_used,
+        n_used=len(result.residual_m) - len(result.rejected),
         rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
     )

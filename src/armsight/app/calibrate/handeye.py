@@ -90,7 +90,9 @@ class HandEyeJob:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Solved:
+class Solved:
+    """A hand-eye calibration and what it came from: files, images without a board, the clocks' offset, the camera."""
+
     result: HandEye
     inputs: Sequence[Path]
     unseen: Sequence[tuple[str, str]] = ()
@@ -105,19 +107,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     Raises UsageError for a call with none or several kinds of input, DataRefused for data that cannot carry the answer,
     Cancelled.
     """
-    progress = progress or Silent()
-    kinds = [job.pairs is not None, bool(job.images), job.robot_stream is not None]
-    if sum(kinds) != 1:
-        raise UsageError(
-            "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
-        )
-    if job.pairs is not None:
-        solved = _Solved(result=_solve(read_pairs(job.pairs, _of_setup(job)), job.setup), inputs=[job.pairs])
-    elif job.images:
-        _check_names(job)
-        solved = _from_images(job, progress)
-    else:
-        solved = _from_streams(job)
+    solved = solve_handeye(job, progress)
     proposed = propose(solved.result, job.propose) if job.propose else None
     camera_file = _write_camera(freed_camera_path(job.out), solved)
     write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
@@ -127,12 +117,28 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     return output.model_copy(update={"camera_file": camera_file})
 
 
+def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:
+    """Calibrate from what the job names, and write nothing. Raises as calibrate_handeye."""
+    progress = progress or Silent()
+    kinds = [job.pairs is not None, bool(job.images), job.robot_stream is not None]
+    if sum(kinds) != 1:
+        raise UsageError(
+            "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
+        )
+    if job.pairs is not None:
+        return Solved(result=_solve(read_pairs(job.pairs, _of_setup(job)), job.setup), inputs=[job.pairs])
+    if job.images:
+        _check_names(job)
+        return _from_images(job, progress)
+    return _from_streams(job)
+
+
 def freed_camera_path(out: Path) -> Path:
     """Return where the freed camera goes beside a handeye.yaml."""
     return out.with_suffix(".camera.yaml")
 
 
-def _write_camera(path: Path, solved: _Solved) -> str | None:
+def _write_camera(path: Path, solved: Solved) -> str | None:
     """Write the camera that was freed and kept, beside the result that belongs to it; return its path."""
     if solved.freed is None:
         return None
@@ -314,7 +320,7 @@ def _check_names(job: HandEyeJob) -> None:
         )
 
 
-def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
+def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
     if job.camera is None or job.robot is None or not job.board:
         raise UsageError("--images needs --camera camera.yaml, --board BOARD and --robot robot_poses.csv")
     board, camera, robot = parse_board(job.board), read_camera(job.camera), _robot_poses(job)
@@ -353,21 +359,21 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     inputs = [job.camera, job.robot, *list_images(job.images)]
     boards = hand_boards(done.result, views, done.camera, board, pictures)
     freed = None if done.camera is camera else done.camera
-    return _Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards, freed=freed)
+    return Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards, freed=freed)
 
 
-def _from_streams(job: HandEyeJob) -> _Solved:
+def _from_streams(job: HandEyeJob) -> Solved:
     if job.robot_stream is None or job.camera_stream is None:
         raise UsageError("--robot-stream needs --camera-stream, both as poses.csv")
     times, poses = [], []
     for path, format_ in ((job.robot_stream, job.table), (job.camera_stream, job.table.of_camera)):
-        read = [p for p in read_poses(path, format_=format_) if p.status is PoseStatus.OK]
+        read = [p for p in read_poses(path, format_=format_, stream=True) if p.status is PoseStatus.OK]
         if len(read) < 2:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
     pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s)
-    return _Solved(result=_solve(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset)
+    return Solved(result=_solve(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset)
 
 
 def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> np.ndarray | None:

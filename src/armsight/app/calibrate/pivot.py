@@ -14,7 +14,7 @@ from armsight.app.calibrate.handeye import tip_output
 from armsight.app.measure.run import target_of
 from armsight.app.schemas.handeye import PivotOutput
 from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
+from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, TipRecording
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import NotEnoughData
 from armsight.measure.poses.pipeline import Setup, measure_pair
@@ -48,6 +48,14 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     Stops where every coordinate's standard deviation is below the goal, at the end of the frames, or when cancelled.
     Raises UsageError, DataRefused (also where the poses do not tell the tip), DeviceFailed.
     """
+    recording, tip, taken = find_tip(job, progress)
+    write_poses(job.out.with_suffix(".poses.csv"), taken)
+    write_tip(job.out, tip, inputs=[job.rig])
+    return PivotOutput(**dict(tip_output(tip)), goal_m=job.goal_m, reached=recording.good_enough)
+
+
+def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecording, TipCalibration, list[TargetPose]]:
+    """Return the recording, the tip and the poses taken; write nothing. Raises as run_pivot."""
     target = target_of(job.target)
     setup = Setup(rig=read_rig(job.rig), target=target, settings=SpotSettings(colour=target.colour))
     pairs = open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
@@ -62,10 +70,7 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
             consequence="No tip is given",
             cure="Rest the tool's end on one point, and turn the tool by 20 degrees and more to several sides",
         )
-    write_poses(job.out.with_suffix(".poses.csv"), taken)
-    write_tip(job.out, recording.latest, inputs=[job.rig])
-    tip = tip_output(recording.latest)
-    return PivotOutput(**dict(tip), goal_m=job.goal_m, reached=recording.good_enough)
+    return recording, recording.latest, taken
 
 
 def _poses(setup: Setup, pairs: PairSource) -> Iterator[TargetPose]:

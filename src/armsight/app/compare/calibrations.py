@@ -217,8 +217,8 @@ def _reach_effects(a: Arm, b: Arm) -> list[Effect]:
     low, high = (np.array([getattr(joint, end) for joint in a.joints]) for end in ("lower", "upper"))
     low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
     q = np.random.default_rng(0).uniform(low, high, (POSTURES, a.n))
-    bare = [replace(arm, T_world_base=RigidTransform.identity(), couplings=a.couplings) for arm in (a, b)]
-    places = [np.array([pose(arm, row).translation for row in q]) for arm in bare]
+    bare = [arm.based() for arm in (a, b)]
+    places = [np.array([pose(arm, arm.sagged(row)).translation for row in q]) for arm in bare]
     off = np.linalg.norm(places[1] - places[0], axis=1)
     return [
         Effect(name="tool apart, RMS over postures", value=float(np.sqrt(np.mean(off**2))), unit="m"),

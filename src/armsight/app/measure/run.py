@@ -356,6 +356,12 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData |
     """Return the error for a run in which no frame gave even a position, or in which there was none."""
     if outputs.n_seen:
         return None
+    if not outputs.n_frames:
+        return NotEnoughData(
+            "no frame of the left camera has one of the right camera of its moment",
+            consequence="There is no pair, so no pose",
+            cure="Check that both cameras' times are on one clock, or allow more (--max-skew)",
+        )
     first = outputs.commonest
     if consistency.refused > 0.0:
         return NotEnoughData(

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-import armsight.measure
 from armsight.app.simulate.cells import load_cell
+from armsight.measure import settings
 from armsight.measure.poses.pipeline import Setup, measure_spots, warm_up
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Progress, Spots, spot_target
@@ -44,7 +44,7 @@ def prepare(progress: Progress, *, cell: str = "") -> None:
 def compiled() -> bool:
     """Tell whether compiled kernels of the measurement are kept on this machine."""
     given = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(given) if given else Path(next(iter(armsight.measure.__path__)))
+    folder = Path(given) if given else Path(settings.__file__).parent
     return folder.is_dir() and all(any(folder.rglob(f"{name}-*.nbi")) for name in LAST_COMPILED)
 
 

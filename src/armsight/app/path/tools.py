@@ -22,7 +22,7 @@ from armsight.control.paths import (
     tilted,
     without_rows,
 )
-from armsight.control.paths.outliers import LEAST_ROWS
+from armsight.control.paths.outliers import LEAST_ROWS, PathOutlier
 from armsight.errors import Inconsistent, UsageError
 from armsight.records import TaughtPath
 from armsight.store.path_file import read_path, write_path
@@ -37,29 +37,41 @@ def smooth(
 
     Raises Inconsistent with the rows where there are some and on_outliers is refuse, UsageError, BadFile.
     """
+    path = read_path(source)
+    made, kept, found = smooth_path(
+        path, bound_m=bound_m, bound_rad=bound_rad, on_outliers=on_outliers, where=str(source)
+    )
+    way, turn = moved_by(kept, made)
+    return PathSmoothOutput(
+        **_written(made, out, len(path)).to_dict(),
+        outliers=[PathOutlierOutput(row=o.row, off_m=o.off_m, off_rad=o.off_rad, text=o.text) for o in found],
+        dropped=kept is not path,
+        moved_max_m=float(way.max()),
+        moved_rms_m=float(np.sqrt(np.mean(way**2))),
+        turned_max_rad=float(turn.max()),
+    )
+
+
+def smooth_path(
+    path: TaughtPath, *, bound_m: float, bound_rad: float, on_outliers: str, where: str
+) -> tuple[TaughtPath, TaughtPath, Sequence[PathOutlier]]:
+    """Return the path smoothed, that without the rows that were dropped, and the outliers; where: names it in errors.
+
+    Raises as smooth.
+    """
     if on_outliers not in OUTLIERS:
         raise UsageError(f"{on_outliers!r} is nothing to do with outliers", cure=f"Use {', '.join(OUTLIERS)}")
-    path = read_path(source)
     found = outliers(path) if len(path) >= LEAST_ROWS else ()
     if found and on_outliers == "refuse":
         more = f" and {len(found) - 3} more" if len(found) > 3 else ""
         raise Inconsistent(
-            f"{source}: {'; '.join(outlier.text for outlier in found[:3])}{more}",
+            f"{where}: {'; '.join(outlier.text for outlier in found[:3])}{more}",
             consequence="The path is not smoothed",
             cure="Look at these rows; then leave them out with --outliers drop, or smooth over them with keep",
         )
     dropped = bool(found) and on_outliers == "drop"
     kept = without_rows(path, [outlier.row for outlier in found]) if dropped else path
-    made = smoothed(kept, bound_m=bound_m, bound_rad=bound_rad)
-    way, turn = moved_by(kept, made)
-    return PathSmoothOutput(
-        **_written(made, out, len(path)).to_dict(),
-        outliers=[PathOutlierOutput(row=o.row, off_m=o.off_m, off_rad=o.off_rad, text=o.text) for o in found],
-        dropped=dropped,
-        moved_max_m=float(way.max()),
-        moved_rms_m=float(np.sqrt(np.mean(way**2))),
-        turned_max_rad=float(turn.max()),
-    )
+    return smoothed(kept, bound_m=bound_m, bound_rad=bound_rad), kept, found
 
 
 def resample(source: Path, out: Path, *, step_m: float, spline: bool = False) -> PathChangeOutput:

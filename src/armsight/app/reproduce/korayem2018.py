@@ -207,8 +207,8 @@ def _joints(run: _Run) -> ComparisonTable:
     T_tool_flange = run.arm.T_flange_tool.inv().as_matrix()
     T_base_world = run.arm.T_world_base.inv().as_matrix()
     paper = [nearest_solution(T_base_world @ T @ T_tool_flange, q) for T, q in zip(tracks.method, run.q, strict=True)]
-    ours = [run.arm.ik(T, q0=q)[0].q for T, q in zip(tracks.ours, run.q, strict=True)]
-    true = [run.arm.ik(T, q0=q)[0].q for T, q in zip(tracks.true, run.q, strict=True)]
+    ours = [run.arm.ik(T, near=q)[0].q for T, q in zip(tracks.ours, run.q, strict=True)]
+    true = [run.arm.ik(T, near=q)[0].q for T, q in zip(tracks.true, run.q, strict=True)]
     names = [f"q{k}_rad" for k in range(1, 7)]
     method_off, ours_off = np.array(paper) - np.array(true), np.array(ours) - np.array(true)
     return ComparisonTable(

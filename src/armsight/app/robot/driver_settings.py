@@ -30,7 +30,7 @@ class LinkArm:
     def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the controller's joint values (n,) nearest to near (n,). Raises DataRefused out of reach."""
         T_world_tool = self.arm.T_world_base * T_base_flange * self.arm.T_flange_tool
-        found = self.arm.ik(T_world_tool, q0=self.arm.values(near))
+        found = self.arm.ik(T_world_tool, near=self.arm.values(near))
         if len(found) == 0:
             raise DataRefused(f"the pose is out of reach of {self.arm.name}", consequence="It is not sent")
         return self.arm.readings(found[0].q)

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 SETTLE_S = 0.5
 """Time in which the arm comes to rest behind its last command."""
 STUCK_S = 1.0
-"""Held for so long, the motion is given up."""
+"""Held for so long, or sent nowhere, the motion is given up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,19 +54,28 @@ class JogJob:
 
 
 class _Watcher:
-    """Ends the loop where the joint arrived, or cannot, and gathers what limited it."""
+    """Ends the loop where the joint arrived, or cannot, and gathers what limited it.
+
+    stuck: the robot takes every step and goes nowhere, as where its controller cuts each to nothing.
+    """
 
     def __init__(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._cycles = 0
+        self._stood = 0
+        self._sent = np.empty(0)
         self.limited: list[str] = []
+        self.stuck = False
 
     def __call__(self, status: LoopStatus) -> bool:
         self.limited += [name for name in status.limited if name not in self.limited]
         ended = status.finished or status.state is not GuardState.RUNNING
         self._cycles = self._cycles + 1 if status.at_rest and ended else 0
+        stands = not ended and np.array_equal(status.q_sent, self._sent)
+        self._stood, self._sent = self._stood + 1 if stands else 0, status.q_sent
+        self.stuck |= self._stood * self._cycle_s > STUCK_S
         longest_s = STUCK_S if status.state is GuardState.HOLDING else SETTLE_S
-        return self._cycles * self._cycle_s > longest_s
+        return self.stuck or self._cycles * self._cycle_s > longest_s
 
 
 def jog_robot(
@@ -105,7 +114,7 @@ def jog_robot(
 
             run_beside(lambda: loop.run(until=watcher), tell)
         with beside_outside(outside):
-            _check_end(loop.status, robot)
+            _check_end(loop.status, robot, stuck=watcher.stuck)
         sent = start if loop.status is None else loop.status.q_sent
         return JogOutput(
             asked=job.by,
@@ -182,8 +191,14 @@ def _check_range(job: JogJob, guard: Guard, start: float, outside: str) -> None:
         )
 
 
-def _check_end(status: LoopStatus | None, robot: Robot) -> None:
-    """Raise where the guard did not let the motion come to its end."""
+def _check_end(status: LoopStatus | None, robot: Robot, *, stuck: bool = False) -> None:
+    """Raise where the guard did not let the motion come to its end, or the robot did not go."""
+    if stuck:
+        raise DeviceFailed(
+            f"{robot.name} takes every step and goes nowhere",
+            consequence="It was stopped before its goal",
+            cure="Look at the speed override and the limits of its controller; a driver's Sent.q is where it goes",
+        )
     if status is None or status.state is GuardState.RUNNING:
         return
     if status.state is GuardState.DISABLED:

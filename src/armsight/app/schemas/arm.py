@@ -103,7 +103,9 @@ class ArmCalibrationOutput(Output):
     free: list[str] = Field(description="Parameters that were corrected.")
     fixed: list[FixedParameter] = Field(description="Parameters that were not.")
     std: dict[str, float] = Field(description="Standard deviations of corrections, base and tool, unit in the name.")
-    corrections: dict[str, float] = Field(description="Changes to the nominal arm, unit in the name.")
+    corrections: dict[str, float] = Field(
+        description="Changes to the nominal arm, unit in the name; sag in rad per m of lever."
+    )
     condition: float = Field(description="Condition number of the freed parameters' information, scaled.")
     outliers: list[Outlier] = Field(description="Rows that do not fit.")
     still: list[str] = Field(description="Joints that did not move.")
@@ -128,7 +130,7 @@ class ArmOutput(ArmCalibrationOutput):
     expected_std: dict[str, float] | None = Field(
         None, exclude_if=absent, description="Standard deviations to expect with those measured too."
     )
-    urdf: str | None = Field(description="The URDF written; null for joint scales and couplings, which it cannot hold.")
+    urdf: str | None = Field(description="The URDF written; null for scales, sag and couplings, which it cannot hold.")
 
 
 class RobotWorldOutput(Output):

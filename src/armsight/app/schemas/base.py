@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from armsight.app.display import Row, as_html, as_text, flat_rows
 from armsight.store.atomic import json_text, write_json
 
 
@@ -35,6 +36,17 @@ class Output(BaseModel):
     def write(self, path: Path) -> None:
         """Replace the file with it as JSON, in one step."""
         write_json(path, self.to_dict())
+
+    def _shown(self) -> tuple[str, list[Row]]:
+        return type(self).__name__, list(flat_rows(self.to_dict()))
+
+    def __repr__(self) -> str:
+        return as_text(*self._shown())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return as_html(*self._shown())
 
 
 class PoseOutput(Output):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -55,8 +56,12 @@ def load_scenario(name: str) -> tuple[Any, str]:
         )
     data, where = found
     content = parse_yaml(data, where)
-    model: Any = validated(load(SCENARIOS, MODEL), content, where)
-    return model, data.decode("utf-8")
+    return scenario_model(content, where), data.decode("utf-8")
+
+
+def scenario_model(content: Mapping[str, Any], where: str) -> Any:
+    """Return a scenario of what its file holds, checked. Raises BadFile naming the key."""
+    return validated(load(SCENARIOS, MODEL), content, where)
 
 
 def build_world(

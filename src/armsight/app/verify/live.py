@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import ExitStack, closing
-from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
@@ -49,7 +47,7 @@ def run_verify_live(
     _check(job)
     devices = devices or open_supervised(job, target, clock)
     expectation = Expectation(
-        arm=arm if world.parent == "world" else replace(arm, T_world_base=RigidTransform.identity()),
+        arm=arm if world.parent == "world" else arm.based(),
         T_parent_rig=world.T_parent_rig,
         rig_covariance=None if world.covariance is None else world.covariance.matrix,
         joint_std=job.joint_std,

@@ -118,7 +118,7 @@ def _arm(job: MasteringJob) -> tuple[Arm, Align]:
     if job.world is None:
         return arm, Align.BASE if job.tool == "fixed" else Align.BOTH
     if read_world(job.world).parent == "base":
-        arm = replace(arm, T_world_base=RigidTransform.identity())
+        arm = arm.based()
     return arm, Align.TOOL if job.tool == "free" else Align.NONE
 
 
@@ -136,7 +136,7 @@ def _reported(job: MasteringJob, file: MeasuredFile, arm: Arm) -> Reported:
             consequence="Nothing is checked",
             cure="Give the file of this arm, with q1 .. qn in the order of its joints",
         )
-    return Reported(q=found.q @ arm.gearing.T if arm.couplings else found.q)
+    return Reported(q=found.q if arm.direct else arm.values(found.q))
 
 
 def _middle(job: MasteringJob, arm: Arm) -> Array:

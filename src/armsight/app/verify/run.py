@@ -188,8 +188,8 @@ def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
             consequence="Nothing is verified",
             cure="Give the file of this arm, with q1 .. qn in the order of its joints",
         )
-    if arm.couplings:
-        found = replace(found, q=found.q @ arm.gearing.T)
+    if not arm.direct:
+        found = replace(found, q=arm.values(found.q))
     return _Expected(arm=arm, reported=found, turned=True)
 
 

@@ -35,6 +35,8 @@ class LimitReached:
             factor, unit = 1.0, ""
         said = f"{self.name} stands at its limit of {self.limit * factor:.3g}{unit} (it changed by "
         said += f"{self.change * factor:.3g}{unit}): "
+        if self.name.endswith(".sag"):
+            return said + "check the links' masses, or whether the tool is heavier than they say"
         if self.flag is None:
             return said + "check the gear ratio and the unit of the joint's readings"
         return said + f"raise {self.flag} if the arm may be so far off"

@@ -1,4 +1,4 @@
-"""The arm as a function of its parameters: links, zeros, scales, couplings, base and the tool's points."""
+"""The arm as a function of its parameters: links, zeros, scales, couplings, sag, base and the tool's points."""
 
 from __future__ import annotations
 
@@ -22,14 +22,21 @@ THETA, D = LINK.index("theta_rad"), LINK.index("d_m")
 PARALLEL_RAD = 0.1
 """Axes nearer to parallel are nearly parallel: a direction known to 1e-3 rad leaves d to 1 % of a link (MATH 4.5)."""
 
+STAND_IN_KG = 1.0
+"""At the flange, for the links of an arm whose masses are not known: the lever of the flange about each joint stands
+for that of what it carries. The joints' compliance is then that against this mass."""
+LEAST_WEIGHT_N = 1e-6
+"""A joint that carries less carries nothing."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmModel:
     """A nominal arm, and what of its tool is seen.
 
     Parameters: changes of the links ('j1.a_m' ..), of the joints' scales ('j1.scale'), couplings ('j3.by_j2': the share
-    of j2's reading that is added to j3's), then base and tool poses as position and rotation vector ('base.x_m' ..,
-    'tool.x_m' ..; of several points 'tool:NAME.x_m'). turned: rotations were measured too.
+    of j2's reading that is added to j3's), of how joints give way ('j2.sag': rad per metre of lever of the weight that
+    the joint carries, its compliance times that weight), then base and tool poses as position and rotation vector
+    ('base.x_m' .., 'tool.x_m' ..; of several points 'tool:NAME.x_m'). turned: rotations were measured too.
     """
 
     arm: Arm
@@ -43,7 +50,23 @@ class ArmModel:
         links = parameter_names(self.arm)[: 5 * self.arm.n]
         scales = tuple(f"{name}.scale" for name in joints)
         couplings = tuple(f"{b}.by_{a}" for a, b in pairwise(joints))
-        return (*links, *scales, *couplings, *self.mounts)
+        return (*links, *scales, *couplings, *(f"{name}.sag" for name in joints), *self.mounts)
+
+    @property
+    def loaded(self) -> Arm:
+        """The nominal arm with masses, or with the one of STAND_IN_KG at its flange where it has none."""
+        return stand_in(self.arm)
+
+    @property
+    def carried(self) -> Array:
+        """The weight (n,) in N that each joint carries: of its link and of all behind it."""
+        return np.cumsum(self.loaded.weight[::-1, 0])[::-1]
+
+    @property
+    def sags(self) -> tuple[str, ...]:
+        """Names of the sags that can be found: of turning joints that carry something."""
+        able = zip(self.arm.joints, self.arm.revolute, self.carried, strict=True)
+        return tuple(f"{joint.name}.sag" for joint, turns, weight in able if turns and weight > 0.0)
 
     @property
     def parallel(self) -> tuple[tuple[int, str], ...]:
@@ -86,7 +109,7 @@ class ArmModel:
     @property
     def n_geometry(self) -> int:
         """How many parameters come before those of base and tools."""
-        return 7 * self.arm.n - 1
+        return 8 * self.arm.n - 1
 
     def vector(self, base: RigidTransform, tools: Sequence[RigidTransform]) -> Array:
         """Return the parameters of the nominal geometry with these mounts."""
@@ -103,19 +126,23 @@ class ArmModel:
     def arm_at(self, p: Array, tool: int | None = 0) -> Arm:
         """Return the arm of parameters p; its couplings are p's on top of the nominal arm's. tool: None for none."""
         n = self.arm.n
-        links, scales = p[: 5 * n].reshape(n, 5), p[5 * n : 6 * n]
+        links, scales, sag = p[: 5 * n].reshape(n, 5), p[5 * n : 6 * n], p[7 * n - 1 : 8 * n - 1]
+        soft = sag / np.maximum(self.carried, LEAST_WEIGHT_N) if sag.any() else sag
+        given = self.loaded if sag.any() else self.arm
         joints = tuple(
             replace(
                 joint,
                 **{key: getattr(joint, key) + change for key, change in zip(LINK, row.tolist(), strict=True)},
                 sign=joint.sign * (1.0 + float(scale)),
+                compliance=max(joint.compliance + give, 0.0),
             )
-            for joint, row, scale in zip(self.arm.joints, links, scales, strict=True)
+            for joint, row, scale, give in zip(given.joints, links, scales, soft.tolist(), strict=True)
         )
         return replace(
-            self.arm,
+            given,
             joints=joints,
             T_world_base=self.pose(p, 0),
+            down_in_base=given.base_down,
             T_flange_tool=RigidTransform.identity() if tool is None else self.pose(p, tool + 1),
             covariance=None,
             couplings=self._couplings(p),
@@ -134,11 +161,27 @@ class ArmModel:
     def values(self, p: Array, q: Array) -> Array:
         """Return the joints' own values (m, n) at rows q."""
         out = q.copy()
-        out[:, 1:] += p[6 * self.arm.n : self.n_geometry] * q[:, :-1]
+        out[:, 1:] += p[6 * self.arm.n : 7 * self.arm.n - 1] * q[:, :-1]
         return out
 
-    def predict(self, p: Array, points: ArmPoints) -> tuple[Array, Array]:
-        """Return the tool's poses (m, 4, 4) and their derivative (m, 6, P), (dt, dw) in world axes."""
+    def give(self, p: Array) -> Array:
+        """Return (n,) by how much each joint gives way, rad per metre of lever of the weight it carries."""
+        nominal = np.array([joint.compliance for joint in self.arm.joints])
+        return np.asarray(p[7 * self.arm.n - 1 : self.n_geometry] + nominal * self.carried)
+
+    def lever_m(self, p: Array, points: ArmPoints) -> Array:
+        """Return (m, n) the lever in m by which what each joint carries turns it, where the arm rests."""
+        arm = self.arm_at(p, None)
+        torque = stand_in(arm).gravity_torque(arm.sagged(self.values(p, points.q)))
+        return np.asarray(torque / np.maximum(self.carried, LEAST_WEIGHT_N))
+
+    def predict(self, p: Array, points: ArmPoints, lever_m: Array | None = None) -> tuple[Array, Array]:
+        """Return the tool's poses (m, 4, 4) and their derivative (m, 6, P), (dt, dw) in world axes.
+
+        lever_m: (m, n) to hold the levers at; the derivative is then exact, and a fit settles.
+        """
+        lever = self.lever_m(p, points) if lever_m is None else lever_m
+        rest = self.values(p, points.q) + self.give(p) * lever
         n, g = self.arm.n, self.n_geometry
         T = np.empty((len(points), 4, 4))
         J = np.zeros((len(points), 6, len(p)))
@@ -149,12 +192,13 @@ class ArmModel:
         arm = self.arm_at(p, None)
         for k in range(len(self.labels)):
             rows = np.flatnonzero(which == k)
-            q = self.values(p, points.q[rows])
+            q = rest[rows]
             T[rows], own = parameter_jacobian(replace(arm, T_flange_tool=self.pose(p, k + 1)), q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
             turn = own[:, :, drive]  # (m, 6, n)
             J[rows, :, 5 * n : 6 * n] = turn * (sign * q)[:, None, :]
-            J[rows, :, 6 * n : g] = turn[:, :, 1:] * (scaled[1:] * points.q[rows][:, :-1])[:, None, :]
+            J[rows, :, 6 * n : 7 * n - 1] = turn[:, :, 1:] * (scaled[1:] * points.q[rows][:, :-1])[:, None, :]
+            J[rows, :, 7 * n - 1 : g] = turn * (scaled * lever[rows])[:, None, :]
             J[rows, :, g : g + 6] = own[:, :, 5 * n : 5 * n + 6]
             J[rows, :, g + 6 * (k + 1) : g + 6 * (k + 2)] = own[:, :, 5 * n + 6 :]
         return T, J
@@ -166,16 +210,19 @@ class ArmModel:
 
     def errors(self, p: Array, points: ArmPoints) -> tuple[Array, Array]:
         """Return the errors of place (m, 3) and, where measured, of rotation (m, 3), model minus measurement."""
-        T = fk(self.arm_at(p, None), self.values(p, points.q))
+        arm = self.arm_at(p, None)
+        T = fk(arm, arm.sagged(self.values(p, points.q)))
         n = len(self.labels)
         mounts = np.array(p[self.n_geometry + 6 :]).reshape(n, 6)  # scipy takes no read-only array
         tools = np.tile(np.eye(4), (n, 1, 1))
         tools[:, :3, :3], tools[:, :3, 3] = Rotation.from_rotvec(mounts[:, 3:]).as_matrix(), mounts[:, :3]
         return _errors(T @ tools[self._which(points)], points)
 
-    def evaluate(self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float) -> Evaluation:
-        """Return whitened residuals and Jacobian; one block of three or six rows per measurement."""
-        T, J = self.predict(p, points)
+    def evaluate(
+        self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float, lever_m: Array | None = None
+    ) -> Evaluation:
+        """Return whitened residuals and Jacobian; one block of three or six rows a measurement; lever_m as predict."""
+        T, J = self.predict(p, points, lever_m)
         place, turn = _errors(T, points)
         r = place / sigma_m
         slopes = J[:, :3] / sigma_m
@@ -195,6 +242,13 @@ class ArmModel:
             at = slice(self.n_geometry + 6 * k + 3, self.n_geometry + 6 * k + 6)
             out[at] = (Rotation.from_rotvec(step[at]) * Rotation.from_rotvec(np.array(p[at]))).as_rotvec()
         return out, local + step_local
+
+
+def stand_in(arm: Arm) -> Arm:
+    """Return the arm with its masses; one that has none with STAND_IN_KG at its flange."""
+    if any(joint.mass_kg for joint in arm.joints):
+        return arm
+    return replace(arm, joints=(*arm.joints[:-1], replace(arm.joints[-1], mass_kg=STAND_IN_KG)))
 
 
 def _errors(T: Array, points: ArmPoints) -> tuple[Array, Array]:

@@ -40,6 +40,8 @@ COUPLING_RANGE_RAD = 0.2
 """A joint that moved less cannot tell whether the next one's reading holds its own."""
 REPLACED = "the axes before and behind are parallel: the next joint's d_m says the same, and beta_rad their tilt"
 
+RISING = "the measurements want the joint to rise against its load, which no spring does"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Level:
@@ -57,7 +59,12 @@ def candidates(model: ArmModel, *, scale: bool) -> list[tuple[str, tuple[str, ..
     """Return the kinds of model and the parameters that each offers."""
     joints = model.arm.joints
     zeros = tuple(f"{j.name}.{'theta_rad' if r else 'd_m'}" for j, r in zip(joints, model.arm.revolute, strict=True))
-    found = [("joint zeros", zeros), ("geometry", model.geometry)]
+    found = [
+        ("joint zeros", zeros),
+        ("joint zeros and sag", (*zeros, *model.sags)),
+        ("geometry", model.geometry),
+        ("geometry and sag", (*model.geometry, *model.sags)),
+    ]
     if scale:
         found.append(("geometry and joint scales", (*model.geometry, *(f"{j.name}.scale" for j in joints))))
     return found
@@ -91,7 +98,7 @@ def _coupling_effects(model: ArmModel, p: Array, points: ArmPoints) -> Array:
     n = model.arm.n
     J = model.predict(p, points)[1][:, :3].reshape(-1, len(p))
     Q = orthonormal_basis(J[:, model.n_geometry :])
-    own = J[:, 6 * n : model.n_geometry]
+    own = J[:, 6 * n : 7 * n - 1]
     own = own - Q @ (Q.T @ own)
     return np.asarray(np.median(np.linalg.norm(own.reshape(len(points), 3, n - 1), axis=1), axis=0))
 
@@ -161,6 +168,7 @@ def level(
     """
     choice, fitted = first.choice, first.fitted
     p, noise = fitted.p, (fitted.sigma_m, fitted.sigma_rad)
+    risen: tuple[tuple[str, str], ...] = ()
     if like is not None:
         p, noise = like.p, estimate_noise(model, like.p, points, len(like.free))
     for _ in range(PASSES):  # first with the noise where it begins, then with that of the fit
@@ -172,8 +180,11 @@ def level(
         kept = [name in choice.free or k >= model.n_geometry for k, name in enumerate(model.names)]
         fitted = fit_arm(model, points, np.where(kept, p, first.fitted.p), choice.free, tolerance)
         p, noise = fitted.p, (fitted.sigma_m, fitted.sigma_rad)
+        rising = {name for name in choice.free if name.endswith(".sag") and p[model.names.index(name)] < 0.0}
+        offered = tuple(name for name in offered if name not in rising)
+        risen += tuple((name, RISING) for name in rising)
     told = tuple((d, REPLACED) for d in model.replaced if "geometry" in name)
-    choice = replace(choice, fixed=(*choice.fixed, *told))
+    choice = replace(choice, fixed=(*choice.fixed, *risen, *told))
     left = left_out(model, points, fitted)
     return Level(name=name, fitted=fitted, choice=choice, left_m=left, couplings=first.couplings)
 

@@ -19,7 +19,6 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Level, left_out, significant_gain
 from armsight.calibrate.arm.parameter_selection import Choice
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.calibrate.arm.sag import sag_left_out
 from armsight.errors import ArmsightError, NotConverged
 from armsight.kinematics import PRESETS, Arm, in_convention, preset
 from armsight.units import DEG, MM
@@ -33,6 +32,9 @@ BEYOND = 3.0
 MOST_SCALE = 0.005
 """A joint that turns so much more, or less, than it says has other gears: a ratio of teeth has no tolerance, and what
 bends and runs out of true stays below 0.1 %."""
+SOFT = 2.0
+"""Lengths of an arm whose joints sag may be off by so many times more: its links bend too, and lengths take that up
+(TALOS's upper arm by 7 to 10 mm, which rows left out confirm)."""
 SURE = 2.0
 """Standard deviations that a correction may be wrong by."""
 QUIET = 0.25
@@ -81,10 +83,9 @@ class Misfit:
     excess: float
     beside: tuple[str, ...] = ()
 
-    @property
-    def certain(self) -> bool:
-        """Whether it is too much even for all that add up in it, each within tolerance."""
-        return bool(self.excess > np.sqrt(1.0 + len(self.beside)))
+    def certain(self, soft: bool) -> bool:
+        """Whether it is too much even for all that add up in it, each within tolerance; soft: of an arm that sags."""
+        return bool(self.excess > (SOFT if soft else 1.0) * np.sqrt(1.0 + len(self.beside)))
 
     def text(self) -> str:
         """Return the sentence's part: what it would have to be."""
@@ -168,22 +169,23 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
     if len(points) > ENOUGH_ROWS:
         points, plain, best = _fewer(model, points, plain, best)
     left_m = float(best.left_m.mean()) if kept else None
-    certain = any(item.certain for item in kept)
-    found = open_fit(model, points, plain.fitted)
+    scales, sags = tuple(f"{joint.name}.scale" for joint in model.arm.joints), model.sags
+    soft = bool(set(sags) & set(best.choice.free))
+    # Of a soft arm only what rows say with hardly any belief, predicting as well, is evidence.
+    certain = not soft and any(item.certain(soft) for item in kept)
+    found = open_fit(model, points, plain.fitted, sags if soft else scales)
     if found is not None:
         left = left_out(model, points, found)
         if significant_gain(plain.left_m, left, points.group) and np.median(left) < AS_GOOD * np.median(best.left_m):
-            # What tight belief has put into scales and lengths beside the wrong one is no evidence where the same rows,
-            # asked with hardly any, are sure of none.
             wide = beyond(model, found, tolerance)
             # What tight belief has put into scales and lengths beside the wrong one is no evidence where the same rows,
             # asked with hardly any, are sure of none: a joint that sags under load is taken for one of another gear.
-            certain = any(item.certain for item in wide) or (certain and bool(wide))
+            certain = any(item.certain(soft) for item in wide) or (certain and bool(wide))
             wide = wide or (beyond(model, found, tolerance, sure=0.0) if kept else ())
             kept, left_m = (wide, float(left.mean())) if wide else (kept, left_m)
             if certain and all(item.name.endswith(".scale") for item in wide):
-                sagging = sag_left_out(model, points, found, OPEN)
-                certain = bool(np.mean(sagging) > AS_GOOD * np.mean(left))
+                sagging = open_fit(model, points, plain.fitted, sags)
+                certain = sagging is None or bool(left_out(model, points, sagging).mean() > AS_GOOD * left.mean())
     known = None if best.couplings else known_arm(model, points, FITS_DOUBTED if kept else FITS)
     if known is not None and not kept and known[1] > np.median(best.left_m):
         known = None  # what would be kept fits better still, with corrections that are believed
@@ -214,13 +216,13 @@ def _fewer(model: ArmModel, points: ArmPoints, plain: Level, best: Level) -> tup
     return some, replace(plain, left_m=plain.left_m[rows]), replace(best, left_m=best.left_m[rows])
 
 
-def open_fit(model: ArmModel, points: ArmPoints, plain: ArmFit) -> ArmFit | None:
-    """Return the fit of geometry and scales with hardly any belief in the nominal arm; None where it has no minimum."""
-    names = (*model.geometry, *(f"{joint.name}.scale" for joint in model.arm.joints))
+def open_fit(model: ArmModel, points: ArmPoints, plain: ArmFit, beside: tuple[str, ...]) -> ArmFit | None:
+    """Return the fit of geometry, and what is named beside it, with hardly any belief in the nominal arm; None where it
+    has no minimum."""
     found = plain
     try:
         for _ in range(ROUNDS):
-            found = fit_arm(model, points, found.p, names, OPEN)
+            found = fit_arm(model, points, found.p, (*model.geometry, *beside), OPEN)
     except NotConverged:
         return None
     return found

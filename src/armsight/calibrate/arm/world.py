@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     another place, Degenerate where the positions lie on one line.
     """
     check_points(arm, points)
+    points = replace(points, q=arm.sagged(points.q))  # positions were measured at rest
     check_one_place(arm, points)
     local = _places(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))

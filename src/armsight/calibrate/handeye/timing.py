@@ -114,8 +114,15 @@ _Stream = tuple[Array, Slerp]
 def _stream(t_s: ArrayLike, rotations: Rotation, what: str) -> _Stream:
     """Return times and an interpolation."""
     t = np.asarray(t_s, float)
-    if t.shape != (len(rotations),) or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
-        raise Inconsistent(f"the {what}'s {len(rotations)} orientations need as many increasing times")
+    if t.shape != (len(rotations),) or not np.isfinite(t).all():
+        raise Inconsistent(f"the {what}'s {len(rotations)} orientations need as many times")
+    late = np.flatnonzero(np.diff(t) <= 0.0)
+    if late.size:
+        raise Inconsistent(
+            f"the {what}'s times do not increase at row {late[0] + 1}: {t[late[0] + 1]:.9g} s after {t[late[0]]:.9g} s",
+            consequence="Its record has no order, and no time offset can be given",
+            cure="Give each time once, in order",
+        )
     if len(t) < 2 or t[-1] - t[0] < 4.0 * WINDOW_S:
         raise NotEnoughData(
             f"the {what}'s record is shorter than {4.0 * WINDOW_S} s",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.control.guard.fit import check_fit
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm
-from armsight.records import frozen_array
+from armsight.records import Saveable, frozen_array
 from armsight.units import DEG
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ POSITIVE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Limits:
+class Limits(Saveable):
     """What the guard keeps; the defaults are those of teaching beside people: 0.1 m/s and 60 deg/s at the tool.
 
     speed to jerk: of the tool's origin and of its turning. joints: one per joint, or none. workspace: the box that tool

@@ -112,6 +112,7 @@ class Space:
         self.arm = arm
         self._limits = limits
         self._gearing = arm.gearing if arm.couplings else None
+        self._direct = arm.direct
         self._T_base_world = arm.T_world_base.inv().as_matrix()
         self._flange = np.ascontiguousarray(arm.T_flange_tool.inv().as_matrix()[:3, 3])
         self._lengths = np.array([[arm.length_m]] * 3 + [[1.0]] * 3)
@@ -254,7 +255,7 @@ class Space:
         return self.along(q[None], qd[None], qdd[None], 0.0, in_space=in_space)[0]
 
     def _values(self, q: Array) -> Array:
-        return q if self._gearing is None else q @ self._gearing.T
+        return q if self._direct else self.arm.values(q)
 
     def _in_base(self, q: Array, T: Array, J: Array) -> Sight:
         R = self._T_base_world[:3, :3]

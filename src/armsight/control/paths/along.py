@@ -30,7 +30,11 @@ MOST_ROWS = 200_000
 def positive(name: str, value: float) -> float:
     """Return a value that must be a finite number above zero; raises UsageError otherwise."""
     if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(f"{name} is {value:g}, which is no length above zero", consequence="The path is left as it is")
+        raise UsageError(
+            f"{name} is {value:g}, which is no length above zero",
+            consequence="The path is left as it is",
+            cure="Give it in m",
+        )
     return value
 
 
@@ -116,6 +120,12 @@ def resampled(
     UsageError for a step that is no length or gives more than MOST_ROWS rows, Inconsistent where the path stands.
     """
     s = moving(path)
+    if step_m > s[-1]:
+        raise UsageError(
+            f"a step of {step_m:g} m is longer than the path, {s[-1]:.3g} m",
+            consequence="Nothing but its ends and corners would be left",
+            cure="Give a shorter step, in m",
+        )
     if s[-1] / positive("step_m", step_m) > MOST_ROWS:
         raise UsageError(f"steps of {step_m:g} m give more than {MOST_ROWS} rows", cure="Take a longer step")
     chosen = corners(path) if keep is None else keep

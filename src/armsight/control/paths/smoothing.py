@@ -44,7 +44,11 @@ def smoothed(
     """
     positive("bound_m", bound_m)
     if not 0.0 < bound_rad <= math.pi:
-        raise UsageError(f"bound_rad is {bound_rad:g}, which is no angle", consequence="The path is left as it is")
+        raise UsageError(
+            f"bound_rad is {bound_rad:g}, which is no bound",
+            consequence="The path is left as it is",
+            cure="Give an angle in rad, below half a turn",
+        )
     s = moving(path)
     chosen = corners(path) if keep is None else keep
     kept = sorted({0, len(path) - 1, *(range(len(path))[row] for row in chosen)})

@@ -61,7 +61,11 @@ class PlaySettings:
         for name in ("speed_m_s", "blend_m", "approach_speed_m_s"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise UsageError(f"{name} is {value:g}, which is not above zero", consequence="Nothing is moved")
+                raise UsageError(
+                    f"{name} is {value:g}, which is not above zero",
+                    consequence="Nothing is moved",
+                    cure="Give more than 0",
+                )
         if not (np.isfinite(self.retract_m) and self.retract_m >= 0.0):
             raise UsageError(f"retract_m is {self.retract_m:g}", consequence="Nothing is moved", cure="Give 0 or more")
 

@@ -205,12 +205,21 @@ def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
 
 
 @fast_kernel
-def solve_closed(family, base, tool, T, near, Q, code):
+def solve_closed(chain, family, base, tool, T, here, Q, code):
     """Fill Q (8, 6) with all solutions and code (8,) with their branches for T_world_tool (4, 4); return how many.
 
-    near (6,): DH angles that decide where a singular pose leaves one free. Solutions are not checked against limits.
+    here (6,): joint values that decide where a singular pose leaves one free. Limits are not looked at.
     """
-    return _solve(family, base, tool, T, near, Q, code, np.empty(12), np.empty(3))
+    return _solve(family, base, tool, T, _dh_angles(chain, here), Q, code, np.empty(12), np.empty(3))
+
+
+@inner_fast_kernel
+def _dh_angles(chain, q):
+    """Return the DH angles theta (6,) of turning joints at q (6,)."""
+    theta = np.empty(6)
+    for i in range(6):
+        theta[i] = chain[i + 1, 1] * q[i] + chain[i + 1, 2]
+    return theta
 
 
 @inner_fast_kernel
@@ -253,8 +262,9 @@ def _solve(family, base, tool, T, near, Q, code, W, work):
 
 
 @kernel
-def solve_closed_many(family, base, tool, T, near, Q, code, count):
+def solve_closed_many(chain, family, base, tool, T, here, Q, code, count):
     """Solve each T (m, 4, 4): Q (m, 8, 6), code (m, 8), count (m,); see `solve_closed`."""
+    near = _dh_angles(chain, here)
     W = np.empty(12)
     work = np.empty(3)
     for i in range(T.shape[0]):
@@ -284,15 +294,30 @@ def nearest_turns(chain, q, here, slack):
 
 
 @kernel
-def settle(chain, T, count, here, slack, Q, errors, inside):
-    """Bring the first count rows of Q (8, n) near here (n,); fill errors (8, 3) and inside (8,).
+def settle(chain, T, count, here, slack, most_m, most_rad, Q, code, errors, inside):
+    """Bring the first count rows of Q (9, n) near here (n,), and those that reach the pose to the front, nearest first.
 
-    errors: off the pose in m and rad, and the largest distance of a joint from here.
+    code (9,) goes along; errors (9, 3): off the pose in m and rad, and the largest distance of a joint from here;
+    inside (9,): within the limits. Return how many miss the pose by no more than most_m and most_rad.
     """
     n = chain.shape[0] - 2
     F = np.empty((n + 2, 12))
     e = np.empty(6)
+    q = np.empty(n)
+    kept = np.int64(0)
     for k in range(count):
-        inside[k] = nearest_turns(chain, Q[k], here, slack)
-        errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], np.int64(6), F, e)
-        errors[k, 2] = np.abs(Q[k] - here).max()
+        q[:] = Q[k]
+        bits = code[k]
+        fits = nearest_turns(chain, q, here, slack)
+        off_m, off_rad = pose_error(chain, T, q, np.int64(6), F, e)
+        if not (off_m <= most_m and off_rad <= most_rad):  # also where one is NaN
+            continue
+        far = np.abs(q - here).max()
+        i = kept
+        while i > 0 and errors[i - 1, 2] > far:  # insertion: there are nine at most
+            Q[i], code[i], errors[i], inside[i] = Q[i - 1], code[i - 1], errors[i - 1], inside[i - 1]
+            i -= 1
+        Q[i], code[i], inside[i] = q, bits, fits
+        errors[i, 0], errors[i, 1], errors[i, 2] = off_m, off_rad, far
+        kept += 1
+    return kept

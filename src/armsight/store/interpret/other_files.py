@@ -148,7 +148,7 @@ def folder_table(folder: Path, read: Callable[[Path], RawTable]) -> RawTable:
 
     read: returns the table of one file. Each row says its file. Raises BadFile, NotEnoughData.
     """
-    files = sorted((p for p in folder.iterdir() if p.suffix.lower() in POSE_SUFFIXES and p.is_file()), key=_natural)
+    files = pose_files(folder)
     if not files:
         raise NotEnoughData(
             f"{folder}: no file ends in {', '.join(POSE_SUFFIXES)}", consequence="There is nothing to do"
@@ -168,6 +168,11 @@ def folder_table(folder: Path, read: Callable[[Path], RawTable]) -> RawTable:
         cells = (column[0] for column in table.columns)
         records.append({"file": path.name, **dict(zip(names, cells, strict=True))})
     return table_of(records, str(folder), f"a folder of {len(files)} files, one pose in each")
+
+
+def pose_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that may hold poses, in the order of the numbers in their names."""
+    return sorted((p for p in folder.iterdir() if p.suffix.lower() in POSE_SUFFIXES and p.is_file()), key=_natural)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

@@ -15,7 +15,7 @@ from armsight.errors import Ambiguous, BadFile, DataRefused, Inconsistent, Usage
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret.assemble import degrees_for_radians, mm_for_metres
 from armsight.store.interpret.names import meaning
-from armsight.store.interpret.other_files import folder_table, mat_table
+from armsight.store.interpret.other_files import folder_table, mat_table, pose_files
 from armsight.store.interpret.plausibility import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.records import looks_like_records, records_table
@@ -51,14 +51,16 @@ def standard_bytes(path: Path, role: str, format_: TableFormat = OURS) -> bytes:
 def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted:
     """Return a table in the columns that a role of ROLES has.
 
-    path: a table in text, YAML, JSON, a .mat, or a folder with one file per pose. A table of ours comes back as it
-    is, and one of which nothing is understood too: its reader names what is missing. Raises BadFile, NotEnoughData,
-    Inconsistent, Ambiguous, UsageError.
+    path: a table in text, YAML, JSON, a .mat, or a folder with one file per pose or with the table. A table of ours
+    comes back as it is, and one of which nothing is understood too: its reader names what is missing. Raises BadFile,
+    NotEnoughData, Inconsistent, Ambiguous, UsageError.
     """
     wanted = ROLES[role]
     format_.check()
     if not path.exists():
         raise BadFile(f"{path}: there is no such file", consequence="Nothing is read", cure="Check its name")
+    if path.is_dir() and len(files := pose_files(path)) == 1:
+        path = files[0]  # robot_poses.csv beside its images
     if path.is_dir():
         return _interpreted(folder_table(path, lambda file: _raw(file, format_)), wanted, format_)
     if path.suffix.lower() == ".mat":

@@ -3,7 +3,7 @@
 from armsight.store.recording.images import Encoded, ImageFormat, encode
 from armsight.store.recording.mcapfile import CHUNK_S
 from armsight.store.recording.reader import Command, Event, Recorded, Recording, SpotsSeen
-from armsight.store.recording.repair import Repaired, repair
+from armsight.store.recording.repair import Repaired, cut, repair
 from armsight.store.recording.writer import RecordingWriter
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "RecordingWriter",
     "Repaired",
     "SpotsSeen",
+    "cut",
     "encode",
     "repair",
 ]

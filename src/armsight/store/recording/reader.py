@@ -17,12 +17,16 @@ from mcap.records import Channel, Schema
 from armsight._files import open_file
 from armsight.errors import BadFile, DataRefused, Inconsistent, NotEnoughData
 from armsight.geometry import pose_from_quat
-from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
+from armsight.optics import Rig
+from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, TargetPose
 from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
 from armsight.store.recording.protobuf import NS
 from armsight.store.recording.writer import FORMAT, METADATA
+from armsight.store.rigs import rig_from_mapping
+from armsight.store.targets import target_from_mapping
+from armsight.store.yamls import parse_yaml
 
 IMAGES = (schemas.RAW_IMAGE, schemas.COMPRESSED_IMAGE)
 
@@ -144,6 +148,17 @@ class Recording:
             return bytes(record_reader.attachment_of(record_reader.read_at(self._file, span.start, span.length)).data)
         except ValueError as error:
             raise record_reader.damaged(self.path, span, str(error)) from error
+
+    @property
+    def rig(self) -> Rig:
+        """The rig recorded with it. Raises NotEnoughData where none was."""
+        return rig_from_mapping(parse_yaml(self.attachment("rig.yaml"), f"{self.path}: rig.yaml"), str(self.path))
+
+    @property
+    def target(self) -> Target:
+        """The target recorded with it. Raises NotEnoughData where none was."""
+        content = parse_yaml(self.attachment("target.yaml"), f"{self.path}: target.yaml")
+        return target_from_mapping(content, str(self.path))
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Recorded]:
         """Yield the messages of the given topics (None: of all) as they stand in the file. Raises BadFile."""

@@ -11,9 +11,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from armsight._files import open_file
-from armsight.errors import BadFile, NotEnoughData
+from armsight.errors import BadFile, NotEnoughData, UsageError
 from armsight.store.recording import record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
+
+CALIBRATION = ("/calibration", "/tf")
+"""Ends of the topics that say where the cameras are: they stand once, before the frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,26 +30,39 @@ class Repaired:
     damaged_chunks: int
 
 
-def repair(source: Path, out: Path, *, overwrite: bool = False) -> Repaired:
+def repair(source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple[int, int] | None = None) -> Repaired:
     """Copy all that is whole in source into a new, complete file; source is only read.
 
+    within_ns: only messages of these times, see cut.
     A chunk whose checksum does not fit is left out, those behind it are kept. Raises BadFile where source is no MCAP
-    file, NotEnoughData where no message is whole, UsageError where out is there already, DeviceFailed.
+    file, NotEnoughData where no message is whole, UsageError where out is there already, or is source, DeviceFailed.
     """
+    if out.exists() and source.exists() and out.samefile(source):
+        raise UsageError(
+            f"{source} is both source and result", consequence="Nothing is written", cure="Write to another file"
+        )
     try:
         file = open_file(source)
     except OSError as error:
         raise BadFile(f"{source}: cannot be read ({error.strerror or error})", cure="Check the path") from error
     with file:
         record_reader.check_magic(file, source)
-        copy = _Copy(McapFile(out, overwrite=overwrite))
+        copy = _Copy(McapFile(out, overwrite=overwrite), within_ns)
         try:
             copy.all_of(file, source)
         finally:
             copy.out.close()
-    if not copy.counts:
+    if not copy.n_kept:
         out.unlink()
-        raise NotEnoughData(f"{source}: not one message in it is whole", consequence="Nothing can be saved")
+        if copy.counts:
+            raise NotEnoughData(
+                f"{source}: nothing was recorded between these times",
+                consequence="Nothing is saved",
+                cure="Give others",
+            )
+        raise NotEnoughData(
+            f"{source}: not one message in it is whole", consequence="Nothing can be saved", cure="Record anew"
+        )
     return Repaired(
         path=out,
         messages=dict(copy.counts),
@@ -56,13 +72,23 @@ def repair(source: Path, out: Path, *, overwrite: bool = False) -> Repaired:
     )
 
 
-class _Copy:
-    """Copies records and counts them; numbers of schemas and channels may differ in the copy."""
+def cut(source: Path, out: Path, first_ns: int, last_ns: int, *, overwrite: bool = False) -> Repaired:
+    """Copy what is between two times into a new file, with the calibration and the files in it. Raises as repair."""
+    return repair(source, out, overwrite=overwrite, within_ns=(first_ns, last_ns))
 
-    def __init__(self, out: McapFile) -> None:
+
+class _Copy:
+    """Copies records and counts them; numbers of schemas and channels may differ in the copy.
+
+    within_ns: the times of messages that are copied; those of calibrations are always. n_kept: of all messages, or of
+    those within these times.
+    """
+
+    def __init__(self, out: McapFile, within_ns: tuple[int, int] | None = None) -> None:
         self.out = out
+        self._within_ns = within_ns
         self.counts: dict[str, int] = {}
-        self.first_ns = self.last_ns = 0
+        self.first_ns = self.last_ns = self.n_kept = 0
         self.lost_bytes = 0
         self.damaged = 0
         self._schemas: dict[int, int] = {0: 0}
@@ -112,10 +138,15 @@ class _Copy:
                 self._channels[record.id] = (number, record.topic)
         elif record.channel in self._channels:
             number, topic = self._channels[record.channel]
+            first_ns, last_ns = self._within_ns or (record.t_ns, record.t_ns)
+            if not first_ns <= record.t_ns <= last_ns and not topic.endswith(CALIBRATION):
+                return
             self.out.add_message(number, record.t_ns, record.sequence, record.data)
-            self.first_ns = min(self.first_ns, record.t_ns) if self.counts else record.t_ns
-            self.last_ns = max(self.last_ns, record.t_ns)
             self.counts[topic] = self.counts.get(topic, 0) + 1
+            if self._within_ns is None or not topic.endswith(CALIBRATION):
+                self.first_ns = min(self.first_ns, record.t_ns) if self.n_kept else record.t_ns
+                self.last_ns = max(self.last_ns, record.t_ns)
+                self.n_kept += 1
 
 
 def _single(file: BinaryIO, span: record_reader.Span) -> Iterator[record_reader.Message | Schema | Channel]:

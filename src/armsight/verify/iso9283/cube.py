@@ -50,7 +50,7 @@ class TestCube:
         if self.plane not in PLANES:
             raise UsageError(f"there is no test plane {self.plane!r}", cure=f"Use one of: {', '.join(PLANES)}")
         if not (np.isfinite(self.side_m) and self.side_m > 0.0):
-            raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number")
+            raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number", cure="Give more than zero")
 
     @property
     def corners_m(self) -> Array:

@@ -58,9 +58,9 @@ class PlanOptions:
         if self.plane not in PLANES:
             raise UsageError(f"there is no test plane {self.plane!r}", cure=f"Use one of: {', '.join(PLANES)}")
         if not (np.isfinite(self.speed_m_s) and self.speed_m_s > 0.0):
-            raise UsageError(f"a speed of {self.speed_m_s:g} m/s is not a positive number")
+            raise UsageError(f"a speed of {self.speed_m_s:g} m/s is not a positive number", cure="Give more than zero")
         if self.side_m is not None and not (np.isfinite(self.side_m) and self.side_m > 0.0):
-            raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number")
+            raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number", cure="Give more than zero")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

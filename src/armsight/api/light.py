@@ -1,0 +1,201 @@
+"""What belongs to a rig beyond its cameras: the target's lights, timing, noise, zoom lenses, the mirrors' place."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+
+from armsight.api.checks import speaks_python
+from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
+from armsight.api.runs import ARRAYS
+from armsight.app.calibrate.camera_noise import NoiseJob, find_noise
+from armsight.app.calibrate.light_target import TargetJob, calibrate_lit_target
+from armsight.app.calibrate.mirrors import MirrorsJob
+from armsight.app.calibrate.mirrors_check import run_check
+from armsight.app.calibrate.timing import TimingJob, calibrate_cameras_timing
+from armsight.app.calibrate.zoom import ZoomRigJob, zoom_rig
+from armsight.app.schemas.cameras import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
+from armsight.app.schemas.handeye import LightTargetOutput
+from armsight.app.schemas.timing import TimingOutput
+from armsight.drivers import CameraSettings
+from armsight.optics import Camera, Rig
+from armsight.records import ByValue, NoiseModel, Progress, Target
+from armsight.store import read_rig, read_target
+
+
+class TargetResult(ByValue, LightTargetOutput):
+    """What `calibrate_target` found: its figures, and `target`."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    target: Annotated[Target, Field(exclude=True, repr=False)]
+
+
+class TimingResult(ByValue, TimingOutput):
+    """What `calibrate_timing` found: its figures, and `rig`, the rig with its cameras' timing."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    rig: Annotated[Rig, Field(exclude=True, repr=False)]
+
+
+class NoiseResult(ByValue, NoiseOutput):
+    """What `calibrate_noise` found: its figures, and `model`, as `CameraResult.save` and Rig(noise=...) take it."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    model: Annotated[NoiseModel, Field(exclude=True, repr=False)]
+
+
+class ZoomRigResult(ByValue, ZoomRigOutput):
+    """What `calibrate_zoom_rig` found: its figures, and `rig`."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    rig: Annotated[Rig, Field(exclude=True, repr=False)]
+
+
+@speaks_python
+def calibrate_target(
+    rig: RigLike,
+    left: Source | None = None,
+    right: Source | None = None,
+    *,
+    image: Source | None = None,
+    lights: int = 3,
+    frames: int | None = None,
+    threshold: float | None = None,
+    inverted: bool = False,
+    camera_settings: CameraSettings | None = None,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> TargetResult:
+    """Return where the lights of a target are, from frames of it turned to several sides before a calibrated rig.
+
+    Parameters
+    ----------
+    rig, left, right, image
+        As `measure` takes them.
+    lights
+        How many there are.
+    out
+        target.yaml to write.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent, Degenerate
+        The frames do not tell the lights' places.
+    """
+    with Given(out, name="target.yaml") as given:
+        done = calibrate_lit_target(given.job(TargetJob, locals(), limit=frames, out=given.out), progress)
+        return TargetResult(**dict(done), target=read_target(given.out))
+
+
+@speaks_python
+def calibrate_timing(
+    rig: RigLike,
+    target: TargetLike | None = None,
+    left: Source | None = None,
+    right: Source | None = None,
+    *,
+    left_spots: TableLike | None = None,
+    right_spots: TableLike | None = None,
+    fps: float | None = None,
+    frames: int | None = None,
+    threshold: float | None = None,
+    inverted: bool = False,
+    camera_settings: CameraSettings | None = None,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> TimingResult:
+    """Return delay, drift, read-outs and jitter of two cameras that run free, from lights waved before them.
+
+    Parameters
+    ----------
+    rig, target, left, right
+        As `measure` takes them.
+    left_spots, right_spots
+        Instead of frames: columns t_s, u_px, v_px of each camera.
+    out
+        rig.yaml to write.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent
+        The wave does not tell the timing.
+    """
+    with Given(out, name="rig.yaml") as given:
+        done = calibrate_cameras_timing(given.job(TimingJob, locals(), limit=frames, out=given.out), progress)
+        return TimingResult(**dict(done), rig=read_rig(given.out))
+
+
+@speaks_python
+def calibrate_noise(
+    frames: Source,
+    *,
+    side: Literal["left", "right"] | None = None,
+    every: int = 1,
+    limit: int | None = None,
+    camera_settings: CameraSettings | None = None,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Return a camera's noise, from 4 to 50 still frames of any scene.
+
+    frames: images, or as `measure` takes them; or a camera.yaml or rig.yaml that holds the noise, of one side. every,
+    limit: of the frames. Raises NotEnoughData, Inconsistent for frames that are not still.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> scene = np.linspace(20, 200, 320 * 240).reshape(240, 320)
+    >>> still = [np.uint8(scene + rng.normal(0, 2, scene.shape)) for _ in range(8)]
+    >>> armsight.calibrate_noise(still).noise.n_given
+    8
+    """
+    with Given(name="camera.yaml") as given:
+        found = find_noise(given.job(NoiseJob, locals()), progress)
+        return NoiseResult(noise=found.output, model=found.noise)
+
+
+@speaks_python
+def calibrate_zoom_rig(
+    rig: RigLike,
+    left: Camera | PathText | None = None,
+    right: Camera | PathText | None = None,
+    *,
+    zoom_left: float | None = None,
+    zoom_right: float | None = None,
+    out: PathText | None = None,
+) -> ZoomRigResult:
+    """Return a rig with the settings of its zoom lenses: `measure(..., zoom_left=...)` then takes any of them.
+
+    rig: calibrated at one setting of each lens. left, right: camera.yaml with the lens's settings, as
+    CameraResult.save(path, zoom=...) gathers them. zoom_left, zoom_right: where the lenses stood for the rig. out:
+    rig.yaml to write. Raises UsageError, Inconsistent.
+    """
+    with Given(out, name="rig.yaml") as given:
+        values = {"rig": rig, "zoom_left": zoom_left, "zoom_right": zoom_right}
+        done = zoom_rig(given.job(ZoomRigJob, values, left=left, right=right, out=given.out))
+        return ZoomRigResult(**dict(done), rig=read_rig(given.out))
+
+
+@speaks_python
+def check_mirrors(
+    image: Source,
+    board: str | Target,
+    *,
+    rig: RigLike | None = None,
+    parallel: bool = False,
+    thickness_m: float | None = None,
+    baseline_m: float | None = None,
+    near_m: float = 0.06,
+    gap_m: float = 0.04,
+    camera: Camera | PathText | None = None,
+    frames: int | None = None,
+    camera_settings: CameraSettings | None = None,
+    progress: Progress | None = None,
+) -> MirrorCheckOutput:
+    """Return whether a rig's mirrors stand as they did, from complex images of a printed board.
+
+    rig: as it was calibrated; else camera and baseline_m, as designed. parallel: against parallel axes all the same.
+    thickness_m: of the plate. near_m, gap_m: as designed. Raises UsageError, DataRefused.
+    """
+    with Given() as given:
+        return run_check(given.job(MirrorsJob, locals(), limit=frames), progress)

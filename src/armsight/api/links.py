@@ -1,0 +1,181 @@
+"""Links to robots: tested, moved joint by joint; and emulated controllers to try it on.
+
+Nothing moves unasked: `confirm` is True, or a function that is given the motion in words and says whether it may begin.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Literal
+
+from armsight.api.checks import require_range, speaks_python
+from armsight.api.commands import in_python
+from armsight.api.given import (
+    ArmLike,
+    Given,
+    PathText,
+    as_text,
+)
+from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.robot.link_test import test_robot
+from armsight.app.robot.twin import run_twin
+from armsight.app.schemas.robot import JogOutput, RobotTestOutput
+from armsight.control.guard import Limits
+from armsight.drivers import Robot, RobotState
+from armsight.errors import ArmsightError, UsageError
+from armsight.records import Progress, require_count, require_kind, require_number
+
+Confirm = bool | Callable[[str], bool]
+"""Whether the arm may move: True, or what is asked with the motion in words."""
+RobotLike = str | Robot
+"""DRIVER:DEVICE, such as sim:webcam-cell or rtde:192.168.0.10; or a driver of one's own that keeps drivers.Robot."""
+
+ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not name.startswith("_")))
+"""What a driver of one's own has to have."""
+
+
+@speaks_python
+def jog(
+    robot: RobotLike,
+    joint: int,
+    by: float,
+    *,
+    confirm: Confirm = False,
+    speed: float = 0.5,
+    arm: ArmLike | None = None,
+    limits: Limits | PathText | None = None,
+    record: PathText | None = None,
+    rsi_config: PathText | None = None,
+    progress: Progress | None = None,
+) -> JogOutput:
+    """Move one joint (from 1) by so much, in rad or m, through the guard; return what was sent and reached.
+
+    robot, confirm, arm, limits, speed: as `servo` takes them. record: an .mcap file for commands and readings.
+    rsi_config: of an rsi link. Raises Cancelled where it is not confirmed, UsageError, Inconsistent for a way beyond a
+    limit, DeviceFailed.
+
+    Examples
+    --------
+    >>> armsight.jog("sim:webcam-cell", 1, 0.01, confirm=True).state
+    'ready'
+    """
+    require_count("joint", joint, least=1)
+    require_number("by", by)
+    with Given() as given:
+        job = given.job(JogJob, locals(), robot=name_of(robot))
+        return jog_robot(job, as_question(confirm), progress, opened=None if isinstance(robot, str) else robot)
+
+
+@speaks_python
+def check_robot(
+    robot: RobotLike, *, for_s: float = 5.0, rsi_config: PathText | None = None, progress: Progress | None = None
+) -> RobotTestOutput:
+    """Read a robot once a cycle for a time, and return how punctual that is; nothing moves.
+
+    rsi_config: of an rsi link. Raises UsageError, DeviceNotFound, DeviceLost, StaleData, DeviceFailed.
+
+    Examples
+    --------
+    >>> armsight.check_robot("sim:webcam-cell", for_s=0.1).state
+    'ready'
+    """
+    require_number("for_s", for_s)
+    with Given() as given:
+        config = None if rsi_config is None else given.file("rsi_config", rsi_config)
+        opened = None if isinstance(robot, str) else robot
+        return test_robot(name_of(robot), for_s=for_s, progress=progress, opened=opened, rsi_config=config)
+
+
+@contextmanager
+def twin(
+    name: Literal["alter", "rsi", "egm", "rtde"],
+    *,
+    port: str | None = None,
+    connect: str | None = None,
+    arm: ArmLike | None = None,
+    cycle_s: float | None = None,
+) -> Iterator[str]:
+    """Run an emulated controller while the block runs; gives what opens it, DRIVER:DEVICE.
+
+    port: where it listens. connect: HOST:PORT where the driver listens, for rsi and egm. arm: which it has. cycle_s: of
+    the controller. Raises UsageError, DeviceNotFound with the twins there are, DeviceFailed.
+
+    Examples
+    --------
+    >>> with armsight.twin("alter") as robot:
+    ...     robot.partition(":")[0]
+    'alter'
+    """
+    for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
+        require_kind(text, value, str)
+    if cycle_s is not None:
+        require_number("cycle_s", cycle_s)
+        require_range("cycle_s", cycle_s)
+    with Given() as given:
+        model = None if arm is None else given.arm("arm", arm)
+        with _running(partial(run_twin, name, port=port, connect=connect, arm=model, cycle_s=cycle_s)) as address:
+            yield address
+
+
+@contextmanager
+def _running(run: Callable[..., None]) -> Iterator[str]:
+    """Run a twin in a thread of its own; gives its address."""
+    ended, ready = threading.Event(), threading.Event()
+    told: list[str] = []
+    failed: list[ArmsightError] = []
+
+    def tell(address: str) -> None:
+        told.append(address)
+        ready.set()
+
+    def work() -> None:
+        try:
+            run(on=lambda: not ended.is_set(), tell=tell)
+        except ArmsightError as error:
+            failed.append(error)
+        finally:
+            ready.set()
+
+    thread = threading.Thread(target=work, name="twin", daemon=True)
+    thread.start()
+    try:
+        ready.wait()
+        if not failed:
+            yield told[0]
+    finally:
+        ended.set()
+        thread.join()
+    if failed:
+        in_python(failed[0])
+        raise failed[0]
+
+
+def as_question(confirm: Confirm) -> Callable[[str], bool]:
+    """Return what is asked before motion. Raises UsageError for what is neither truth nor function."""
+    if callable(confirm):
+        return confirm
+    require_kind("confirm", confirm, bool, cure="Give True, or a function of the question")
+    return lambda _: confirm
+
+
+def name_of(robot: RobotLike) -> str:
+    """Return DRIVER:DEVICE, or the name of a driver of one's own. Raises UsageError where that is not complete."""
+    if isinstance(robot, str) or not hasattr(robot, "step_joints"):
+        return as_text("robot", robot)
+    lacking = [name for name in ROBOT_MEMBERS if not hasattr(robot, name)]
+    if isinstance(robot, type):
+        what = "is a class: it has to be called first"
+    elif lacking:
+        what = f"has no {', '.join(lacking)}"
+    elif not isinstance(robot.state, RobotState):
+        what = f"has the state {robot.state!r}, which is no RobotState"
+    else:
+        return robot.name
+    raise UsageError(
+        f"the robot {getattr(robot, 'name', type(robot).__name__)!r} {what}",
+        consequence="It cannot be driven",
+        cure="Give an object with all that help(armsight.Robot) lists; its state is such as RobotState.READY",
+    )

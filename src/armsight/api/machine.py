@@ -1,0 +1,67 @@
+"""What this machine can do, and the papers' experiments on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+from armsight.api.arrays import as_path
+from armsight.api.checks import speaks_python
+from armsight.api.given import (
+    Given,
+    PathText,
+    RigLike,
+    as_text,
+)
+from armsight.app.doctor import doctor as look_at_machine
+from armsight.app.reproduce.run import reproduce as run_paper
+from armsight.app.schemas.machine import DoctorOutput
+from armsight.app.schemas.reproduce import ReproduceOutput
+from armsight.optics.resolution import CENTROID_SIGMA_PX
+from armsight.records import Progress, checked_array, require_count, require_number
+
+
+@speaks_python
+def doctor(
+    rig: RigLike | None = None,
+    *,
+    depths_m: Sequence[float] = (),
+    sigma_px: float = CENTROID_SIGMA_PX,
+    accuracy_m: float | None = None,
+) -> DoctorOutput:
+    """Return what this machine can do (versions, cameras, drivers, compiled code), and what a rig can tell apart.
+
+    depths_m: distances for the rig. sigma_px: of a spot's centre. accuracy_m: tell also what reaches this standard
+    deviation of a point. Raises UsageError, BadFile.
+
+    Examples
+    --------
+    >>> "rtde" in armsight.doctor().drivers["robots"]
+    True
+    """
+    depths = checked_array("depths_m", depths_m, (None,)).tolist()
+    require_number("sigma_px", sigma_px)
+    if accuracy_m is not None:
+        require_number("accuracy_m", accuracy_m)
+    with Given() as given:
+        file = None if rig is None else given.file("rig", rig)
+        return look_at_machine(file, depths_m=depths, sigma_px=sigma_px, accuracy_m=accuracy_m)
+
+
+@speaks_python
+def reproduce(
+    paper: Literal["korayem2018", "pachidis2005", "kapucu2005"],
+    out: PathText,
+    *,
+    seed: int = 1,
+    frames: int | None = None,
+    progress: Progress | None = None,
+) -> ReproduceOutput:
+    """Do a paper's experiment on its simulated cell, by its method and by ours, and write report and tables into out.
+
+    seed: of the noise. frames: fewer than the paper has. Raises UsageError with the papers there are, DeviceFailed.
+    """
+    require_count("seed", seed)
+    if frames is not None:
+        require_count("frames", frames, least=1)
+    return run_paper(as_text("paper", paper), as_path(out, "out"), seed=seed, frames=frames, progress=progress)

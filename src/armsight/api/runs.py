@@ -1,0 +1,400 @@
+"""The main jobs: measure, record, verify, compare, join; each as the command of that name does it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import ConfigDict, Field
+
+from armsight.api.arrays import Array, as_path
+from armsight.api.checks import speaks_python
+from armsight.api.given import (
+    ArmLike,
+    Given,
+    PathText,
+    PlaceLike,
+    RigLike,
+    Source,
+    TableLike,
+    TargetLike,
+)
+from armsight.api.tracks import PoseTrack
+from armsight.app.compare.run import CompareJob
+from armsight.app.compare.run import compare as run_compare
+from armsight.app.join import JoinJob
+from armsight.app.join import join as run_join
+from armsight.app.measure.outputs import POSES
+from armsight.app.measure.run import MeasureJob
+from armsight.app.measure.run import measure as run_measure
+from armsight.app.record.record import RecordJob, mend
+from armsight.app.record.record import record as run_record
+from armsight.app.schemas.compare import CompareOutput
+from armsight.app.schemas.files import JoinOutput, RecordOutput, RepairOutput
+from armsight.app.schemas.measure import MeasureOutput
+from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
+from armsight.app.verify.plan import PlanJob, run_plan
+from armsight.app.verify.run import ERRORS, VerifyJob, run_verify
+from armsight.calibrate.handeye import Setup
+from armsight.drivers import CameraSettings, PairSettings
+from armsight.drivers.live import MAX_SKEW_S
+from armsight.records import ByValue, Progress, one_of, require_number
+from armsight.store import read_poses
+from armsight.store.atomic import read_bytes
+from armsight.store.interpret import TableFormat
+from armsight.store.recording import ImageFormat
+from armsight.store.saving import file_to_write
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+ARRAYS: ConfigDict = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, arbitrary_types_allowed=True)
+"""Of results that hold arrays or records beside the figures."""
+
+Columns = dict[str, Any]
+
+
+class MeasureResult(ByValue, MeasureOutput):
+    """What `measure` found: the figures of measure.json, and `poses`, the track."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    poses: Annotated[PoseTrack, Field(exclude=True, repr=False)]
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure of the poses over time."""
+        return self.poses.plot()
+
+
+class VerifyResult(ByValue, VerifyOutput):
+    """What `verify` found: the figures of verify.json, and `errors`, columns by row of what was compared."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    errors: Annotated[Columns, Field(exclude=True, repr=False)]
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure of each row's error of place, mm."""
+        import plotly.graph_objects as go
+
+        figure = go.Figure(go.Scatter(x=self.errors["row"], y=1e3 * self.errors["error_m"], mode="markers"))
+        figure.update_layout(title=self.verdict, xaxis_title="row", yaxis_title="error, mm")
+        return figure
+
+
+class JoinResult(ByValue, JoinOutput):
+    """What `join` found: its figures, and `table`, the columns of the rows that belong together."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    table: Annotated[Columns, Field(exclude=True, repr=False)]
+
+
+@speaks_python
+def measure(
+    rig: RigLike,
+    target: TargetLike,
+    left: Source | None = None,
+    right: Source | None = None,
+    *,
+    image: Source | None = None,
+    times: TableLike | None = None,
+    world: PlaceLike | None = None,
+    fps: float | None = None,
+    frames: int | None = None,
+    threshold: float | None = None,
+    inverted: bool = False,
+    stills: bool = False,
+    bits: int | None = None,
+    strict: bool = False,
+    mask: ArrayLike | PathText | None = None,
+    max_skew_s: float = MAX_SKEW_S,
+    method: Literal["likelihood", "seed"] = "likelihood",
+    timing: Literal["auto", "pairs", "free"] = "auto",
+    rate_hz: float | None = None,
+    at: TableLike | None = None,
+    left_spots: TableLike | None = None,
+    right_spots: TableLike | None = None,
+    zoom_left: float | None = None,
+    zoom_right: float | None = None,
+    camera_settings: PairSettings | None = None,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> MeasureResult:
+    """Return the target's pose in every pair of frames.
+
+    Parameters
+    ----------
+    rig, target
+        Records, or their files; of a printed board also 'checkerboard:9x6:0.025'.
+    left, right
+        Folders, patterns, videos, one recording as left, 'camera:NAME', lists of images, or iterables of Frame.
+    image
+        Instead: images that hold both views of a mirror rig.
+    times
+        t_s of the frames, {'t_s': [...]}; else counted by fps.
+    world
+        T_base_rig (4, 4) or world.yaml: poses are then in this frame.
+    stills
+        The frames are single shots, not a motion.
+    bits
+        Of the light in 16-bit images.
+    out
+        A folder for poses.csv, report.html and the rest; None writes nothing.
+
+    Raises
+    ------
+    DataRefused
+        Frames of another size, left and right swapped, nothing found at all.
+    UsageError
+        Parameters that mean nothing together.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=3)
+    >>> done = armsight.measure(cell.rig, cell.target, [f.left for f in cell], [f.right for f in cell])
+    >>> done.n_ok, done.poses.T_parent_target.shape
+    (3, (3, 4, 4))
+    """
+    with Given(out) as given:
+        job = given.job(MeasureJob, locals(), limit=frames, zoom=(zoom_left, zoom_right), out=given.out)
+        done = run_measure(job, progress)
+        poses = PoseTrack(poses=read_poses(given.out / POSES))
+        return MeasureResult(**dict(done), poses=poses)
+
+
+@speaks_python
+def record(
+    out: PathText,
+    left: Source | None = None,
+    right: Source | None = None,
+    *,
+    cell: str | None = None,
+    seed: int = 0,
+    rig: RigLike | None = None,
+    target: TargetLike | None = None,
+    format: Literal["png", "raw", "jpeg"] | ImageFormat = "png",
+    colour: bool = False,
+    fps: float | None = None,
+    frames: int | None = None,
+    seconds_s: float | None = None,
+    max_skew_s: float = MAX_SKEW_S,
+    overwrite: bool = False,
+    camera_settings: CameraSettings | None = None,
+    progress: Progress | None = None,
+) -> RecordOutput:
+    """Write frames of both cameras into a recording (.mcap), with rig and target, and return what was recorded.
+
+    Parameters
+    ----------
+    out
+        FILE.mcap.
+    left, right
+        As `measure` takes them; or cell, a simulated one such as 'hand-cell', in their place.
+    format
+        png (bit for bit, small), raw (bit for bit, quick) or jpeg (smallest).
+    frames, seconds_s
+        When to stop; else with the frames.
+
+    Raises
+    ------
+    UsageError
+        The file is there already and overwrite is False, or there is nothing to record.
+    DeviceFailed
+        A camera or the disk; what was recorded until then is readable.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=2)
+    >>> sides = [f.left for f in cell], [f.right for f in cell]
+    >>> armsight.record(folder / "run.mcap", *sides, rig=cell.rig, target=cell.target).n_pairs
+    2
+    """
+    file_to_write(out, ".mcap")
+    with Given(out) as given:
+        kind = one_of(ImageFormat, "format", format)
+        return run_record(given.job(RecordJob, locals(), kind=kind, limit=frames, out=given.out), progress)
+
+
+@speaks_python
+def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: bool = False) -> RepairOutput:
+    """Make a readable recording of one that was cut off: as out, or in its place with the broken one kept beside it.
+
+    Raises BadFile for what is no recording, UsageError where a file would be lost.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> armsight.repair_recording(folder / "run.mcap", folder / "whole.mcap").lost_bytes
+    0
+    """
+    return mend(as_path(path), None if out is None else as_path(out, "out"), overwrite=overwrite)
+
+
+@speaks_python
+def verify(
+    measured: TableLike,
+    *,
+    arm: ArmLike | None = None,
+    joints: TableLike | None = None,
+    commanded: TableLike | None = None,
+    world: PlaceLike | None = None,
+    align: Literal["none", "base", "tool", "both"] | None = None,
+    compare: PathText | None = None,
+    band_m: float | None = None,
+    table: TableFormat | None = None,
+    out: PathText | None = None,
+) -> VerifyResult:
+    """Return how measured poses differ from where the arm says it is, and what the difference comes from.
+
+    Parameters
+    ----------
+    measured
+        Poses or points: a file, a PoseTrack, columns by name, (t_s, T). With columns pose and visit, or run, also the
+        figures of ISO 9283, in `iso9283`.
+    arm, joints
+        Where the arm says it is: an Arm, a preset's name or a file, and the controller's readings (t_s, q).
+    commanded
+        Instead of an arm: the poses that were commanded.
+    world
+        T_base_rig, where the measuring rig stands: nothing is then aligned.
+    align
+        What is laid where it fits best; else both, and none with world.
+    compare
+        The folder of an earlier run.
+    band_m
+        The limit band of arrivals at a pose.
+    table
+        What is said of a foreign table: units, columns, the robot's maker.
+    out
+        A folder for verify.json, errors.csv and report.html; None writes nothing.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent, Degenerate
+        Rows that cannot carry the answer.
+    UsageError
+        Parameters that mean nothing together.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.ur10()
+    >>> q = np.random.default_rng(1).uniform(-1.5, 1.5, (40, 6))
+    >>> armsight.verify(arm.fk(q), arm=arm, joints=q, align="none").after.rms_m < 1e-9
+    True
+    """
+    with Given(out) as given:
+        done = run_verify(given.job(VerifyJob, locals(), out=given.out))
+        return VerifyResult(**dict(done), errors=read_columns((given.out / ERRORS).read_bytes()))
+
+
+@speaks_python
+def plan_verification(
+    arm: ArmLike,
+    out: PathText,
+    part: str = "cube",
+    *,
+    side_m: float | None = None,
+    speed_m_s: float | None = None,
+    progress: Progress | None = None,
+) -> VerifyPlanOutput:
+    """Write plan.csv, the test of ISO 9283 for an arm, into a folder, and return what it holds.
+
+    part: cube (all), poses, paths, or a motion's name. side_m: of the cube; else the largest that fits. speed_m_s:
+    along the paths. Raises UsageError, DataRefused where no cube fits.
+
+    Examples
+    --------
+    >>> armsight.plan_verification("irb120", folder / "plan", "poses", side_m=0.1).cube.side_m
+    0.1
+    """
+    with Given(out) as given:
+        job = given.job(PlanJob, {"arm": arm, "what": part, "side_m": side_m, "speed_m_s": speed_m_s})
+        return run_plan(job, progress)
+
+
+@speaks_python
+def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | None = None) -> CompareOutput:
+    """Return whether two results of one kind agree within their uncertainty, and what the difference comes to.
+
+    a, b: rigs, cameras, hand-eye calibrations or arms; or their files, or the folders of two runs of measure or verify.
+    distance_m: at which rigs are compared; else 8 baselines. out: a folder for the report. Raises UsageError,
+    Inconsistent for two kinds.
+
+    Examples
+    --------
+    >>> rig = armsight.simulate("hand-cell", frames=1).rig
+    >>> armsight.compare(rig, rig).verdict
+    'Neither result tells how sure it is: whether they agree cannot be told...'
+    """
+    with Given() as given:
+        files = {name: given.file(name, value) for name, value in (("a", a), ("b", b))}
+        place = None if out is None else as_path(out, "out")
+        if distance_m is not None:
+            require_number("distance_m", distance_m)
+        return run_compare(CompareJob(**files, out=place, distance_m=distance_m))
+
+
+@speaks_python
+def join(
+    measured: TableLike,
+    *,
+    kind: Literal["points", "observed", "pairs"] = "points",
+    joints: TableLike | None = None,
+    arm: ArmLike | None = None,
+    robot_stream: TableLike | None = None,
+    setup: Literal["eye-in-hand", "eye-to-hand"] | Setup = "eye-in-hand",
+    offset_s: float | None = None,
+    still: bool = False,
+    table: TableFormat | None = None,
+    out: PathText | None = None,
+) -> JoinResult:
+    """Join a controller's log and measurements on different clocks: what was read and measured at the same moments.
+
+    Parameters
+    ----------
+    measured
+        Poses or points with times: a PoseTrack, (t_s, T), columns, or a file.
+    kind
+        Which table: points (for calibrate_arm), observed (calibrate_robot_world) or pairs (calibrate_hand_eye).
+    joints, arm
+        The controller's readings (t_s, q) on its own clock, and the arm; nominal is enough.
+    robot_stream
+        Instead: poses of the flange with times.
+    offset_s
+        To be added to measured times; else it is found.
+    still
+        One row, the mean, for each rest of the arm.
+    out
+        A table to write.
+
+    Returns
+    -------
+    JoinResult
+        `table`: its columns by name; offset_s and what was left out.
+
+    Examples
+    --------
+    >>> arm, t_s = armsight.presets.ur10(), np.linspace(0.0, 4.0, 400)
+    >>> q = np.outer(np.sin(1.3 * t_s), np.linspace(0.2, 0.5, 6)) + [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]
+    >>> round(armsight.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm).offset_s, 4)
+    -0.3
+    """
+    with Given(out, name="joined.csv") as given:
+        job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
+        done = run_join(job)
+        return JoinResult(**dict(done), table=read_columns(read_bytes(given.out, limit=10**9)))
+
+
+def read_columns(data: bytes) -> Columns:
+    """Return a table of ours as columns (n,): numbers where all cells are, NaN for empty ones, else texts."""
+    rows = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline="")))
+    header, body = rows[0], [row for row in rows[1:] if row]
+    return {name: _column([row[i] for row in body]) for i, name in enumerate(header)}
+
+
+def _column(cells: list[str]) -> Array | list[str]:
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells])
+    except ValueError:
+        return cells

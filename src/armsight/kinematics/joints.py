@@ -1,0 +1,168 @@
+"""What an arm is made of: joints with the links behind them, couplings, named points of the tool."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from numbers import Real
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent
+from armsight.records import frozen_array, require_kind, require_number
+
+Array = NDArray[np.float64]
+
+SAME_DIRECTION = 1e-12
+"""Share (squared) of an axis along another below which they are square to each other."""
+
+GAIN_RANGE = (0.5, 2.0)
+"""The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
+
+
+class JointType(StrEnum):
+    """A joint turns about its z axis or slides along it."""
+
+    REVOLUTE = "revolute"
+    PRISMATIC = "prismatic"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Joint:
+    """One joint and the link behind it.
+
+    Revolute: theta = sign * q + theta_rad. Prismatic: d = sign * q + d_m. beta_rad: Hayati's turn about y, for
+    nearly parallel axes. lower, upper: limits of q (rad or m). max_speed (rad/s or m/s) and stall_effort (N m or N)
+    where known. sign: +1 or -1, times the joint's scale where one was identified. compliance: how far the joint gives
+    way, rad per N m or m per N. mass_kg, com_m: of the link behind the joint, its centre of mass (3,) in the frame that
+    `link_frames` has for it; 0 where not known.
+    """
+
+    name: str
+    type: JointType = JointType.REVOLUTE
+    a_m: float = 0.0
+    alpha_rad: float = 0.0
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    beta_rad: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    sign: float = 1.0
+    max_speed: float | None = None
+    stall_effort: float | None = None
+    compliance: float = 0.0
+    mass_kg: float = 0.0
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "type", JointType(self.type))
+        except ValueError:
+            raise Inconsistent(
+                f"joint {self.name} is of unknown type {str(self.type)!r}",
+                consequence="The arm cannot be modelled",
+                cure="Use one of: " + ", ".join(JointType),
+            ) from None
+        require_kind("the name of a joint", self.name, str)
+        for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
+            value = getattr(self, key)
+            if isinstance(value, Real) and not math.isfinite(value):
+                raise Inconsistent(f"{key} of joint {self.name} is not finite", consequence="The arm has no geometry")
+            require_number(f"{key} of joint {self.name}", value)
+        for key in ("lower", "upper"):
+            require_kind(f"{key} of joint {self.name}", getattr(self, key), Real, cure="Give a number")
+        if not GAIN_RANGE[0] <= abs(self.sign) <= GAIN_RANGE[1]:
+            raise Inconsistent(
+                f"the sign of joint {self.name} is {self.sign:g}",
+                consequence="Its readings cannot be turned into angles",
+                cure="Use +1 or -1, times the joint's scale where that was identified",
+            )
+        if not self.lower < self.upper:
+            raise Inconsistent(
+                f"the limits of joint {self.name} are swapped or equal: lower {self.lower:g}, upper {self.upper:g}",
+                consequence="The joint could not move",
+                cure="Give the smaller one as lower; leave both out for a joint without limits",
+            )
+        self._check_drive()
+
+    def _check_drive(self) -> None:
+        """Raise Inconsistent where speed, effort, compliance or mass are none."""
+        for key in ("max_speed", "stall_effort"):
+            value = getattr(self, key)
+            if value is None:
+                continue
+            require_kind(f"{key} of joint {self.name}", value, Real, cure="Give a number")
+            if not (math.isfinite(value) and value > 0.0):
+                raise Inconsistent(
+                    f"{key} of joint {self.name} is {value:g}, which is not a positive number",
+                    consequence="No track can be held against it",
+                    cure="Leave it out where it is not known",
+                )
+        for key in ("compliance", "mass_kg"):
+            value = getattr(self, key)
+            require_kind(f"{key} of joint {self.name}", value, Real, cure="Give a number")
+            if not (math.isfinite(value) and value >= 0.0):
+                raise Inconsistent(
+                    f"{key} of joint {self.name} is {value:g}",
+                    consequence="How far it gives way under the arm's weight is not known",
+                    cure="Give a number from 0 up; 0 where it is not known",
+                )
+        com_m = frozen_array(f"com_m of joint {self.name}", self.com_m, (3,))
+        object.__setattr__(self, "com_m", tuple(com_m.tolist()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coupling:
+    """A controller's reading that is not the joint's own: value of joint = its reading + share * reading of by."""
+
+    joint: str
+    by: str
+    share: float = 1.0
+
+
+def check_couplings(couplings: Sequence[Coupling], names: Sequence[str]) -> None:
+    """Raise Inconsistent where a coupling names no joints, or one that does not come before."""
+    for coupling in couplings:
+        known = coupling.joint in names and coupling.by in names
+        if not known or names.index(coupling.by) >= names.index(coupling.joint):
+            raise Inconsistent(
+                f"{coupling.joint} is coupled to {coupling.by}, which is no joint before it",
+                consequence="Its readings cannot be turned into values",
+                cure=f"Name joints in their order from the base: {', '.join(names)}",
+            )
+        if not (math.isfinite(coupling.share) and abs(coupling.share) <= 2.0):
+            raise Inconsistent(f"{coupling.joint} is coupled to {coupling.by} by {coupling.share:g}, not by about one")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolPoint:
+    """A named point of the tool: xyz_m (3,) in flange axes, std_m (3,) of its coordinates, infinite where not known."""
+
+    name: str
+    xyz_m: Array
+    std_m: Array
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise Inconsistent("a point of the tool has no name", cure="Name it, for instance A")
+        object.__setattr__(self, "xyz_m", frozen_array(f"the place of tool point {self.name}", self.xyz_m, (3,)))
+        std = np.array(self.std_m, dtype=np.float64)
+        if std.shape != (3,) or not (std >= 0.0).all():  # also false for NaN
+            raise Inconsistent(
+                f"the standard deviations of tool point {self.name} are {std.tolist()}",
+                cure="Give three of x, y, z in m, none negative",
+            )
+        std.setflags(write=False)
+        object.__setattr__(self, "std_m", std)
+
+    def seen_from(self, T: RigidTransform) -> ToolPoint:
+        """Return the point in other axes, T those of the old ones in them; deviations turned as if independent."""
+        turn = np.asarray(T.rotation.as_matrix())
+        known = np.where(np.isfinite(self.std_m), self.std_m, 0.0)
+        std = np.sqrt(turn**2 @ known**2)
+        std[(turn**2 @ np.isinf(self.std_m)) > SAME_DIRECTION] = np.inf
+        return ToolPoint(name=self.name, xyz_m=np.asarray(T.apply(self.xyz_m)), std_m=std)

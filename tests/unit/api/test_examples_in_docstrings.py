@@ -1,0 +1,53 @@
+"""The examples in the docstrings of public names run, and every public function has one, or says why not."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import armsight
+
+NEEDS_MORE = {
+    **dict.fromkeys(
+        (
+            "calibrate_camera",
+            "calibrate_stereo",
+            "calibrate_mirrors",
+            "check_mirrors",
+            "calibrate_hand_eye_from_images",
+        ),
+        "needs many images of a board: tests/unit/api/test_main_jobs.py and the guides have them",
+    ),
+    **dict.fromkeys(("calibrate_target", "calibrate_timing", "calibrate_pivot"), "needs a recorded wave or turn"),
+    **dict.fromkeys(("calibrate_zoom_rig",), "needs calibrations at several zooms"),
+    **dict.fromkeys(("servo", "play", "supervise", "identify_arm_live"), "takes seconds of a robot's time: the guides"),
+    **dict.fromkeys(("identify_arm_from_frames",), "needs the frames of a sweep: the guide"),
+    **dict.fromkeys(("reproduce",), "takes minutes: the guide"),
+    **dict.fromkeys(("connect",), "needs a server: the guide, and test_remote.py"),
+}
+"""Public functions without an example that could run here, and why."""
+
+FUNCTIONS = [name for name in dir(armsight) if inspect.isfunction(getattr(armsight, name)) and name[0].islower()]
+
+
+def _examples(name: str) -> list[doctest.Example]:
+    return doctest.DocTestParser().get_examples(inspect.getdoc(getattr(armsight, name)) or "")
+
+
+def test_every_public_function_has_an_example_or_a_reason() -> None:
+    assert {name for name in FUNCTIONS if not _examples(name)} == set(NEEDS_MORE)
+
+
+@pytest.mark.parametrize("name", [name for name in FUNCTIONS if name not in NEEDS_MORE])
+def test_the_example_runs(name: str, tmp_path: Path) -> None:
+    names = {"armsight": armsight, "np": np, "folder": tmp_path, "Rotation": Rotation, "RigidTransform": RigidTransform}
+    test = doctest.DocTest(_examples(name), names, name, None, 0, None)
+    told: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    runner.run(test, out=told.append)
+    assert runner.failures == 0, "".join(told)

@@ -1,0 +1,172 @@
+"""The Python face does what the command line does: every flag has a name, types are told, units and words agree."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import armsight
+
+ROOT = Path(__file__).resolve().parents[3]
+CELL = armsight.simulate("hand-cell", frames=3)
+FRAMES = list(CELL)
+LEFT, RIGHT = [f.left for f in FRAMES], [f.right for f in FRAMES]
+
+
+def test_the_page_has_every_flag_of_the_parser() -> None:
+    done = subprocess.run(
+        [sys.executable, "tools/python_flags.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_flag_without_a_name_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    import python_flags
+
+    monkeypatch.setattr(python_flags, "flags", lambda: iter([("measure", "--planted")]))
+    with pytest.raises(SystemExit, match="measure --planted"):
+        python_flags.table()
+
+
+def test_importing_all_and_dir_agree_and_packages_hide_no_function() -> None:
+    names: dict[str, object] = {}
+    exec("from armsight import *", names)
+    assert set(names) - {"__builtins__"} == set(dir(armsight)) == set(armsight.__all__)
+    for package in ("measure.settings", "verify.pairing"):
+        import_module(f"armsight.{package}")
+    assert callable(armsight.measure) and callable(armsight.verify)
+
+
+USE = """
+import numpy as np
+import armsight
+
+cell = armsight.simulate("hand-cell")
+pose = armsight.estimate_pose("l.png", "r.png", cell.rig, cell.target)
+reveal_type(pose.xyz_m)
+reveal_type(armsight.verify("poses.csv", arm="ur10", joints=(np.zeros(3), np.zeros((3, 6)))).after)
+reveal_type(armsight.presets.ur10().save("arm.urdf"))
+armsight.calibrate_hand_eye(np.eye(4), np.eye(4), setup="eye-to-hand")
+armsight.calibrate_hand_eye(np.eye(4), np.eye(4), setup="nowhere")
+armsight.nonsense
+armsight.measure(cell.rig, cell.target, left=3)
+"""
+
+
+def test_type_checkers_see_names_and_types(tmp_path: Path) -> None:
+    (tmp_path / "use.py").write_text(USE, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--no-error-summary", "--cache-dir", str(ROOT / ".mypy_cache"), "--config-file",
+         str(ROOT / "pyproject.toml"), str(tmp_path / "use.py")],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    told = [line.partition("use.py:")[2] for line in done.stdout.splitlines() if "use.py:" in line]
+    by_line = {int(line.partition(":")[0]): line for line in told}
+    assert "ndarray" in by_line[7] and "None" not in by_line[7]
+    assert "PoseError | None" in by_line[8] and "Path" in by_line[9]
+    assert 10 not in by_line
+    assert all("error" in by_line[number] for number in (11, 12, 13))
+
+
+def test_measure_is_the_same_from_arrays_files_and_a_recording(tmp_path: Path) -> None:
+    for side, images in (("left", LEFT), ("right", RIGHT)):
+        (tmp_path / side).mkdir()
+        for i, image in enumerate(images):
+            cv2.imwrite(str(tmp_path / side / f"{i}.png"), image)
+    rig, target = CELL.rig.save(tmp_path / "rig.yaml"), CELL.target.save(tmp_path / "target.yaml")
+    one = armsight.measure(CELL.rig, CELL.target, LEFT, RIGHT)
+    two = armsight.measure(str(rig), target, tmp_path / "left", tmp_path / "right", out=tmp_path / "run")
+    armsight.record(tmp_path / "run.mcap", LEFT, RIGHT, rig=CELL.rig, target=target)
+    three = armsight.measure(CELL.rig, CELL.target, tmp_path / "run.mcap")
+    assert one.poses == two.poses == armsight.read_poses(tmp_path / "run" / "poses.csv")
+    assert one.n_ok == two.n_ok == three.n_ok == 3
+    assert one.plot() is not None and one != three
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        ["left", "right", "rig.yaml", "run", "run.mcap", "target.yaml"]
+    )
+
+
+def test_twelve_bits_are_the_same_in_arrays_and_files_and_never_cut(tmp_path: Path) -> None:
+    deep = LEFT[0].astype(np.uint16) * 16 + 7
+    assert deep.max() < 4096
+    cv2.imwrite(str(tmp_path / "deep.png"), deep)
+    np.testing.assert_array_equal(
+        armsight.find_spots(deep, bits=12).uv_px, armsight.find_spots(tmp_path / "deep.png", bits=12).uv_px
+    )
+    for image in (deep, tmp_path / "deep.png"):
+        with pytest.raises(armsight.BadImage, match="bits"):
+            armsight.find_spots(image)
+        with pytest.raises(armsight.BadImage):
+            armsight.find_spots(image, bits=9)
+
+
+def test_colours_are_blue_first() -> None:
+    image = np.zeros((240, 320, 3), np.uint8)
+    image[100:104, 200:204] = (0, 0, 255)  # red, as OpenCV has it
+    red = armsight.SpotSettings(colour=armsight.Colour(hue_deg=(340.0, 20.0)))
+    assert len(armsight.find_spots(image, red)) == 1
+    assert len(armsight.find_spots(image[:, :, ::-1], red)) == 0
+
+
+def test_a_lost_pose_raises_the_reason_and_still_shows_itself() -> None:
+    lost = armsight.estimate_pose(np.zeros_like(LEFT[0]), np.zeros_like(RIGHT[0]), CELL.rig, CELL.target)
+    assert not lost.ok and lost.why and "lost" in repr(lost) and lost.to_dict()["T_rig_target"] is None
+    for name in ("T_rig_target", "xyz_m", "covariance", "std"):
+        with pytest.raises(armsight.NotEnoughData, match="the pose is lost"):
+            getattr(lost, name)
+
+
+def test_endings_decide_and_no_folder_is_made(tmp_path: Path) -> None:
+    arm = armsight.presets.ur10()
+    assert "<robot" in arm.save(tmp_path / "a.urdf").read_text()
+    assert armsight.read_arm(tmp_path / "a.urdf").n == 6
+    with pytest.raises(armsight.UsageError, match=r"\.yaml or \.yml or \.urdf"):
+        arm.save(tmp_path / "a.txt")
+    with pytest.raises(armsight.UsageError, match="no folder"):
+        arm.save(tmp_path / "nowhere" / "a.yaml")
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_errors_name_parameters_and_functions_not_flags() -> None:
+    for call in (
+        lambda: armsight.measure(CELL.rig, CELL.target),
+        lambda: armsight.measure(CELL.rig, CELL.target, LEFT, RIGHT, rate_hz=10.0),
+        lambda: armsight.verify(CELL.T_rig_target, arm="ur10"),
+        lambda: armsight.jog("sim:webcam-cell", 1, 0.01),
+        lambda: armsight.join((CELL.t_s, CELL.T_rig_target)),
+    ):
+        with pytest.raises(armsight.ArmsightError) as caught:
+            call()
+        assert "--" not in str(caught.value) and "armsight-" not in str(caught.value)
+
+
+def test_records_are_equal_by_value_and_no_further() -> None:
+    rig = armsight.simulate("hand-cell", frames=1).rig
+    assert rig == CELL.rig and hash(rig) == hash(CELL.rig) and rig != CELL.target
+    assert armsight.presets.ur10() == armsight.presets.ur10() != armsight.presets.irb120()
+    moved = armsight.PoseTrack(poses=armsight.measure(CELL.rig, CELL.target, LEFT, RIGHT).poses.poses[:2])
+    assert moved != armsight.PoseTrack()
+
+
+def test_a_scenario_is_an_object_and_its_truth_is_told() -> None:
+    plain = armsight.read_scenario("webcam-cell")
+    cell = armsight.simulate({**plain, "seed": 9}, frames=3)
+    assert cell.T_rig_target.shape == (3, 4, 4) and cell.arm.n == cell.arm_true.n == cell.joints[1].shape[1]
+    assert (cell.T_base_rig is None) != (cell.T_flange_rig is None)
+    with pytest.raises(armsight.BadFile, match="nonsense"):
+        armsight.simulate({**plain, "nonsense": 1})
+
+
+def test_position_alone_is_solved_for_six_joints() -> None:
+    arm, q = armsight.presets.ur10(), np.array([0.0, -1.0, 1.0, 1.0, 2.0, 0.0])
+    T = arm.fk(q)
+    T[:3, :3] = np.eye(3)
+    found = arm.ik(T, near=q, task="position")
+    np.testing.assert_allclose(arm.fk(found[0].q)[:3, 3], T[:3, 3], atol=1e-6)

@@ -1,0 +1,237 @@
+"""Write the table of docs/python.md: every flag of the command line with the Python name that does it.
+
+python tools/python_flags.py [--check]
+
+A flag is a parameter of the command's function where that has one of its name (api.commands.parameter); what is done
+otherwise stands in OTHERWISE, and what is not done at all in WHY_NOT, with the reason. Exits 1 for a flag without
+either, for an entry that no flag needs any more, and with --check where the page is not as it would be written.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from pathlib import Path
+
+import typer
+
+import armsight
+from armsight.api.commands import COMMANDS, parameter
+from armsight.cli.commands import app
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "python.md"
+BEGIN, END = "<!-- flags -->", "<!-- end of flags -->"
+
+FUNCTIONS: Mapping[str, tuple[str, ...]] = {
+    "verify": ("verify", "supervise", "plan_verification", "propose_mastering_poses", "check_mastering"),
+    "identify": ("identify_arm", "identify_arm_from_frames", "identify_arm_live"),
+    "simulate": ("write_simulation", "simulate"),
+    "record": ("record", "repair_recording"),
+    "calibrate camera": ("calibrate_camera", "CameraResult.save", "calibrate_noise"),
+    "calibrate handeye": (
+        "calibrate_hand_eye",
+        "calibrate_hand_eye_from_images",
+        "calibrate_hand_eye_from_streams",
+        "HandEyeResult.propose",
+    ),
+    "calibrate arm": ("calibrate_arm", "ArmResult.propose"),
+    "calibrate mirrors": ("calibrate_mirrors", "check_mirrors"),
+    "convert camera": ("convert", "read_camera"),
+    "convert rig": ("convert", "read_rig"),
+    "convert table": ("convert", "read_table"),
+    "convert arm": ("convert", "read_arm"),
+    "kinematics ik": ("Arm.ik_many", "Arm.ik"),
+    "kinematics formulas": ("write_formulas",),
+    "kinematics show": ("show_arm",),
+    "path from-picks": ("paths.from_picks",),
+}
+"""Commands that several functions do, or others than COMMANDS names."""
+
+CAMERA = {
+    "--exposure": "exposure_s",
+    "--gain": "gain",
+    "--focus": "focus",
+    "--white-balance": "white_balance_k",
+    "--trigger": "trigger",
+    "--pixel-format": "pixel_format",
+}
+TABLE = {
+    "--euler": "euler",
+    "--columns": "columns",
+    "--robot-format": "robot",
+    "--units": "units",
+    "--as-stated": "as_stated",
+}
+ANYWHERE: Mapping[str, str] = {
+    "--json": "results are objects: `to_dict()` gives what this prints",
+    "--overwrite": "the folder `out` is written to as it is",
+    **{flag: f"`camera_settings=CameraSettings({name}=...)`" for flag, name in CAMERA.items()},
+    **{flag: f"`table=TableFormat({name}=...)`, here or in `read_table`" for flag, name in TABLE.items()},
+    "--tip": "`read_arm(path, tip=...)`",
+    "--base": "`read_arm(path, base=...)`",
+    "--workers": "all cores are used",
+    "--strict": "an image that cannot be read raises BadImage",
+    "--every": "`images[::k]`",
+    "--frames": "`images[:n]`",
+    "-o": "`save(path)` of what is returned",
+    "--set-zoom": "`camera_settings=CameraSettings(zoom=...)`",
+}
+"""What is done otherwise wherever a command's functions have no such parameter."""
+
+OTHERWISE: Mapping[tuple[str, str], str] = {
+    ("verify", "--plan"): "`plan_verification`",
+    ("verify", "--side"): "`plan_verification(side_m)`",
+    ("verify", "--speed"): "`plan_verification(speed_m_s)`",
+    ("verify", "--live"): "`supervise`",
+    ("verify", "--mastering"): "`propose_mastering_poses`, then `check_mastering`",
+    ("verify", "--joint-std"): "`supervise(joint_std)`, rad or m",
+    ("identify", "--sweep"): "`identify_arm(joint, q, xyz_m)` of `read_table(path)`",
+    ("identify", "--world"): "`identify_arm(T_base_rig)`",
+    ("identify", "--live"): "`identify_arm_live(robot)`",
+    ("record", "--repair"): "`repair_recording(path)`",
+    ("calibrate camera", "source"): "`calibrate_camera(images)`",
+    ("calibrate camera", "--lens"): "`calibrate_camera(options=BoardOptions(lens=...))`",
+    ("calibrate camera", "--every"): "`images[::k]`; `calibrate_noise(every)`",
+    ("calibrate camera", "--frames"): "`images[:n]`; `calibrate_noise(limit)`",
+    ("calibrate stereo", "--left"): "`calibrate_stereo(left_images)`",
+    ("calibrate stereo", "--right"): "`calibrate_stereo(right_images)`",
+    ("calibrate stereo", "--lens"): "`calibrate_stereo(options=BoardOptions(lens=..., right_lens=...))`",
+    ("calibrate handeye", "--pairs"): "`calibrate_hand_eye(T_base_flange, T_camera_target)` of `read_table(path)`",
+    ("calibrate handeye", "--robot"): "`calibrate_hand_eye_from_images(T_base_flange)`",
+    ("calibrate handeye", "--propose"): "`HandEyeResult.propose(n)`",
+    ("calibrate tooltip", "--poses"): "`calibrate_tool_tip(T_world_target)` of `read_poses(path)`",
+    ("calibrate arm", "--model"): "`calibrate_arm(nominal)`",
+    ("calibrate arm", "--points"): "`calibrate_arm(q, xyz_m)` of `read_table(path)`",
+    ("calibrate arm", "--propose"): "`ArmResult.propose(n)`",
+    ("calibrate arm", "--world"): "`ArmResult.propose(T_base_rig)`",
+    ("calibrate robot-world", "--points"): "`calibrate_robot_world(q, xyz_m)` of `read_table(path)`",
+    ("calibrate mirrors", "--image"): "`calibrate_mirrors(images)`, `check_mirrors(image)`",
+    ("calibrate mirrors", "--check"): "`check_mirrors`",
+    ("convert recording", "source"): "`export_recording(path)`",
+    ("convert arm", "-o"): "`convert(out)`, or `Arm.save(path)`: the ending decides",
+    ("convert handeye", "--base"): "`convert(names=FrameNames(base=...))`",
+    ("convert handeye", "--flange"): "`convert(names=FrameNames(flange=...))`",
+    ("convert handeye", "--camera-frame"): "`convert(names=FrameNames(camera=...))`",
+    ("convert handeye", "--target"): "`convert(names=FrameNames(target=...))`",
+    ("convert table", "--arm"): "`table=TableFormat(joints=...)`, the joints' names",
+    ("kinematics fk", "--arm"): "`read_arm(path)`, `presets`",
+    ("kinematics fk", "--joints"): "`Arm.fk(q)` of `read_joints(path)`",
+    ("kinematics fk", "-o"): "`write_table(path, (t_s, T))`",
+    ("kinematics ik", "--arm"): "`read_arm(path)`, `presets`",
+    ("kinematics ik", "--poses"): "`Arm.ik_many(T_world_tool)` of `read_poses(path)`",
+    ("kinematics ik", "-o"): "`write_table(path, columns)`",
+    ("kinematics ik", "--all"): "each entry holds all solutions, nearest first",
+    ("kinematics jacobian", "--arm"): "`read_arm(path)`, `presets`",
+    ("kinematics jacobian", "--joints"): "`Arm.jacobian(q)` of `read_joints(path)`",
+    ("kinematics jacobian", "-o"): "`write_table(path, columns)`",
+    ("kinematics path", "--arm"): "`read_arm(path)`, `presets`",
+    ("kinematics path", "--poses"): "`Arm.track(T_world_tool, t_s)` of `read_poses(path)`",
+    ("kinematics path", "--start"): "`Arm.track(near)`",
+    ("kinematics path", "-o"): "`write_joints(path, t_s, track.q)`",
+    ("kinematics show", "--joints"): "`show_arm(q)`",
+    ("path smooth", "--bound-deg"): "`paths.smooth(bound_rad)`",
+    ("path angle", "--travel-deg"): "`paths.angle(travel_rad)`",
+    ("path angle", "--work-deg"): "`paths.angle(work_rad)`",
+    ("path join", "sources"): "`paths.join(first, second)`",
+    ("path join", "--gap-deg"): "`paths.join(gap_rad)`",
+    ("path from-picks", "--view"): "`paths.from_picks(view)`",
+    ("doctor", "--depth"): "`doctor(depths_m)`",
+    ("doctor", "--sigma"): "`doctor(sigma_px)`",
+    ("doctor", "--accuracy"): "`doctor(accuracy_m)`",
+    ("teach", "--wait"): "read the frames when they are wanted",
+    ("join", "--offset"): "`join(offset_s)`",
+    **{(f"path {name}", "source"): f"`paths.{name}(path)` of `read_path(path)`" for name in ("check", "export")},
+    **{
+        (f"path {name}", "source"): f"`paths.{name}(path)` of `read_path(path)`"
+        for name in ("smooth", "resample", "fillet", "offset", "angle", "reverse")
+    },
+}
+"""What a flag of one command is in Python, where that is no parameter of its name."""
+
+WHY_NOT: Mapping[str | tuple[str, str], str] = {
+    "console": "a page for an operator: run the command",
+    "serve": "a process that outlives a script: run the command, and `connect` to it",
+    "demo": "`simulate` and `measure` do it; the command is for a first look",
+    ("calibrate mirrors", "--left-only"): "covered views are joined by the command alone: it is done once, on a bench",
+    ("calibrate mirrors", "--right-only"): "as `--left-only`",
+    (
+        "calibrate mirrors",
+        "--target",
+    ): "lit targets calibrate by the command alone: it is done once, on a bench",
+    ("calibrate mirrors", "--index"): "of glass; another one by the command",
+    ("path from-picks", "--near"): "bounds of the search: as the rig sees them",
+    ("path from-picks", "--far"): "bounds of the search: as the rig sees them",
+    ("path from-picks", "--patch-px"): "the patch is as the command has it",
+    ("path from-picks", "--pick-std-px"): "the picks' deviation is as the command has it",
+    ("robot jog", "--with"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
+    ("robot jog", "--frame"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
+}
+"""Commands and flags without a Python name, and why."""
+
+
+def flags() -> Iterator[tuple[str, str]]:
+    """Yield every command with each of its flags and arguments."""
+
+    def walk(command: object, name: str) -> Iterator[tuple[str, str]]:
+        inner = getattr(command, "commands", None)
+        if inner is not None:
+            for key, one in inner.items():
+                yield from walk(one, f"{name} {key}".strip())
+            return
+        for one in command.params:  # type: ignore[attr-defined]  # a click command
+            opts = [opt for opt in one.opts if opt.startswith("-")]
+            yield name, opts[0] if opts else str(one.name)
+
+    yield from walk(typer.main.get_command(app), "")
+
+
+def functions(command: str) -> tuple[str, ...]:
+    """Return the public names that do a command."""
+    if command.startswith("path ") and command not in FUNCTIONS:
+        return (f"paths.{command.removeprefix('path ')}",)
+    return FUNCTIONS.get(command) or ((COMMANDS[command],) if command in COMMANDS else ())
+
+
+def in_python(command: str, flag: str) -> str:
+    """Return what a flag is in Python, or ''."""
+    if command in WHY_NOT:
+        return WHY_NOT[command]
+    if (command, flag) in OTHERWISE:
+        return OTHERWISE[command, flag]
+    wanted = parameter(flag) if flag.startswith("-") else flag
+    for name in functions(command):
+        call = reduce(getattr, name.split("."), armsight)
+        if wanted in inspect.signature(call).parameters:  # type: ignore[arg-type]  # a function, or a method
+            return f"`{name}({wanted})`"
+    return ANYWHERE.get(flag) or WHY_NOT.get((command, flag), "")
+
+
+def table() -> str:
+    """Return the table. Raises SystemExit for a flag without a name or a reason, and for entries of no flag."""
+    rows, missing = ["| command | flag | in Python |", "|---|---|---|"], []
+    seen: set[object] = set()
+    for command, flag in flags():
+        told = in_python(command, flag)
+        seen |= {command, (command, flag)}
+        if not told:
+            missing.append(f"{command} {flag}")
+        rows.append(f"| {command} | `{flag}` | {told} |")
+    unneeded = [str(key) for key in (*OTHERWISE, *WHY_NOT) if key not in seen]
+    if missing or unneeded:
+        sys.exit(f"no Python name or reason: {missing}; not needed: {unneeded}")
+    return "\n".join(rows)
+
+
+def page() -> str:
+    """Return docs/python.md with the table as it is now."""
+    text = PAGE.read_text(encoding="utf-8")
+    return f"{text.partition(BEGIN)[0]}{BEGIN}\n\n{table()}\n\n{END}{text.partition(END)[2]}"
+
+
+if __name__ == "__main__":
+    made = page()
+    if "--check" in sys.argv:
+        sys.exit(0 if made == PAGE.read_text(encoding="utf-8") else "docs/python.md: run tools/python_flags.py")
+    PAGE.write_text(made, encoding="utf-8")
