@@ -6,6 +6,7 @@ import contextlib
 import errno
 import json
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -40,6 +41,16 @@ LONGEST_SHOWN = 60
 """Letters of a name that the system found too long."""
 LINE_EVERY_S = 5.0
 """How often progress is told where there is no terminal to draw a bar on."""
+
+
+def own_command() -> str:
+    """Return how this armsight is called from here: by its name where the shell finds it, else by where it is."""
+    own, found = Path(sys.executable).parent / "armsight", shutil.which("armsight")
+    if not own.exists():
+        return "armsight" if found else f"{sys.executable} -m armsight"
+    if found is not None and own.samefile(found):
+        return "armsight"
+    return str(own.relative_to(Path.cwd())) if own.is_relative_to(Path.cwd()) else str(own)
 
 
 class CommandUI:

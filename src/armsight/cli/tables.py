@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armsight.cli.command_ui import CommandUI
+from armsight.cli.command_ui import CommandUI, own_command
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
@@ -289,7 +289,11 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
             f"{real.n_ok} of {real.n_pairs}: {real.out}"
         )
     face.say(f"All in {figure(result.seconds_s, 2)} s.")
-    face.say("The operator's page of a simulated cell: armsight console --robot sim:webcam-cell")
+    command = own_command()
+    face.say(f"The operator's page of a simulated cell: {command} console --robot sim:webcam-cell")
+    if command != "armsight":
+        folder = Path(command.split()[0]).parent
+        face.say(f"The shell does not know armsight yet: call {command}, or first type: . {folder / 'activate'}")
 
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:
