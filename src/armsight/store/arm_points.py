@@ -59,19 +59,17 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     rotation = None
     if turns:
         with named(str(path)):
-            poses = [
-                pose_from_quat(xyz, quat)
-                for xyz, quat in zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
-            ]
-        rotation = np.stack([pose.rotation.as_matrix() for pose in poses])
+            each = zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
+            rotation = np.stack([pose_from_quat(xyz, quat).rotation.as_matrix() for xyz, quat in each])
     t_s = table.numbers.get("t_s")
+    lines = [i for i, line in enumerate(whole.splitlines(), 1) if line.strip()]
     return ArmPoints(
         q=table.stacked(readings),
         xyz_m=table.stacked(POSITION),
         rotation=rotation,
         point=table.text.get("point", ()),
         t_s=None if t_s is None or np.isnan(t_s).any() else t_s,
-        row=np.searchsorted([i for i, line in enumerate(whole.splitlines(), 1) if line.strip()], table.lines) - 1,
+        row=np.searchsorted(lines, table.lines) - 1,
     )
 
 
