@@ -67,12 +67,23 @@ def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
 
 
 def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
-    """Return the rows of a pose: place with standard deviation in mm, that of the rotation in degrees."""
-    turns = zip("xyz", std.rotation_rad, strict=True)
-    return [
-        *tip_rows(pose.xyz_m, std),
-        *([f"about {axis}", "", f"{figure(deviation / DEG, 2)} deg"] for axis, deviation in turns),
+    """Return the rows of a pose: place in mm and rotation vector in degrees, each with its standard deviation."""
+    from scipy.spatial.transform import Rotation  # what only prints help does without it
+
+    places = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.xyz_m, std)]
+    turns = zip("xyz", Rotation.from_quat(pose.quat_xyzw).as_rotvec(), std.rotation_rad, strict=True)
+    return places + [
+        [f"rotation vector {axis}, deg", figure(value / DEG, 6), figure(deviation / DEG, 2)]
+        for axis, value, deviation in turns
     ]
+
+
+def parameter(name: str, *values: float) -> list[str]:
+    """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
+    for ending, factor, unit in (("_m", MM, "mm"), ("_rad", DEG, "deg")):
+        if name.endswith(ending):
+            return [f"{name.removesuffix(ending)}, {unit}", *(figure(value / factor, 4) for value in values)]
+    return [name, *(figure(value, 4) for value in values)]
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:

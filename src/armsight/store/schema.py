@@ -162,8 +162,8 @@ def _format_cure(content: Mapping[str, Any], format_: str) -> str:
         return "This is one camera, and a rig is two: give the rig.yaml of `armsight calibrate stereo`"
     if kind is not None and name == "rig" and of_one:
         return (
-            "This is one camera, and a rig is two: give the rig.yaml of `armsight calibrate stereo`, or where both were "
-            "calibrated together that of `armsight convert rig LEFT RIGHT -o rig.yaml`"
+            "This is one camera, and a rig is two: give the rig.yaml of `armsight calibrate stereo`, or where both "
+            "were calibrated together that of `armsight convert rig LEFT RIGHT -o rig.yaml`"
         )
     if kind is not None and kind.startswith("armsight/"):
         return f"Give a file that begins with 'format: {format_}', not one of {kind}"
