@@ -14,6 +14,7 @@ from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import dh_arm, fk
 from armsight.store.arm_points import read_arm_points
+from armsight.store.verify_files import read_measured
 
 Array = NDArray[np.float64]
 
@@ -102,6 +103,28 @@ def test_columns_that_verify_passes_over_are_read_past_and_slips_are_not(tmp_pat
     assert read_arm_points(path).xyz_m.tolist() == [[0.3, 0.4, 0.5]]
     path.write_text("q1,q2,x_m,y_m,z_m,points\n0.1,0.2,0.3,0.4,0.5,A\n")
     with pytest.raises(BadFile, match="did you mean 'point'"):
+        read_arm_points(path)
+
+
+def test_a_measured_file_that_verify_takes_is_taken_and_rows_keep_their_numbers(tmp_path: Path) -> None:
+    points, _, _ = simulated(4, 1e-4, m=60)
+    xyz = np.array(points.xyz_m)
+    xyz[50] += 0.05
+    rows = [
+        [str(k), *map(repr, (*points.q[k].tolist(), *xyz[k].tolist())), "1e-4", "1e-4", "1e-4", "ok"] for k in range(60)
+    ]
+    rows[3][7:] = ["", "", "", "", "", "", "lost"]
+    rows[5][-1] = "doubtful"
+    path = tmp_path / "measured.csv"
+    header = "t_s,q1,q2,q3,q4,q5,q6,x_m,y_m,z_m,sx_m,sy_m,sz_m,status"
+    path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n")
+    assert read_measured(path).measured.rows.tolist() == [k + 1 for k in range(60) if k not in (3, 5)]
+    read = read_arm_points(path)
+    assert len(read) == 58 and read.row is not None and read.row[-1] == 59
+    result = calibrate_arm(NOMINAL, replace(read, t_s=None))
+    assert 50 in [row for row, _ in result.outliers]
+    path.write_text(path.read_text().replace(",lost", ",ok"))
+    with pytest.raises(BadFile, match="line 5, column x_m: empty"):
         read_arm_points(path)
 
 

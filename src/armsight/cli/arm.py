@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, Base, Tip
+from armsight.cli.options import KNOWN_ARM, AsJson, Base, Tip
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
-from armsight.cli.tables import figure, pose_rows
+from armsight.cli.tables import figure, parameter, pose_rows
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
 
 @takes_tables
 def arm(
-    model: Annotated[str, typer.Option(metavar="ARM", help="The nominal arm: arm.yaml, .urdf or a preset's name.")],
+    model: Annotated[str, typer.Option(metavar="ARM", help=f"The nominal arm: {KNOWN_ARM}.")],
     points: Annotated[Path, typer.Option(help="points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s].")],
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
     holdout: Annotated[Path | None, typer.Option(help="Further points, only for judging.")] = None,
@@ -73,9 +73,9 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
         for name, before, after in named
     ]
     face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
-    freed = [[name, _shown(name, done.corrections[name]), _shown(name, done.std[name])] for name in done.free]
+    freed = [parameter(name, done.corrections[name], done.std[name]) for name in done.free]
     if freed:
-        face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
+        face.table("Corrections", ["", "by", "+-"], freed)
     face.say(done.verdict)
     for note in done.notes:
         if note not in done.verdict:
@@ -87,14 +87,14 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     for q in done.proposals or ():
         face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
     if done.expected_std is not None:
-        expected = [[name, _shown(name, value)] for name, value in done.expected_std.items()]
-        face.table("Standard deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
+        expected = [parameter(name, value) for name, value in done.expected_std.items()]
+        face.table("Standard deviations to expect with those measured too", ["", "+-"], expected)
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
 @takes_tables
 def robot_world(
-    arm: Annotated[str, typer.Option(metavar="ARM", help="arm.yaml, .urdf or a preset's name, its tool the beacon.")],
+    arm: Annotated[str, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}, its tool the beacon.")],
     points: Annotated[Path, typer.Option(help="observed.csv: q1..qn,x_m,y_m,z_m in rig axes.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="world.yaml to write.")],
     tip: Tip = None,
@@ -108,7 +108,7 @@ def robot_world(
         from armsight.app.kinematics import arm_source
 
         done = run_calibrate_world(arm_source(arm, tip=tip, base=base), points, out, table_options.format(face))
-        face.table("T_base_rig", ["", "mm", "+-"], pose_rows(done.T_base_rig, done.std))
+        face.table("T_base_rig", ["", "value", "+-"], pose_rows(done.T_base_rig, done.std))
         face.say(f"{done.n_used} points, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected[:8]:
             face.say(f"  left out: row {item.row}: {item.why}")
@@ -119,9 +119,3 @@ def add_to(calibrate: typer.Typer) -> None:
     """Add the two commands to `armsight calibrate`."""
     calibrate.command("arm")(arm)
     calibrate.command("robot-world")(robot_world)
-
-
-def _shown(name: str, value: float) -> str:
-    if name.endswith("_m"):
-        return figure(value / MM, 4)
-    return figure(value / DEG, 4) if name.endswith("_rad") else figure(value, 4)

@@ -30,7 +30,10 @@ Lens: TypeAlias = Annotated[
     ),
 ]
 
-calibrate = typer.Typer(help="Calibrate a camera, or a pair of cameras.", no_args_is_help=True)
+calibrate = typer.Typer(
+    help="Calibrate cameras, hand-eye, a tool's tip, an arm (calibrate arm), where the rig stands, targets and clocks.",
+    no_args_is_help=True,
+)
 
 
 @calibrate.command("camera")

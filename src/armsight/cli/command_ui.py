@@ -6,6 +6,7 @@ import contextlib
 import errno
 import json
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -42,6 +43,16 @@ LINE_EVERY_S = 5.0
 """How often progress is told where there is no terminal to draw a bar on."""
 
 
+def own_command() -> str:
+    """Return how this armsight is called from here: by its name where the shell finds it, else by where it is."""
+    own, found = Path(sys.executable).parent / "armsight", shutil.which("armsight")
+    if not own.exists():
+        return "armsight" if found else f"{sys.executable} -m armsight"
+    if found is not None and own.samefile(found):
+        return "armsight"
+    return str(own.relative_to(Path.cwd())) if own.is_relative_to(Path.cwd()) else str(own)
+
+
 class CommandUI:
     """One command's way to the person: used as a context manager round its work.
 
@@ -74,7 +85,7 @@ class CommandUI:
     def table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a table for the person; the first column is text, the others are numbers."""
         self._end_bar()
-        table = Table(title=title, title_justify="left")
+        table = Table(title=title, title_justify="left", show_header=any(header))
         for column, name in enumerate(header):
             table.add_column(name, justify="left" if column == 0 else "right")
         for row in rows:
@@ -170,7 +181,8 @@ class Bar:
         self._stopped = stopped
         self._bar: Progress | None = None
         self._task: TaskID | None = None
-        self._begun_s = self._told_s = time.monotonic()
+        self._told_s = time.monotonic()
+        self._first: tuple[float, float] | None = None
         self._note = ""
         self._label = ""
         self.listens = False
@@ -179,8 +191,9 @@ class Bar:
     def update(self, done: float, total: float, note: str = "") -> None:
         """Show that done of total is finished; total 0 means unknown. A new note begins the clock anew."""
         if note != self._note:
-            self._note = note
-            self._begun_s = time.monotonic()
+            self._note, self._first = note, None
+        if self._first is None and done:
+            self._first = (done, time.monotonic())  # what came before, compilation for one, is not the pace of the rest
         label = visible(f"{self._what}: {note}" if note else self._what)
         if self._console.is_terminal:
             self._draw(label, done, total)
@@ -208,7 +221,7 @@ class Bar:
         if self._task is not None:
             rate = self._rate(done)
             self._bar.update(
-                self._task, description=label, completed=done, total=total or None, rate=f"{rate:.0f}/s" if rate else ""
+                self._task, description=label, completed=done, total=total or None, rate=f"{rate:.1f}/s" if rate else ""
             )
 
     def _line(self, label: str, done: float, total: float) -> None:
@@ -225,13 +238,22 @@ class Bar:
         if rate:
             text += f", {rate:.1f} a second"
         if rate and total and not finished:
-            left_s = round((total - done) / rate)
-            text += f", {left_s // 60}:{left_s % 60:02d} left"
+            text += f", {time_left((total - done) / rate)} left"
         self._console.print(text, soft_wrap=True)
 
     def _rate(self, done: float) -> float:
-        passed_s = time.monotonic() - self._begun_s
-        return done / passed_s if passed_s > 0.2 else 0.0
+        if self._first is None:
+            return 0.0
+        first, at_s = self._first
+        passed_s = time.monotonic() - at_s
+        return (done - first) / passed_s if passed_s > 0.2 else 0.0
+
+
+def time_left(seconds: float) -> str:
+    """Return how long something still takes, as people say it: no more exact than such a guess is."""
+    if seconds < 90.0:
+        return f"about {seconds:.0f} s"
+    return f"about {seconds / 60.0:.0f} min" if seconds < 5400.0 else f"about {seconds / 3600.0:.1f} h"
 
 
 def _refusal(error: ArmsightError) -> str:

@@ -32,13 +32,14 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight record --repair recording.mcap -o mended.mcap",
     ),
     "identify": (
-        "armsight identify --sweep sweep.csv -o identified",
-        f"armsight identify --live sim:webcam-cell {RIG} -o identified",
+        "armsight identify --sweep sweep.csv -o identified.yaml",
+        "armsight identify --live sim:kapucu2005-rrp --left camera:sim:kapucu2005-rrp:left "
+        f"--right camera:sim:kapucu2005-rrp:right {RIG} --limits=-0.5:5.2,-0.4:1.9,0.3:1.1 -o identified.yaml",
     ),
     "verify": (
-        "armsight verify measure --arm arm.yaml --measured poses.csv --joints joints.csv -o verified",
+        "armsight verify --arm arm.yaml --measured poses.csv --joints joints.csv -o verified",
         f"armsight verify --live --robot rtde:192.168.1.10 --left camera:0 --right camera:1 {RIG} "
-        "--arm arm.yaml -o live",
+        "--arm arm.yaml --world world.yaml -o live",
     ),
     "reproduce": ("armsight reproduce kapucu2005 -o kapucu",),
     "serve": (
@@ -62,7 +63,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight compare measured-monday measured-friday -o compared",
         "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
     ),
-    "join": ("armsight join --measured poses.csv --joints joints.csv --as points -o points.csv",),
+    "join": ("armsight join --measured poses.csv --joints joints.csv --arm arm.yaml --as points -o points.csv",),
     "teach": (
         f"armsight teach --robot sim:pachidis2005-circle {RIG} --handeye handeye.yaml -o taught",
         f"armsight teach --left camera:0 --right camera:1 {RIG} --world world.yaml --tip tip.yaml -o taught",
@@ -120,7 +121,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated.yaml",
         "armsight calibrate arm --model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
     ),
-    "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points points.csv -o arm-placed.yaml",),
+    "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points observed.csv -o world.yaml",),
     "calibrate mirrors": (
         "armsight calibrate mirrors --image board/ --board circles:7x11:0.02 -o rig.yaml",
         "armsight calibrate mirrors --check --image board/ --rig rig.yaml --board circles:7x11:0.02 -o checked.yaml",
@@ -129,7 +130,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight calibrate target --rig rig.yaml --left frames/left --right frames/right --lights 3 -o target.yaml",
     ),
     "calibrate timing": (f"armsight calibrate timing --left camera:0 --right camera:1 {RIG} -o rig-timed.yaml",),
-    "convert recording": ("armsight convert recording run.bag -o recording.mcap",),
+    "convert recording": (
+        "armsight convert recording recording.mcap -o frames",
+        "armsight convert recording recording.mcap --to rosbag2 -o bag",
+    ),
     "convert camera": (
         "armsight convert camera camchain.yaml -o camera.yaml",
         "armsight convert camera camera.yaml --to ros -o camera_info.yaml",
@@ -146,7 +150,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "kinematics ik": ("armsight kinematics ik --arm ur10e --poses poses.csv -o joints.csv",),
     "kinematics jacobian": ("armsight kinematics jacobian --arm arm.yaml --joints joints.csv -o jacobians.csv",),
     "kinematics path": ("armsight kinematics path --arm arm.yaml --poses poses.csv -o joints.csv",),
-    "kinematics formulas": ("armsight kinematics formulas --arm arm.yaml -o formulas.md",),
+    "kinematics formulas": ("armsight kinematics formulas --arm arm.yaml -o formulas.tex",),
     "kinematics show": ("armsight kinematics show --arm ur10e -o arm.html",),
     "robot test": ("armsight robot test --robot rsi:49152 --for 60",),
     "robot jog": (

@@ -175,7 +175,7 @@ def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
     }
     for name, (pose, std) in poses.items():
         if pose is not None:
-            face.table(name, ["", "mm", "+-"], pose_rows(pose, std))
+            face.table(name, ["", "value", "+-"], pose_rows(pose, std))
     face.say(done.verdict)
     if done.crossval is not None:
         face.say(done.crossval.why)

@@ -9,7 +9,7 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import SRC, AsJson
+from armsight.cli.options import KNOWN_ARM, SRC, AsJson
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
@@ -50,7 +50,7 @@ def identify(
         Path | None, typer.Option(help="With frames or --live: image that is black where no light may be looked for.")
     ] = None,
     nominal: Annotated[
-        str | None, typer.Option(metavar="ARM", help="arm.yaml, .urdf or preset to put beside, in the report.")
+        str | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM} to put beside, in the report.")
     ] = None,
     live: Annotated[
         str | None,
@@ -71,7 +71,8 @@ def identify(
         bool, typer.Option("--propose", help="With --live: probe and tell the plan only; with --model do not move.")
     ] = False,
     model: Annotated[
-        Path | None, typer.Option(help="With --live: arm.yaml that is roughly right, its tool the beacon; no probe.")
+        Path | None,
+        typer.Option(metavar="ARM", help="With --live: an arm roughly right, its tool the beacon; no probe."),
     ] = None,
     leave_out: Annotated[
         str | None, typer.Option(metavar="5,6", help="With --live: the last joints, not swept but held where they are.")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson
+from armsight.cli.options import KNOWN_ARM, AsJson
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
@@ -24,7 +24,7 @@ def join(
     ] = "points",
     joints: Annotated[Path | None, typer.Option(help="The controller's joint log, with t_s on its own clock.")] = None,
     arm: Annotated[
-        str | None, typer.Option(metavar="ARM", help="With --joints: arm.yaml, .urdf or preset, nominal is enough.")
+        str | None, typer.Option(metavar="ARM", help=f"With --joints: {KNOWN_ARM}; nominal is enough.")
     ] = None,
     robot_stream: Annotated[Path | None, typer.Option(help="Instead of joints: poses of the flange, with t_s.")] = None,
     setup: Annotated[str, typer.Option(help="Of pairs: eye-in-hand or eye-to-hand.")] = "eye-in-hand",

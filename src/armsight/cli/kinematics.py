@@ -8,13 +8,12 @@ from typing import Annotated, TypeAlias
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, Base, Tip
+from armsight.cli.options import KNOWN_ARM, AsJson, Base, Tip
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 
 kinematics = typer.Typer(help="Joints to poses and back, for any serial arm.", no_args_is_help=True)
 
-ARM = "arm.yaml, a .urdf, or a known arm's name such as ur5e"
-ArmFile: TypeAlias = Annotated[str, typer.Option("--arm", metavar="FILE", help=f"{ARM}.")]
+ArmFile: TypeAlias = Annotated[str, typer.Option("--arm", metavar="ARM", help=f"{KNOWN_ARM}.")]
 Joints: TypeAlias = Annotated[Path, typer.Option(help="joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
 Poses: TypeAlias = Annotated[Path, typer.Option(help="poses.csv of the tool in world.")]
 Out: TypeAlias = Annotated[Path, typer.Option("-o", "--out", help="File to write.")]
@@ -156,7 +155,7 @@ def show(
 
 
 def convert_arm(
-    source: Annotated[str, typer.Argument(metavar="FILE", help=f"{ARM}.")],
+    source: Annotated[str, typer.Argument(metavar="FILE", help=f"{KNOWN_ARM}.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .yaml or .urdf.")],
     convention: Annotated[str | None, typer.Option(help="standard or craig, for arm.yaml.")] = None,
     tip: Tip = None,

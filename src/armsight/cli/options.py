@@ -15,6 +15,7 @@ SRC = (
     "camera:aravis:NAME"
 )
 BOARD = "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles: or charuco:8x5:0.04:0.03:DICT_4X4_50"
+KNOWN_ARM = "arm.yaml, .urdf or a known arm's name such as ur5e"
 
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
 Board: TypeAlias = Annotated[str, typer.Option("--board", metavar="BOARD", help=BOARD)]

@@ -9,7 +9,7 @@ import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.kinematics import ArmFile
-from armsight.cli.options import AsJson
+from armsight.cli.options import KNOWN_ARM, AsJson
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def export(
         str | None, typer.Option(help="urscript, krl, rapid, csv or python. [default: by the file's ending]")
     ] = None,
     arm: Annotated[
-        str | None, typer.Option(metavar="FILE", help="The arm: the path is checked for it, and refused if it cannot.")
+        str | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}: the path is checked for it, or refused.")
     ] = None,
     tip: Annotated[
         Path | None, typer.Option(help="tip.yaml of the tool, in flange axes. [default: the arm's tool frame]")

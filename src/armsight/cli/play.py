@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, OutFolder
+from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder
 from armsight.cli.robot import RobotName
 from armsight.cli.servo import ARM, CAMERAS, DRAW_EVERY_S, LINE_EVERY_S
 from armsight.cli.tables import figure
@@ -33,7 +33,8 @@ def play(
     path: Annotated[Path, typer.Option(help="path.csv of the tip.")],
     out: OutFolder,
     arm: Annotated[
-        Path | None, typer.Option(help="arm.yaml, calibrated; needed unless the robot itself tells it.")
+        Path | None,
+        typer.Option(metavar="ARM", help=f"{KNOWN_ARM}, calibrated; needed unless the robot tells it."),
     ] = None,
     tip: Annotated[
         Path | None, typer.Option(help="tip.yaml of the tool, in flange axes. [default: the arm's tool frame]")

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson
+from armsight.cli.options import KNOWN_ARM, AsJson
 from armsight.errors import UsageError
 
 robot = typer.Typer(name="robot", help="Test the link to a robot, and move one of its joints.", no_args_is_help=True)
@@ -64,7 +64,7 @@ def jog(
     ] = "joints",
     speed: Annotated[float, typer.Option(metavar="SHARE", help="Share of the limits' speeds, up to 1.")] = 0.5,
     arm: Annotated[
-        Path | None, typer.Option(help="arm.yaml of the robot; without it only its joints are limited, and slow.")
+        Path | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}; without it only joints are limited, and slow.")
     ] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
     record: Annotated[Path | None, typer.Option(help="An .mcap file for commands, readings and events.")] = None,

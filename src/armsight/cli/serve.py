@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.options import KNOWN_ARM
 
 if TYPE_CHECKING:
     from armsight.server.web_server import ServeOptions
@@ -32,7 +33,7 @@ def serve(
     tls_cert: Annotated[Path | None, typer.Option(help="The server's certificate, PEM.")] = None,
     tls_key: Annotated[Path | None, typer.Option(help="The certificate's key, PEM.")] = None,
     arm: Annotated[
-        str | None, typer.Option(help="arm.yaml, .urdf or a preset's name; a simulated robot brings its own.")
+        str | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}; a simulated robot brings its own.")
     ] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
     rsi_config: Annotated[

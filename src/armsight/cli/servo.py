@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, OutFolder
+from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder
 from armsight.cli.robot import RobotName
 from armsight.cli.tables import figure
 from armsight.units import DEG, MM, MS
@@ -62,7 +62,7 @@ def servo(
     exposure: Annotated[float | None, typer.Option(help="Exposure, s.", rich_help_panel=CAMERAS)] = None,
     arm: Annotated[
         Path | None,
-        typer.Option(help="arm.yaml of the robot; needed unless the robot itself tells it.", rich_help_panel=ARM),
+        typer.Option(metavar="ARM", help=f"{KNOWN_ARM}; needed unless the robot tells it.", rich_help_panel=ARM),
     ] = None,
     limits: Annotated[
         Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]", rich_help_panel=ARM)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armsight.cli.command_ui import CommandUI
+from armsight.cli.command_ui import CommandUI, own_command
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
@@ -67,12 +67,23 @@ def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
 
 
 def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
-    """Return the rows of a pose: place with standard deviation in mm, that of the rotation in degrees."""
-    turns = zip("xyz", std.rotation_rad, strict=True)
-    return [
-        *tip_rows(pose.xyz_m, std),
-        *([f"about {axis}", "", f"{figure(deviation / DEG, 2)} deg"] for axis, deviation in turns),
+    """Return the rows of a pose: place in mm and rotation vector in degrees, each with its standard deviation."""
+    from scipy.spatial.transform import Rotation  # what only prints help does without it
+
+    places = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.xyz_m, std)]
+    turns = zip("xyz", Rotation.from_quat(pose.quat_xyzw).as_rotvec(), std.rotation_rad, strict=True)
+    return places + [
+        [f"rotation vector {axis}, deg", figure(value / DEG, 6), figure(deviation / DEG, 2)]
+        for axis, value, deviation in turns
     ]
+
+
+def parameter(name: str, *values: float) -> list[str]:
+    """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
+    for ending, factor, unit in (("_m", MM, "mm"), ("_rad", DEG, "deg")):
+        if name.endswith(ending):
+            return [f"{name.removesuffix(ending)}, {unit}", *(figure(value / factor, 4) for value in values)]
+    return [name, *(figure(value, 4) for value in values)]
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
@@ -289,7 +300,11 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
             f"{real.n_ok} of {real.n_pairs}: {real.out}"
         )
     face.say(f"All in {figure(result.seconds_s, 2)} s.")
-    face.say("The operator's page of a simulated cell: armsight console --robot sim:webcam-cell")
+    command = own_command()
+    face.say(f"The operator's page of a simulated cell: {command} console --robot sim:webcam-cell")
+    if command != "armsight":
+        folder = Path(command.split()[0]).parent
+        face.say(f"The shell does not know armsight yet: call {command}, or first type: . {folder / 'activate'}")
 
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:

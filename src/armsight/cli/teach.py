@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, OutFolder
+from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder
 from armsight.cli.servo import ARM, CAMERAS, SIMULATED, ServoLine, servo_tables
 from armsight.errors import UsageError
 from armsight.units import MM
@@ -72,7 +72,7 @@ def teach(
     rotation: Annotated[
         str, typer.Option(help="How the arm turns after the target: align, keep or hold.", rich_help_panel=ARM)
     ] = "align",
-    arm: Annotated[Path | None, typer.Option(help="arm.yaml of the robot.", rich_help_panel=ARM)] = None,
+    arm: Annotated[Path | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}.", rich_help_panel=ARM)] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps.", rich_help_panel=ARM)] = None,
     speed: Annotated[
         float, typer.Option(metavar="SHARE", help="Share of the limits' speeds, up to 1.", rich_help_panel=ARM)

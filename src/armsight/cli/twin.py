@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.options import KNOWN_ARM
 
 
 def twin(
@@ -17,9 +18,7 @@ def twin(
     connect: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Where the driver listens, for rsi and egm.")
     ] = None,
-    arm: Annotated[
-        str | None, typer.Option("--arm", metavar="FILE", help="arm.yaml, a .urdf or a known arm's name.")
-    ] = None,
+    arm: Annotated[str | None, typer.Option("--arm", metavar="ARM", help=f"{KNOWN_ARM}.")] = None,
     cycle: Annotated[float | None, typer.Option(min=1e-4, max=1.0, help="The controller's cycle in s.")] = None,
 ) -> None:
     """Emulate a robot's controller, for tests without a robot; Ctrl-C ends it. Prints what --robot takes."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, Base, OutFolder, Tip
+from armsight.cli.options import KNOWN_ARM, AsJson, Base, OutFolder, Tip
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
@@ -33,7 +33,7 @@ def verify(
             "pose and visit, or run, the figures of ISO 9283.",
         ),
     ] = None,
-    arm: Annotated[str | None, typer.Option(metavar="ARM", help="arm.yaml, .urdf or a preset's name.")] = None,
+    arm: Annotated[str | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}.")] = None,
     joints: Annotated[
         Path | None, typer.Option(help="joints.csv of the controller. [default: q1 .. qn of the measured file]")
     ] = None,
@@ -70,7 +70,7 @@ def verify(
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
-    """Compare measured poses with where the arm says it is, and say what the difference comes from.
+    """Compare measured poses with where the arm says it is, say what the difference comes from; figures of ISO 9283.
 
     Writes verify.json, errors.csv and report.html; with --plan plan.csv and plan.json.
     """

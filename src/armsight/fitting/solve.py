@@ -67,7 +67,7 @@ def solve(problem: Problem, settings: Settings | None = None, progress: Progress
     for iteration in range(1, settings.max_iterations + 1):
         if progress.cancelled():
             raise Cancelled("the fit was stopped", consequence="No result was kept")
-        progress.update(iteration, settings.max_iterations, f"cost {state.cost:.6g}")
+        progress.update(iteration, 0, "fitting, step")  # how many it takes is not known
         found = _iterate(problem, settings, state, free)
         if found is not None:
             reason = found

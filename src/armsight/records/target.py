@@ -94,8 +94,10 @@ class Target(Saveable):
                 cure="Name the lights A, B, C ... and give each its place",
             )
         check_metres(np.ptp(self.xyz_m, axis=0).max(), TARGET_M, "the target's points spread over")
+        check_metres(np.linalg.norm(self.xyz_m, axis=1).max(), TARGET_M, "a point of the target lies off its origin by")
         if self.diameter_m is not None and not self.diameter_m > 0.0:
             raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive", cure="Leave it out")
+        check_metres(self.diameter_m or 0.0, PITCH_M, "a spot of the target has a diameter of")
 
     @property
     def covariance_names(self) -> tuple[str, ...]:

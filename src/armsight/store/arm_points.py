@@ -12,10 +12,12 @@ import numpy as np
 from armsight.calibrate.arm import ArmPoints
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
+from armsight.records import PoseStatus
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import named
 from armsight.store.tables import parse_table
 from armsight.store.tracks import POSITION, QUATERNION
+from armsight.store.verify_files import KNOWN
 
 SLIP = 0.8
 """Names that are so much alike (difflib's ratio) are one written wrong: `xm`, `qX`; goal_x_m and x_m are not."""
@@ -25,11 +27,13 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s], or of a table that can
     be understood as one.
 
-    Columns that `verify` passes over (goal_x_m, temperature_c, ...) are passed over too; one that is nearly a column of
-    this table is a slip of writing, and refused. Raises BadFile that names line and column, Inconsistent where units
+    What `verify` takes is taken, as it sends its reader here: its further columns (sx_m, goal_x_m, temperature_c, ...)
+    are passed over, and rows whose status is not ok are left out. A column that is nearly one of this table is a slip
+    of writing, and refused. Raises BadFile that names line and column, Inconsistent where units
     contradict the numbers.
     """
-    data = standard_bytes(path, "points", format_)
+    whole = standard_bytes(path, "points", format_)
+    data = _without_lost(whole)
     own = (*QUATERNION, "point", "t_s")
     further = _further(data, (*POSITION, *own))
     table = parse_table(
@@ -55,29 +59,42 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     rotation = None
     if turns:
         with named(str(path)):
-            poses = [
-                pose_from_quat(xyz, quat)
-                for xyz, quat in zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
-            ]
-        rotation = np.stack([pose.rotation.as_matrix() for pose in poses])
+            each = zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
+            rotation = np.stack([pose_from_quat(xyz, quat).rotation.as_matrix() for xyz, quat in each])
     t_s = table.numbers.get("t_s")
+    lines = [i for i, line in enumerate(whole.splitlines(), 1) if line.strip()]
     return ArmPoints(
         q=table.stacked(readings),
         xyz_m=table.stacked(POSITION),
         rotation=rotation,
         point=table.text.get("point", ()),
         t_s=None if t_s is None or np.isnan(t_s).any() else t_s,
+        row=np.searchsorted(lines, table.lines) - 1,
     )
+
+
+def _without_lost(data: bytes) -> bytes:
+    """Return a table with empty lines in place of rows whose status says that they are no pose."""
+    lines = data.splitlines(keepends=True)
+    header = _cells(lines[0]) if lines else []
+    if header.count("status") != 1:
+        return data
+    place = header.index("status")
+    good = (PoseStatus.OK.value, "status", "")
+    return b"".join(line if len(row := _cells(line)) != len(header) or row[place] in good else b"\n" for line in lines)
+
+
+def _cells(line: bytes) -> list[str]:
+    text = line.decode("utf-8-sig", errors="replace")
+    return [cell.strip() for cell in next(csv.reader([text]), [])]
 
 
 def _further(data: bytes, known: Sequence[str]) -> tuple[str, ...]:
     """Return the columns of a table that are none of ours, nor nearly one."""
-    line = data.split(b"\n", 1)[0].decode("utf-8-sig", errors="replace")
-    header = [name.strip() for name in next(csv.reader([line]), [])]
     return tuple(
         name
-        for name in dict.fromkeys(header)
+        for name in dict.fromkeys(_cells(data.split(b"\n", 1)[0]))
         if name not in known
         and not name[1:].isdecimal()  # q1 .. qn, or one of them written wrong
-        and not difflib.get_close_matches(name, known, n=1, cutoff=SLIP)
+        and (name in KNOWN or not difflib.get_close_matches(name, known, n=1, cutoff=SLIP))
     )

@@ -148,14 +148,29 @@ def read_document(path: Path, format_: str) -> dict[str, Any]:
     )
 
 
+SECOND_CAMERA = ("M2", "K2", "cameraMatrix2", "M1", "K1", "cameraMatrix1")
+"""Keys of OpenCV's files of two cameras."""
+
+
 def _format_cure(content: Mapping[str, Any], format_: str) -> str:
     from armsight.store.foreign.format_detection import kind_of_mapping  # the foreign readers use this module
 
     kind = kind_of_mapping(content)
+    name = format_.removeprefix("armsight/")
+    of_one = kind in ("ros", "opencv") and not {"T", *SECOND_CAMERA} & set(content)
+    if kind == "armsight/camera" and name == "rig":
+        return "This is one camera, and a rig is two: give the rig.yaml of `armsight calibrate stereo`"
+    if kind is not None and name == "rig" and of_one:
+        return (
+            "This is one camera, and a rig is two: give the rig.yaml of `armsight calibrate stereo`, or where both "
+            "were calibrated together that of `armsight convert rig LEFT RIGHT -o rig.yaml`"
+        )
     if kind is not None and kind.startswith("armsight/"):
         return f"Give a file that begins with 'format: {format_}', not one of {kind}"
+    if kind is not None and name in ("rig", "camera"):
+        return f"This is a file of {kind}: convert it first, with `armsight convert {name} FILE -o {name}.yaml`"
     if kind is not None:
-        return f"This is a file of {kind}: convert it first with 'armsight convert'"
+        return f"Give a file that begins with 'format: {format_}'; this one holds cameras, as {kind} writes them"
     return f"Give a file that begins with 'format: {format_}'"
 
 

@@ -45,6 +45,12 @@ Index = NDArray[np.intp]
 
 WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach", "arrival", "robot")
 GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))
+NUMBERS = (
+    *("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD),
+    *(*COVARIANCE, *SYSTEMATIC_COVARIANCE, *GOAL, "speed_m_s"),
+)
+KNOWN = frozenset((*NUMBERS, *WORDS))
+"""Columns that mean something here, beside q1 .. qn; others are passed over."""
 SAME_GOAL = 1e-3
 """Commanded poses that differ by less (m, or in a quaternion's entries) are one."""
 NUL = b"\x00"
@@ -174,20 +180,16 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
         raise BadFile(f"{where}: NUL bytes in the first line", consequence="It cannot be read", cure="Save it as text")
     clean = b"".join(b"\n" if NUL in line else line for line in lines)
     header = _header(clean)
-    poses = (*POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
-    poses = (*poses, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
-    optional = ("t_s", *poses, *GOAL, "speed_m_s")
-    known = {*optional, *WORDS}
     unused = tuple(
-        name for name in header if name and name not in known and not (name[0] == "q" and name[1:].isdecimal())
+        name for name in header if name and name not in KNOWN and not (name[0] == "q" and name[1:].isdecimal())
     )
     table = parse_table(
         clean,
         where,
         required,
-        optional=(*optional, *WORDS, *unused),
+        optional=(*NUMBERS, *WORDS, *unused),
         text=(*WORDS, *unused),
-        blank=tuple(name for name in optional if name != "t_s"),
+        blank=tuple(name for name in NUMBERS if name != "t_s"),
         series="q",
         need_rows=False,
     )

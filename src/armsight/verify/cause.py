@@ -308,7 +308,7 @@ def _named(case: Case, trial: _Trial, told: Cause, adds: bool) -> Cause:
     parameters = {name: (float(v), float(wide * fit.std(name))) for name, v in zip(effect.names, values, strict=True)}
     values_told = ", ".join(_shown(name, *pair) for name, pair in parameters.items())
     name = case.bare.joints[effect.joint].name
-    rest = " The rest is the model's: `calibrate arm` corrects it." if adds else ""
+    rest = " The rest is the model's: `armsight calibrate arm` corrects it." if adds else ""
     return replace(
         told,
         cause=f"joint {effect.joint + 1}",
@@ -347,7 +347,8 @@ def _model(gains: dict[str, float], trial: _Trial) -> str:
         f"The arm's model is the cause: correcting its geometry takes {100 * gains['model']:.3g} % off the squared "
         "errors of rows left out, the best single joint "
         f"(joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} %. "
-        "Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` on these rows."
+        "Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` on these rows "
+        "(of measurements and joints in two files `armsight join --as points` makes one)."
     )
 
 

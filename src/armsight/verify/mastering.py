@@ -274,7 +274,8 @@ def _decided(
         return replace(told, cause="tool", sentence=sentence, after=bent[0].fitted.residual, T_tool=T)
     sentence = (
         "Something has moved, but neither one joint's zero nor the tool alone explains it: several joints, the base, "
-        "or the arm's model. Measure more poses and run `armsight verify`, or `armsight calibrate arm`."
+        "or the arm's model. Measure more poses and run `armsight verify`, or `armsight calibrate arm` (`armsight join "
+        "--as points` makes its table of measurements and joints in two files)."
     )
     return replace(told, cause="several", sentence=sentence)
 

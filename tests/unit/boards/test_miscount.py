@@ -63,3 +63,16 @@ def test_a_grid_across_the_squares_is_refused() -> None:
     i, j = np.meshgrid(np.arange(5), np.arange(3))
     with pytest.raises(BadImage, match="5x3 corners that is there has no squares between them"):
         refine_corners(printed(), board(5, 3), at(i + j, 2 * j), "a.png")
+
+
+def test_columns_and_rows_of_an_asymmetric_grid_that_were_exchanged_are_told() -> None:
+    image = np.full((600, 480), 230, np.uint8)
+    for i in range(11):
+        for j in range(4):
+            cv2.circle(image, (80 + (2 * j + i % 2) * 40, 80 + i * 40), 12, 20, -1, cv2.LINE_AA)
+    image = cv2.GaussianBlur(image, (0, 0), 1.0)
+    for turned in (image, np.rot90(image).copy()):
+        assert len(find_board(turned, board_target(TargetKind.ACIRCLES, 4, 11, 0.02))) == 44
+        with pytest.raises(BadImage) as refusal:
+            find_board(turned, board_target(TargetKind.ACIRCLES, 11, 4, 0.02))
+        assert refusal.value.size == (4, 11)

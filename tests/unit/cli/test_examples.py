@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import shlex
+from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import pytest
@@ -37,3 +41,62 @@ def test_help_shows_them_and_the_overview_has_panels_and_completion() -> None:
     names = set(EXAMPLES)
     leaves = {f"{n} {m}" for n, c in ROOT.commands.items() if hasattr(c, "commands") for m in c.commands}
     assert names == leaves | {n for n, c in ROOT.commands.items() if not hasattr(c, "commands")}
+
+
+SOURCE = Path(__file__).resolve().parents[3] / "src" / "armsight"
+GIVEN = re.compile(r"armsight ([a-z]+(?: [a-z][a-z-]*)?)((?: (?!armsight )[^\s`';(),]+)*)")
+
+
+def texts_of_errors() -> Iterator[tuple[str, str]]:
+    """Yield file and text of every string in the source but docstrings; parts that are computed are left out."""
+    for file in sorted(SOURCE.rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+        docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        for node in nodes:
+            if id(node) in docstrings:
+                continue
+            if isinstance(node, ast.JoinedStr):
+                parts = [part.value if isinstance(part, ast.Constant) else "X" for part in node.values]
+                yield file.name, "".join(map(str, parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "\n" not in node.value:
+                yield file.name, node.value
+
+
+def test_what_advice_tells_to_type_is_there() -> None:
+    """A command that an error or a note names exists, and so does every flag behind it."""
+    seen = set()
+    for file, text in texts_of_errors():
+        for words, rest in GIVEN.findall(text):
+            first, *second = words.split()
+            command = ROOT.commands.get(first)
+            if command is None or words == "robot server":  # the program's name in a sentence
+                continue
+            if hasattr(command, "commands"):
+                command = command.commands.get(second[0]) if second else None
+                assert command is not None or not second, f"{file}: {text}"
+            flags = set(re.findall(r"--[a-z][a-z-]*", rest))
+            known = {name for param in getattr(command, "params", ()) for name in param.opts}
+            assert flags <= known, f"{file}: {text}"
+            seen.add(words)
+    assert {"calibrate arm", "join", "path smooth", "calibrate timing"} <= seen
+
+
+def leaves() -> Iterator[tuple[str, click.Command]]:
+    for name, command in ROOT.commands.items():
+        if hasattr(command, "commands"):
+            yield from ((f"{name} {inner}", leaf) for inner, leaf in command.commands.items())
+        else:
+            yield name, command
+
+
+def test_wherever_an_arm_is_asked_for_its_help_says_that_a_known_name_will_do() -> None:
+    for name, command in leaves():
+        for param in command.params:
+            if {"--arm", "--nominal"} & set(param.opts) or (name == "calibrate arm" and "--model" in param.opts):
+                assert param.metavar == "ARM" and ("known arm" in param.help or name == "convert table"), name
+
+
+def test_the_overview_leads_to_every_task() -> None:
+    shown = " ".join(CliRunner().invoke(app, ["--help"]).output.replace("│", " ").split())
+    for task in ("hand-eye", "calibrate arm", "ISO 9283", "tip"):
+        assert task in shown

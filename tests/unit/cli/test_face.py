@@ -11,15 +11,17 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
-from armsight.app.schemas.base import Output
-from armsight.cli.command_ui import Bar, CommandUI
+from armsight.app.schemas.base import Output, PoseOutput, PoseStd
+from armsight.cli.command_ui import Bar, CommandUI, time_left
 from armsight.cli.commands import app
+from armsight.cli.tables import parameter, pose_rows
 
 HEAVY = ("numba", "cv2", "plotly", "scipy", "pydantic", "numpy")
 
@@ -163,3 +165,22 @@ def test_work_that_asks_for_no_end_is_stopped_at_once(with_progress: bool) -> No
 def test_what_runs_until_it_is_stopped_has_a_good_end() -> None:
     with CommandUI(as_json=False, until_stopped=True):
         os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_the_time_left_is_of_the_pace_after_the_first_step_and_in_words() -> None:
+    assert [time_left(s) for s in (8.0, 600.0, 72780.0)] == ["about 8 s", "about 10 min", "about 20.2 h"]
+    with Path(os.devnull).open("w") as sink:
+        console = Console(file=sink, force_terminal=False, width=100, record=True)
+        bar = Bar("measuring", console, threading.Event())
+        bar.update(1, 60, "first")  # after a minute of compilation: no pace yet
+        bar.update(2, 60, "second")
+    assert "left" not in console.export_text()
+
+
+def test_labels_are_of_the_unit_that_is_shown_and_poses_have_their_rotation() -> None:
+    assert parameter("j2.theta_rad", np.pi / 2) == ["j2.theta, deg", "90.00"]
+    assert parameter("j2.a_m", 0.001) == ["j2.a, mm", "1.000"]
+    pose = PoseOutput(xyz_m=[0.1, 0.0, 0.0], quat_xyzw=[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    std = PoseStd(x_m=1e-4, y_m=1e-4, z_m=1e-4, rx_rad=1e-3, ry_rad=1e-3, rz_rad=1e-3)
+    rows = {name: value for name, value, _ in pose_rows(pose, std)}
+    assert float(rows["x, mm"]) == 100.0 and float(rows["rotation vector z, deg"]) == 90.0

@@ -377,4 +377,5 @@ def test_a_board_needs_no_file(armsight: Any, scene: Any, tmp_path: Path) -> Non
     done = armsight("measure", *scene.inputs[:2], "--target", "checkerboard:9x6:0.025", *views)
     assert done.code == 3  # lights are no board
     assert "found in none of the 12 pairs" in done.json["error"]["cause"]
+    assert "lights" not in done.json["error"]["cure"]
     assert armsight("measure", *scene.inputs[:2], "--target", "checkerboard:9x:0.025", *views).code == 2

@@ -218,3 +218,23 @@ def test_the_tips_contract(tmp_path: Path) -> None:
     assert (content["n_used"], content["rejected"]) == (25, [])
     assert read_tip(out).tip_m == pytest.approx(content["tip_m"], abs=1e-15)
     assert run("tooltip", "--poses", tmp_path / "poses.csv", "--point", "1;2;3", "-o", out).exit_code == 2
+
+
+def test_angles_in_another_order_are_told_with_the_order_that_fits(tmp_path: Path) -> None:
+    pairs, path, out = recording(), tmp_path / "pairs.csv", tmp_path / "handeye.yaml"
+    robot, seen = pairs.T_base_flange, pairs.T_camera_target
+    angles = robot.rotation.as_euler("ZYX", degrees=True)
+    rows = np.hstack([robot.translation, angles, seen.translation, seen.rotation.as_quat()])
+    path.write_text("\n".join(",".join(map(repr, row)) for row in rows.tolist()) + "\n")
+    names = "base_flange_xyz_m,base_flange_euler_deg,camera_target_xyz_m,camera_target_quat_xyzw"
+    words = ("handeye", "--pairs", path, "--columns", names, "-o", out, "--json", "--euler")
+    for wrong in ("xyz", "zyz", "zyx-fixed"):
+        done = run(*words, wrong)
+        error = json.loads(done.stdout)["error"]
+        assert done.exit_code == 3
+        assert error["cure"] == "Give --euler zyx", error
+        assert not out.exists()
+    assert run(*words, "zyx").exit_code == 0
+    mixed = np.hstack([rows[:, :6], rows[::-1, 6:]])  # no order brings these together: the other causes are told
+    path.write_text("\n".join(",".join(map(repr, row)) for row in mixed.tolist()))
+    assert "--euler" not in json.loads(run(*words, "zyx").stdout)["error"]["cure"]

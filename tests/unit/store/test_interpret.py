@@ -64,6 +64,9 @@ def test_mm_and_m_are_told_apart(file) -> None:
     xyz = RNG.uniform(0.2, 0.9, (6, 3))
     with pytest.raises(Inconsistent, match="these look like mm or cm"):
         read_poses(file("t_s,x,y,z,qx,qy,qz,qw\n" + f"0,612,20,300,{QUAT}\n"))
+    with pytest.raises(Inconsistent, match="612 m") as refused:  # and not told to be named x_mm, which they are
+        read_poses(file("t_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n" + f"0,612000,20,300,{QUAT}\n"))
+    assert "_mm" not in refused.value.cure
     with pytest.raises(Inconsistent, match="these look like metres"):
         read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), xyz)))
     points = read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), 1e3 * xyz)))

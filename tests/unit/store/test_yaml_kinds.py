@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
 from armsight import store
-from armsight.errors import BadFile, UsageError
+from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.geometry import is_close
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import (
@@ -17,12 +17,14 @@ from armsight.records import (
     LinearNoise,
     NamedCovariance,
     NoiseModel,
+    Target,
     TargetKind,
     board_target,
     spot_target,
     unmeasured_target,
 )
 from armsight.records.target import GREEN
+from armsight.store.schema import read_document
 from armsight.store.worlds import POSE_NAMES
 from armsight.store.yamls import parse_yaml
 
@@ -445,3 +447,32 @@ def test_deviations_of_a_target_are_a_diagonal_and_its_covariance_counts_before_
     path.write_text(LIT + f"covariance: {{names: {rows}, matrix: {negative.tolist()}}}\n")
     with pytest.raises(BadFile, match="negative variance"):
         store.read_target(path)
+
+
+ROS = {"camera_name": "a", "camera_matrix": {"data": [500, 0, 320, 0, 500, 240, 0, 0, 1]}, "image_width": 640}
+
+
+@pytest.mark.parametrize(
+    ("content", "wanted", "command"),
+    [
+        ({"format": "armsight/camera", "version": 1}, "armsight/rig", "armsight calibrate stereo"),
+        (ROS, "armsight/rig", "armsight convert rig LEFT RIGHT"),
+        ({"M1": 1, "M2": 1, "T": 1}, "armsight/rig", "armsight convert rig FILE"),
+        (ROS, "armsight/camera", "armsight convert camera FILE"),
+        (ROS, "armsight/target", "format: armsight/target"),
+    ],
+)
+def test_the_cure_for_a_file_of_another_kind_leads_to_the_kind_that_is_wanted(tmp_path, content, wanted, command):
+    (tmp_path / "x.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(BadFile) as refused:
+        read_document(tmp_path / "x.yaml", wanted)
+    assert command in refused.value.cure
+    assert ("convert" in refused.value.cure) is ("convert" in command or (content is ROS and wanted == "armsight/rig"))
+
+
+def test_targets_in_millimetres_are_refused_by_their_place_and_size_too():
+    for keys in ({"A": [0.0, 0.0, 40.0]}, {"A": [40.0, 0.0, 0.0], "B": [41.0, 0.0, 0.0]}):
+        with pytest.raises(Inconsistent, match="millimetres"):
+            Target(kind=TargetKind.SPOTS, names=tuple(keys), xyz_m=np.array(list(keys.values())))
+    with pytest.raises(Inconsistent, match="diameter of 8 m"):
+        Target(kind=TargetKind.SPOTS, names=("A",), xyz_m=np.zeros((1, 3)), diameter_m=8.0)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
+from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
 from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
     HandEyeNoise,
@@ -27,17 +28,12 @@ from armsight.app.schemas.handeye import (
 from armsight.calibrate.handeye import (
     Basis,
     HandEye,
-    HandEyeOptions,
     ImageComparison,
     LeftOutErrors,
     Noise,
-    PosePairs,
     Proposal,
     Setup,
     TimeOffset,
-    calibrate_eye_in_hand,
-    calibrate_eye_to_hand,
-    calibrate_from_views,
     pairs_of_streams,
     propose,
     verdict,
@@ -53,7 +49,6 @@ from armsight.store import parse_board, read_camera, read_poses, write_camera, w
 from armsight.store.covariances import UNCORRELATED
 from armsight.store.handeye_file import (
     named_poses,
-    read_pairs,
     read_robot_poses,
     write_handeye,
     write_tip,
@@ -126,7 +121,7 @@ def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:
             "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
         )
     if job.pairs is not None:
-        return Solved(result=_solve(read_pairs(job.pairs, _of_setup(job)), job.setup), inputs=[job.pairs])
+        return Solved(result=calibrated_pairs(job.pairs, _of_setup(job), job.setup), inputs=[job.pairs])
     if job.images:
         _check_names(job)
         return _from_images(job, progress)
@@ -282,11 +277,6 @@ def tip_output(result: TipCalibration, notes: tuple[str, ...] = ()) -> TipOutput
     )
 
 
-def _solve(pairs: PosePairs, setup: Setup, options: HandEyeOptions | None = None) -> HandEye:
-    calibrate = calibrate_eye_in_hand if setup is Setup.EYE_IN_HAND else calibrate_eye_to_hand
-    return calibrate(pairs, options)
-
-
 def _of_setup(job: HandEyeJob) -> TableFormat:
     """Return what is said of tables, with where the camera is: some programs save other poses for each."""
     return replace(job.table, on_hand=job.setup is Setup.EYE_IN_HAND)
@@ -325,7 +315,6 @@ def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
         raise UsageError("--images needs --camera camera.yaml, --board BOARD and --robot robot_poses.csv")
     board, camera, robot = parse_board(job.board), read_camera(job.camera), _robot_poses(job)
     views: list[BoardView] = []
-    poses: list[RigidTransform] = []
     met = {path.name for path in list_images(job.images)}
     _require_named(met, robot, job.robot)
     unseen = [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
@@ -342,7 +331,6 @@ def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
                 unseen.append((name, seen.why))
             else:
                 views.append(seen)
-                poses.append(robot[name])
             progress.update(len(every), source.total or 0, "finding the board")
             if progress.cancelled():
                 raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
@@ -355,7 +343,8 @@ def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
             cure="Check the number of inner corners or circles in --board",
         )
     progress.update(0, 0, "solving")
-    done = calibrate_from_views(views, poses, camera, board, job.setup, free_camera=job.free_camera)
+    hand = ViewsOfHand(views=views, camera=camera, board=board, setup=job.setup, free_camera=job.free_camera)
+    done = hand.calibrated(robot, job.table, lambda other: _robot_poses(replace(job, table=other)))
     inputs = [job.camera, job.robot, *list_images(job.images)]
     boards = hand_boards(done.result, views, done.camera, board, pictures)
     freed = None if done.camera is camera else done.camera
@@ -373,7 +362,9 @@ def _from_streams(job: HandEyeJob) -> Solved:
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
     pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s)
-    return Solved(result=_solve(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset)
+    return Solved(
+        result=solve_pose_pairs(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset
+    )
 
 
 def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> np.ndarray | None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
+from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell
@@ -30,7 +31,6 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import read_rig, read_world
-from armsight.store.arm_file import read_arm
 from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
@@ -313,7 +313,7 @@ def _modelled(job: LiveJob, held: Array) -> RoughArm:
     """Return the arm of the model's file as the rig sees it; its last joints held at these readings."""
     if job.model is None or job.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --model and --world")
-    arm, world = read_arm(job.model), read_world(job.world)
+    arm, world = load_arm(str(job.model)), read_world(job.world)
     arm = first_joints(arm, arm.n - len(held), held) if len(held) else arm
     T = world.T_parent_rig.inv().as_matrix()
     if world.parent == "base":

@@ -185,7 +185,7 @@ def run(
         raise failure
     consistency = check.finish()
     outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
-    failure, about = failure or _nothing_seen(outputs, consistency), about or About()
+    failure, about = failure or _nothing_seen(outputs, consistency, board=setup.target.is_board), about or About()
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
     told = {"assumed_fps": about.assumed_fps, "made_with": made_with(setup.rig, setup.target)}
     summary = summary.model_copy(update=told)
@@ -352,7 +352,14 @@ def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
     return left
 
 
-def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData | None:
+LIGHTS_ON = (
+    "the lights must be on, in both views, and brighter than what is round them. --inverted is for dark spots, --mask "
+    "blackens what is not to be looked at"
+)
+WHOLE_BOARD = "the board must be whole, sharp and evenly lit in both views, and its counts and kind those of --target"
+
+
+def _nothing_seen(outputs: Outputs, consistency: Consistency, *, board: bool) -> NotEnoughData | None:
     """Return the error for a run in which no frame gave even a position, or in which there was none."""
     if outputs.n_seen:
         return None
@@ -372,8 +379,7 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData |
     return NotEnoughData(
         f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
         consequence="There is no pose",
-        cure="Look at the report, which shows what was seen: the lights must be on, in both views, and brighter than "
-        "what is round them. --inverted is for dark spots, --mask blackens what is not to be looked at",
+        cure=f"Look at the report, which shows what was seen: {WHOLE_BOARD if board else LIGHTS_ON}",
     )
 
 

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.kinematics import load_arm
 from armsight.app.measure.warm_up import prepare
 from armsight.app.play.eyes import Eyes, Watcher
 from armsight.app.play.job import PlayJob, check, load_plan, tipped_guard
@@ -30,7 +31,6 @@ from armsight.control.play import PathPlan, PathSource, PlayWatch
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.records import Progress, Silent
-from armsight.store.arm_file import read_arm
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def run_play(
         robot, clock, watcher = opened
     else:
         clock = SystemClock()
-        model = None if job.arm is None else read_arm(job.arm)
+        model = None if job.arm is None else load_arm(str(job.arm))
         robot = open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=None))
     guard = guard_for(robot, job.arm, job.limits, share=job.speed)
     if arm_of(robot, job.arm) is None:

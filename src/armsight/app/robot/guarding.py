@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.kinematics import load_arm
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.fit import check_fit
 from armsight.control.guard.space import Space
 from armsight.drivers import Robot
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
-from armsight.store.arm_file import arm_from_mapping, read_arm
+from armsight.store.arm_file import arm_from_mapping
 from armsight.store.limits_file import read_limits
 
 Array = NDArray[np.float64]
@@ -112,8 +113,11 @@ def beside_outside(outside: str) -> Iterator[None]:
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:
-    """Return the arm of the file, or the one that the robot tells; None where neither is there. Raises BadFile."""
+    """Return the arm of the file or preset, or the one that the robot tells; None where neither is there.
+
+    Raises BadFile, UsageError.
+    """
     if arm is not None:
-        return read_arm(arm)
+        return load_arm(str(arm))
     told = getattr(robot, "arm_mapping", None)
     return None if told is None else arm_from_mapping(told(), robot.name)

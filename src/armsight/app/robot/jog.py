@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.kinematics import load_arm
 from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
@@ -25,7 +26,6 @@ from armsight.control.sources import GoalSource
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Progress, Silent
-from armsight.store.arm_file import read_arm
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def jog_robot(
     stopped; Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    model = None if job.arm is None else read_arm(job.arm)
+    model = None if job.arm is None else load_arm(str(job.arm))
     settings = driver_settings(job.robot, arm=model, rsi_config=job.rsi_config)
     robot = opened or open_robot(job.robot, clock, settings)
     guard = _checked(job, robot)

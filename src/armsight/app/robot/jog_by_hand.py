@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
+from armsight.app.kinematics import load_arm
 from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
@@ -23,7 +24,6 @@ from armsight.drivers import Robot
 from armsight.drivers.jog_inputs import JogInput, open_jog_input
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
 from armsight.records import Progress, Silent
-from armsight.store.arm_file import read_arm
 from armsight.units import DEG, MM
 
 LOOK_S = 0.05
@@ -62,7 +62,7 @@ def jog_by_hand(
     DeviceNotFound; DeviceFailed where robot, guard or gamepad failed; Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    model = None if job.arm is None else read_arm(job.arm)
+    model = None if job.arm is None else load_arm(str(job.arm))
     robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
     guard = guard_for(robot, job.arm, job.limits, share=job.speed)
     _check(job, arm_of(robot, job.arm) is not None, robot.name)

@@ -242,7 +242,7 @@ def _result(
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=fitted.fit.covariance,
-        outliers=_gross(after_m, best.fitted.sigma_m),
+        outliers=_gross(after_m, best.fitted.sigma_m, points.row),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
@@ -254,8 +254,9 @@ def _result(
     )
 
 
-def _gross(after_m: Array, sigma_m: float) -> tuple[tuple[int, float], ...]:
-    return tuple((int(i), float(after_m[i])) for i in np.flatnonzero(after_m > GROSS * sigma_m))
+def _gross(after_m: Array, sigma_m: float, row: NDArray[np.intp] | None) -> tuple[tuple[int, float], ...]:
+    far = np.flatnonzero(after_m > GROSS * sigma_m)
+    return tuple((int(i if row is None else row[i]), float(after_m[i])) for i in far)
 
 
 def _held(

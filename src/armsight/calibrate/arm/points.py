@@ -36,6 +36,7 @@ class ArmPoints:
     """Measurements: joint readings q (m, n), positions xyz_m (m, 3), and where known rotations (m, 3, 3).
 
     point: (m,) names which of the tool's points a row is of. t_s: (m,) times, where the rows are of one recording.
+    row: (m,) which row of its table each is, from 0, where some of the table were left out.
     block: (m,) of time that each row is of, where the errors of neighbours were found alike, and gap_s: how far in time
     rows must be apart to be independent.
     """
@@ -45,6 +46,7 @@ class ArmPoints:
     rotation: Array | None = None
     point: tuple[str, ...] = ()
     t_s: Array | None = None
+    row: NDArray[np.intp] | None = None
     block: NDArray[np.intp] | None = None
     gap_s: float = 0.0
 
@@ -105,6 +107,7 @@ class ArmPoints:
             rotation=rotation,
             point=tuple(self.point[i] for i in rows),
             t_s=None if self.t_s is None else self.t_s[rows],
+            row=rows if self.row is None else self.row[rows],
             block=None if self.block is None else self.block[rows],
             gap_s=self.gap_s,
         )

@@ -101,7 +101,7 @@ def _wide_turn(path: TaughtPath, rows: list[int]) -> list[PathJump]:
     if turns[worst] <= TURN_RAD:
         return []
     text = f"the tool turns by {turns[worst] / DEG:.0f} deg before row {rows[worst + 1]}"
-    cure = "Correct the row, or keep the tool's rotation (--keep-rotation)"
+    cure = "Correct the row, or put rows between; armsight play --keep-rotation runs the path without turning"
     return [PathJump(row=rows[worst + 1], size=float(turns[worst]), text=text, cure=cure)]
 
 

@@ -334,8 +334,24 @@ def _instead(lattice: Lattice, board: Target, *, beyond: bool) -> str:
 
 
 def _whole_size(lattice: Lattice, board: Target) -> tuple[int, int] | None:
-    """Return larger and smaller count of a whole symmetric grid of another size, or None."""
-    if len(lattice) < 9 or board.kind is not TargetKind.CIRCLES:
+    """Return counts of a whole grid of another size, or None: of a symmetric one the larger first, of an asymmetric one
+    columns and rows exchanged."""
+    if len(lattice) < 9:
         return None
-    i, j = (np.ptp(np.array(list(lattice)), axis=0) + 1).tolist()
+    found = np.array(list(lattice))
+    if board.kind is TargetKind.ACIRCLES:
+        return (board.rows, board.columns) if _is_exchanged(found, board) else None
+    i, j = (np.ptp(found, axis=0) + 1).tolist()
     return (max(i, j), min(i, j)) if i * j == len(lattice) and {i, j} != {board.columns, board.rows} else None
+
+
+def _is_exchanged(found: Index, board: Target) -> bool:
+    """Tell whether lattice coordinates (n, 2) are those of a board with columns and rows exchanged, from any side."""
+    row, col = np.mgrid[0 : board.columns, 0 : board.rows]
+    places = _places(board, row.ravel(), col.ravel())
+    wanted = {(i, j) for i, j in (places - places.min(axis=0)).tolist()}
+    turns = [np.array(turn) for turn in (((1, 0), (0, 1)), ((1, 0), (0, -1)), ((-1, 0), (0, 1)), ((-1, 0), (0, -1)))]
+    for turned in (found @ turn for side in turns for turn in (side, side[::-1])):
+        if {(i, j) for i, j in (turned - turned.min(axis=0)).tolist()} == wanted:
+            return True
+    return False

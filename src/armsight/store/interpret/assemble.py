@@ -78,7 +78,8 @@ def lengths_m(found: Found, columns: Sequence[Column], unstated: float) -> Array
     if found.format.as_stated:
         return out
     if looks_like_mm(out):
-        raise mm_for_metres(found.where, names, xyz)
+        stated = min(scales) < 1.0
+        raise far_for_stated(found.where, names, out) if stated else mm_for_metres(found.where, names, xyz)
     if max(scales) < 0.1 and looks_like_m(xyz):
         raise Inconsistent(
             f"{found.where}: columns {', '.join(names)}: these look like metres: the largest value is "
@@ -120,6 +121,15 @@ def mm_for_metres(where: str, names: Sequence[str], xyz: Array) -> Inconsistent:
         f"{where}: columns {', '.join(names)}: these look like mm or cm: the largest value is {largest(xyz):.4g}",
         consequence="Taken as metres they would be far from any arm",
         cure=f"Name the columns {_with_unit(names[0], 'mm')}, ..., or give --units mm; --as-stated if they are metres",
+    )
+
+
+def far_for_stated(where: str, names: Sequence[str], xyz_m: Array) -> Inconsistent:
+    """Return the refusal of positions that are far from any arm in the unit that is stated, which is none of metres."""
+    return Inconsistent(
+        f"{where}: columns {', '.join(names)}: in the unit that is stated the largest value is {largest(xyz_m):.4g} m",
+        consequence="No arm, rig or tracker's target is so far off",
+        cure="Check the values, and the unit: um is 0.001 mm; give --as-stated if they are right",
     )
 
 

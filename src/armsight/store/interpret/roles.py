@@ -82,6 +82,7 @@ ROLES: Mapping[str, Role] = {
             joints="wanted",
             time="maybe",
             words={"point": ("reflector", "smr", "prism")},
+            extras=POSE_EXTRAS,
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
         Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),
