@@ -175,16 +175,18 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
         q=q[rows],
         xyz_m=np.array([seen[int(frames[i])][0] for i in rows]),
         uv_px=np.array([seen[int(frames[i])][1] for i in rows]),
+        std_px=np.array([seen[int(frames[i])][2] for i in rows]),
     ), notes
 
 
-def _beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[dict[int, tuple[Array, Array]], list[str]]:
-    """Return place and pixels of the beacon by frame, and why it is not seen in the others.
+def _beacons(
+    setup: Setup, spots: list[tuple[int, Spots, Spots]]
+) -> tuple[dict[int, tuple[Array, Array, float]], list[str]]:
+    """Return place, pixels and their standard deviation of the beacon by frame, and why it is not seen in the others.
 
     The beacon moves with the arm: what stands at one place in most frames is something else.
     """
-    seen: dict[int, tuple[Array, Array]] = {}
-    std_px: dict[int, float] = {}
+    seen: dict[int, tuple[Array, Array, float]] = {}
     notes = []
     lefts = without_standing([left for _, left, _ in spots])
     rights = without_standing([right for _, _, right in spots])
@@ -194,25 +196,24 @@ def _beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[dict[
             notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
             continue
         views = (found.left, found.right)
-        std_px[number] = float(np.sqrt(max(np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in views)))
-        seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views])
-    return seen, notes + _leave_uneven(seen, std_px)
+        std_px = float(np.sqrt(max(np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in views)))
+        seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views]), std_px
+    return seen, notes + _leave_uneven(seen)
 
 
-def _leave_uneven(seen: dict[int, tuple[Array, Array]], std_px: Mapping[int, float]) -> list[str]:
+def _leave_uneven(seen: dict[int, tuple[Array, Array, float]]) -> list[str]:
     """Take frames out of seen in which the beacon is known much worse than in most; return why.
 
     Not weighed: an edge behind the beacon shifts it alike in both views and in neighbouring frames, and three such
     frames of thirty turned an axis by seven standard deviations.
     """
-    typical = float(np.median(list(std_px.values()))) if std_px else 0.0
-    worse = [number for number, std in std_px.items() if std > UNEVEN * typical]
+    typical = float(np.median([std for _, _, std in seen.values()])) if seen else 0.0
+    worse = {number: std for number, (_, _, std) in seen.items() if std > UNEVEN * typical}
     for number in worse:
         del seen[number]
     return [
-        f"frame {number}: left out, what is behind the beacon may shift it by {std_px[number]:.2g} px, against "
-        f"{typical:.2g} px in most frames"
-        for number in worse
+        f"frame {number}: left out, what is behind the beacon may shift it by {std:.2g} px; {typical:.2g} px in most"
+        for number, std in worse.items()
     ]
 
 

@@ -137,6 +137,8 @@ def _at_once(
         )
     notes += suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared, rig)
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
+    if rig is not None and sigma is None and seen.sweeps.std_px is not None:
+        widen = max(widen, float(np.median(seen.sweeps.std_px) / seen.sigma) ** 2)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
     p, model = whole.fit.shared, whole.model
     notes += _notes(found, [axis.revolute for axis in model.axes])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,9 @@ class Sweeps:
     """Readings row by row: joint (m,) that moves, from 0; q (m, n); xyz_m (m, 3) in rig axes.
 
     A joint may be swept several times, with the others at other places each time.
-    uv_px: (m, 2, 2) as [row, side], where a rig saw them. covariance_m2: (m, 3, 3) of the positions, where known.
+    uv_px: (m, 2, 2) as [row, side], where a rig saw them. std_px: (m,) of a coordinate of theirs, as whoever found them
+    claims; identification claims no less, for not all of it shows in what a fit leaves. covariance_m2: (m, 3, 3) of the
+    positions, where known.
     """
 
     joint: NDArray[np.intp]
@@ -34,6 +36,7 @@ class Sweeps:
     xyz_m: Array
     uv_px: Array | None = None
     covariance_m2: Array | None = None
+    std_px: Array | None = None
 
     def __post_init__(self) -> None:
         m = len(self.joint)
@@ -42,6 +45,8 @@ class Sweeps:
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
         if self.uv_px is not None:
             object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (m, 2, 2)))
+        if self.std_px is not None:
+            object.__setattr__(self, "std_px", frozen_array("std_px", self.std_px, (m,)))
         if self.covariance_m2 is not None:
             object.__setattr__(self, "covariance_m2", frozen_array("covariance_m2", self.covariance_m2, (m, 3, 3)))
 
@@ -72,6 +77,7 @@ class Sweeps:
             xyz_m=self.xyz_m[rows],
             uv_px=None if self.uv_px is None else self.uv_px[rows],
             covariance_m2=None if self.covariance_m2 is None else self.covariance_m2[rows],
+            std_px=None if self.std_px is None else self.std_px[rows],
         )
 
 
@@ -85,9 +91,7 @@ def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
         )
     noise = np.tile(sigma_px**2 * np.eye(2), (len(sweeps), 1, 1))
     found = triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise)
-    return Sweeps(
-        joint=sweeps.joint, q=sweeps.q, xyz_m=found.xyz_m, uv_px=sweeps.uv_px, covariance_m2=found.covariance_m2
-    )
+    return replace(sweeps, xyz_m=found.xyz_m, covariance_m2=found.covariance_m2)
 
 
 def check_sweeps(sweeps: Sweeps) -> None:
