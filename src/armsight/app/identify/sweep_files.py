@@ -18,7 +18,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.schemas.base import RejectedRow
 from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Joint
@@ -34,9 +34,6 @@ from armsight.store.interpret import OURS, TableFormat
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
 
 Array = NDArray[np.float64]
-
-UNEVEN = 1.8
-"""Standard deviation of a beacon's pixels over the median's from which its frame is left out; others come to 1.5."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +82,8 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
                 "nothing to identify from", cure="Give --sweep; or --rig, --target, --left, --right and --joints"
             )
         sweeps, notes = seen_in_frames(job, rig, progress or Silent())
+        sweeps, uneven = even_ones(sweeps)
+        notes += uneven
         write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
     return identified(job, sweeps, rig, notes)
 
@@ -198,23 +197,7 @@ def _beacons(
         views = (found.left, found.right)
         std_px = float(np.sqrt(max(np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in views)))
         seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views]), std_px
-    return seen, notes + _leave_uneven(seen)
-
-
-def _leave_uneven(seen: dict[int, tuple[Array, Array, float]]) -> list[str]:
-    """Take frames out of seen in which the beacon is known much worse than in most; return why.
-
-    Not weighed: an edge behind the beacon shifts it alike in both views and in neighbouring frames, and three such
-    frames of thirty turned an axis by seven standard deviations.
-    """
-    typical = float(np.median([std for _, _, std in seen.values()])) if seen else 0.0
-    worse = {number: std for number, (_, _, std) in seen.items() if std > UNEVEN * typical}
-    for number in worse:
-        del seen[number]
-    return [
-        f"frame {number}: left out, what is behind the beacon may shift it by {std:.2g} px; {typical:.2g} px in most"
-        for number, std in worse.items()
-    ]
+    return seen, notes
 
 
 def identify_output(
