@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armsight.app.identify.sweep_files import IdentifyJob, identified
-from armsight.calibrate.identify import Sweeps, identify
+from armsight.calibrate.identify import Sweeps, even_ones, identify
 from armsight.errors import Inconsistent
+from armsight.optics import Camera, parallel_rig
+from armsight.optics.parallelism import moved_rig
+from armsight.records import NamedCovariance
 
 ROWS = np.array([[0.3, 0.2, 0.2, 1.4], [-0.4, 0.1, 0.3, 0.7], [0.6, -0.1, 0.15, 1.9], [0.1, 0.2, 0.25, 1.1]])
 """theta, d, a, alpha of four turning joints."""
@@ -58,3 +62,41 @@ def test_the_method_of_the_paper_is_refused_where_it_is_useless(tmp_path: Path) 
     assert identified(IdentifyJob(out=out), noisy, None).misfit < 2.0 and out.exists()
     clean = identify(swept(0.0, 1e-6), method="paper")
     assert not clean.useless
+
+
+def test_readings_before_an_edge_are_left_out_and_told() -> None:
+    sweeps = swept(0.0, 2e-4)
+    std_px = np.random.default_rng(3).uniform(0.09, 0.13, len(sweeps))
+    std_px[[17, 19]] = 0.3, 0.45
+    kept, notes = even_ones(replace(sweeps, std_px=std_px))
+    assert len(kept) == len(sweeps) - 2 and 0.3 not in (kept.std_px if kept.std_px is not None else ())
+    assert [note.split(" left")[0] for note in notes] == ["reading 18 (joint 2)", "reading 20 (joint 2)"]
+    assert even_ones(sweeps) == (sweeps, [])
+
+
+FX, BASELINE = 750.0, 0.3
+CAMERA = Camera.pinhole(640, 480, FX, FX, 319.5, 239.5)
+CALIBRATED = np.array([0.3, 0.3, 0.3, 0.3, 0, 3e-4, 0, 0, 0, 0] * 2 + [5e-5, 5e-5, 1e-4, 2e-4, 2e-4, 1e-4])
+"""Standard deviations of a rig's parameters."""
+
+
+def test_what_a_rig_does_not_know_is_in_the_table() -> None:
+    """Of 30 rigs calibrated anew, entries within two standard deviations; as exact rigs half of them are not."""
+    clean, at = swept(0.0, 0.0, 2.6), np.array([0.0, -0.3, 2.2])
+    rig = parallel_rig(CAMERA, BASELINE)
+    x, y, z = (clean.xyz_m + at).T
+    left = np.stack([FX * x / z + 319.5, FX * y / z + 239.5], axis=1)
+    uv = np.stack([left, left - [1.0, 0.0] * (FX * BASELINE / z)[:, None]], axis=1)
+    truth = identify(swept(0.0, 1e-7)).arm.joints
+    names, inside = tuple(rig.parameters), {True: [], False: []}
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        seen = replace(clean, uv_px=uv + rng.normal(0.0, 0.05, uv.shape))
+        wrong = moved_rig(rig, CALIBRATED * rng.normal(size=len(names)))
+        for known in inside:
+            covariance = NamedCovariance(names=names, matrix=np.diag(CALIBRATED**2)) if known else None
+            found = identify(seen, rig=replace(wrong, covariance=covariance))
+            for joint, true, one in zip(found.arm.joints, truth, found.joints, strict=True):
+                inside[known] += [abs(getattr(joint, k) - getattr(true, k)) < 2.0 * s for k, s in one.std.items() if s]
+    assert np.mean(inside[True]) > 0.9
+    assert np.mean(inside[False]) < 0.7

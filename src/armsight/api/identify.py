@@ -15,7 +15,7 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.api.results import Result, Row, with_std
 from armsight.app.identify.sweep_files import IdentifyJob, identify_output, seen_in_frames
-from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
@@ -177,7 +177,7 @@ def identify_arm_from_frames(
     with Given(name="arm.yaml") as given:
         job = given.job(IdentifyJob, locals())
         cameras = rig if isinstance(rig, Rig) else read_rig(job.rig or given.out)
-        sweeps, _ = seen_in_frames(job, cameras, progress or Silent())
+        sweeps, _ = even_ones(seen_in_frames(job, cameras, progress or Silent())[0])
         return _identified(sweeps, cameras, T_base_rig, method=method, increments=increments, sigma=sigma, name=name)
 
 

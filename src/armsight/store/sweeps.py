@@ -14,6 +14,8 @@ from armsight.store.interpret import OURS, TableFormat, check_joint_values, stan
 from armsight.store.tables import cells, parse_table
 from armsight.store.tracks import POSITION
 
+STD = "std_px"
+"""Column of the pixels' standard deviation, where it is known."""
 PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")
 
 
@@ -23,7 +25,7 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     Raises BadFile that names line and column.
     """
     data = standard_bytes(path, "sweep", format_)
-    table = parse_table(data, str(path), ["joint"], optional=(*POSITION, *PIXELS), series="q")
+    table = parse_table(data, str(path), ["joint"], optional=(*POSITION, *PIXELS, STD), series="q")
     readings = table.series("q")
     check_joint_values(table.stacked(readings), str(path), format_)
     pixels = [name for name in PIXELS if name in table.numbers]
@@ -40,7 +42,8 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
         raise BadFile(f"{table.place(row)}, column joint: {joint[row]:g} is not the number of a joint")
     xyz = table.stacked(POSITION) if positions else np.zeros((len(table), 3))
     uv = table.stacked(PIXELS).reshape(-1, 2, 2) if pixels else None
-    return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv)
+    std = table.numbers.get(STD)
+    return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv, std_px=std)
 
 
 def read_sweep_joints(
@@ -63,10 +66,11 @@ def read_sweep_joints(
 
 def write_sweeps(path: Path, sweeps: Sweeps) -> None:
     """Write sweep.csv, joints from 1."""
-    pixels = sweeps.uv_px is not None
-    names = ["joint", *(f"q{i + 1}" for i in range(sweeps.n)), *POSITION, *(PIXELS if pixels else ())]
+    pixels = () if sweeps.uv_px is None else PIXELS if sweeps.std_px is None else (*PIXELS, STD)
+    names = ["joint", *(f"q{i + 1}" for i in range(sweeps.n)), *POSITION, *pixels]
     rows = []
     for i in range(len(sweeps)):
         values = [*sweeps.q[i], *sweeps.xyz_m[i], *(sweeps.uv_px[i].ravel() if sweeps.uv_px is not None else ())]
+        values += [sweeps.std_px[i]] if sweeps.std_px is not None and STD in pixels else []
         rows.append(f"{sweeps.joint[i] + 1},{cells(values)}")
     write_text(path, "\n".join([",".join(names), *rows]) + "\n")

@@ -204,6 +204,24 @@ def test_claimed_ellipses_hold_before_uneven_grounds() -> None:
     assert inside >= 52
 
 
+def test_an_edge_between_greys_behind_a_light_is_in_its_claim() -> None:
+    """No edge in the colour's signal, but sRGB's curve makes the same light less over the brighter grey."""
+    off, claimed = [], []
+    for k, edge in enumerate(range(-8, 9, 2)):
+        image = np.full((HEIGHT, WIDTH, 3), 0.16)
+        image[200 + edge :] = 0.012
+        light(image, np.array([300.0, 200.0]), LED, 0.7, 3.0)
+        levels = 255.0 * np.where(
+            image < 0.0031308, 12.92 * image, 1.055 * np.clip(image, 1e-9, 1) ** (1 / 2.4) - 0.055
+        )
+        spots = find_spots(stored(levels, k), SpotSettings(colour=RED))
+        assert len(spots) == 1
+        off.append(spots.uv_px[0, 1] - 200.0)
+        claimed.append(float(np.sqrt(spots.covariance_px2[0, 1, 1])))
+    assert np.abs(off).max() > 0.3
+    assert (np.abs(off) / claimed).max() < 2.5
+
+
 @pytest.mark.parametrize("quality", [None, 80])
 def test_a_light_across_the_edge_of_something_nearly_white_is_refused(quality: int | None) -> None:
     """Where the wall leaves its red no room, only the other half of it is coloured."""

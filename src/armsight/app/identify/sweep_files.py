@@ -18,7 +18,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.schemas.base import RejectedRow
 from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Joint
@@ -82,6 +82,8 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
                 "nothing to identify from", cure="Give --sweep; or --rig, --target, --left, --right and --joints"
             )
         sweeps, notes = seen_in_frames(job, rig, progress or Silent())
+        sweeps, uneven = even_ones(sweeps)
+        notes += uneven
         write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
     return identified(job, sweeps, rig, notes)
 
@@ -172,15 +174,18 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
         q=q[rows],
         xyz_m=np.array([seen[int(frames[i])][0] for i in rows]),
         uv_px=np.array([seen[int(frames[i])][1] for i in rows]),
+        std_px=np.array([seen[int(frames[i])][2] for i in rows]),
     ), notes
 
 
-def _beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[dict[int, tuple[Array, Array]], list[str]]:
-    """Return place and pixels of the beacon by frame, and why it is not seen in the others.
+def _beacons(
+    setup: Setup, spots: list[tuple[int, Spots, Spots]]
+) -> tuple[dict[int, tuple[Array, Array, float]], list[str]]:
+    """Return place, pixels and their standard deviation of the beacon by frame, and why it is not seen in the others.
 
     The beacon moves with the arm: what stands at one place in most frames is something else.
     """
-    seen: dict[int, tuple[Array, Array]] = {}
+    seen: dict[int, tuple[Array, Array, float]] = {}
     notes = []
     lefts = without_standing([left for _, left, _ in spots])
     rights = without_standing([right for _, _, right in spots])
@@ -189,7 +194,9 @@ def _beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[dict[
         if len(found.points) == 0:
             notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
             continue
-        seen[number] = found.points.xyz_m[0], np.stack([found.left.uv_px[0], found.right.uv_px[0]])
+        views = (found.left, found.right)
+        std_px = float(np.sqrt(max(np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in views)))
+        seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views]), std_px
     return seen, notes
 
 

@@ -3,6 +3,6 @@
 from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.identify import INCREMENTS, METHODS, identify
 from armsight.calibrate.identify.result import Identification, JointFound
-from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.calibrate.identify.sweeps import Sweeps, even_ones
 
-__all__ = ["INCREMENTS", "METHODS", "Axis", "Identification", "JointFound", "Sweeps", "identify"]
+__all__ = ["INCREMENTS", "METHODS", "Axis", "Identification", "JointFound", "Sweeps", "even_ones", "identify"]

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify.chain import ChainModel
-from armsight.calibrate.identify.residuals import SweepResiduals
+from armsight.calibrate.identify.residuals import SweepResiduals, rig_shifts
 from armsight.fitting.quantiles import f_sf
+from armsight.optics import Rig
 
 Array = NDArray[np.float64]
 
@@ -21,14 +22,20 @@ OWN = 1e-3
 """Share of a coupling's effect that must be its own, not that of the arm's parameters."""
 
 
-def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array) -> list[str]:
+def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array, rig: Rig | None = None) -> list[str]:
     """Return a note of the coupling, or joint's scale, that explains most of what the fit p (P,) leaves of readings.
+
+    rig: what its calibration leaves open explains of it what it can first.
 
     None where chance would do. Each share is tested alone, to first order beside the arm's parameters (F-test with one
     degree of freedom), for all pairs of joints; Bonferroni's bound over the pairs. Those alike are named.
     """
     q, n = kept.sweeps.q, kept.sweeps.n
-    r, slopes = (x.reshape(-1, *x.shape[2:]) for x in kept.residuals(*model.predict(p, q)))
+    predicted, J = model.predict(p, q)
+    r, slopes = (x.reshape(-1, *x.shape[2:]) for x in kept.residuals(predicted, J))
+    shifts = rig_shifts(kept, rig, predicted)
+    k = shifts.shape[1]  # each a parameter with a reading of its own: 0 +- 1
+    r, slopes = np.append(r, np.zeros(k)), np.block([[slopes, shifts], [np.zeros((k, slopes.shape[1])), np.eye(k)]])
     U, s, _ = np.linalg.svd(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300), full_matrices=False)
     Q = U[:, s > 1e-9 * s[0]]
     left = r - Q @ (Q.T @ r)
@@ -38,7 +45,7 @@ def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array) -> list[
     found: list[tuple[float, int, int, float, float]] = []
     for i in range(n):
         for by in range(n):
-            column = _effect(kept, model, p, i, by)
+            column = np.append(_effect(kept, model, p, i, by), np.zeros(k))
             own = column - Q @ (Q.T @ column)
             size2 = float(own @ own)
             if size2 <= OWN**2 * float(column @ column):

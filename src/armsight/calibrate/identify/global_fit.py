@@ -14,10 +14,11 @@ from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_cha
 from armsight.calibrate.identify.coupling import suggest_coupling
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.path_fit import GROSS
-from armsight.calibrate.identify.residuals import SweepResiduals
+from armsight.calibrate.identify.residuals import SweepResiduals, rig_shifts
 from armsight.calibrate.identify.sweeps import Sweeps
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
+from armsight.optics import Rig
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
@@ -84,6 +85,20 @@ class GlobalFit:
     def scale2(self) -> float:
         """Variance of the whitened residuals: 1 where the noise of single paths explains all."""
         return 2.0 * self.fit.cost / max(self.fit.dof, 1)
+
+    def rig_share(self, seen: SweepResiduals, rig: Rig | None) -> Array:
+        """Return what the rig's own uncertainty adds to the covariance (P, P): it is wrong alike in every reading."""
+        out = np.zeros((len(self.fit.names), len(self.fit.names)))
+        kept = seen.take(self.rows)
+        predicted, J = self.model.predict(self.fit.shared, kept.sweeps.q)
+        shifts = rig_shifts(kept, rig, predicted)
+        if self.fit.covariance is None or not shifts.shape[1]:
+            return out
+        free = [self.fit.names.index(name) for name in self.fit.covariance.names]
+        slopes = kept.residuals(predicted, J)[1].reshape(len(shifts), -1)[:, free]
+        moved = np.linalg.lstsq(slopes, -shifts, rcond=None)[0]
+        out[np.ix_(free, free)] = moved @ moved.T
+        return out
 
 
 def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:

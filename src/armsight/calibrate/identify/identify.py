@@ -89,7 +89,7 @@ def identify(
         return _from_paper(seen, found, frame, notes, name)
     if increments == "order":
         return _joint_by_joint(seen, found, frame, notes, name)
-    return _at_once(seen, found, frame, notes, name, sigma)
+    return _at_once(seen, found, frame, notes, name, sigma, rig)
 
 
 def _far(sweeps: Sweeps) -> list[str]:
@@ -119,7 +119,13 @@ def _notes(found: Sequence[JointPath], turns: Sequence[bool]) -> list[str]:
 
 
 def _at_once(
-    seen: SweepResiduals, found: list[JointPath], base: Array, notes: list[str], name: str, sigma: float | None
+    seen: SweepResiduals,
+    found: list[JointPath],
+    base: Array,
+    notes: list[str],
+    name: str,
+    sigma: float | None,
+    rig: Rig | None,
 ) -> Identification:
     """Place the frames on the axes of the whole arm's fit."""
     whole = fit_globally(seen, found)
@@ -129,12 +135,14 @@ def _at_once(
             "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
             "may not be enough: with values that are not exact use only their order (--increments order)"
         )
-    notes += suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared)
+    notes += suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared, rig)
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
+    if rig is not None and sigma is None and seen.sweeps.std_px is not None:
+        widen = max(widen, float(np.median(seen.sweeps.std_px) / seen.sigma) ** 2)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
     p, model = whole.fit.shared, whole.model
     notes += _notes(found, [axis.revolute for axis in model.axes])
-    covariance = all_covariance(whole.fit.names, whole.fit.covariance, widen)
+    covariance = all_covariance(whole.fit.names, whole.fit.covariance, widen) + whole.rig_share(seen, rig)
     axes, beacon = model.axes_at(p)
     table, first, tool = place_frames(axes, beacon, base)
 

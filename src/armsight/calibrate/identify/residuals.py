@@ -10,9 +10,13 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.identify.kernels import see_many
 from armsight.calibrate.identify.sweeps import Sweeps
-from armsight.optics import PackedRig
+from armsight.optics import PackedRig, Rig
+from armsight.optics.parallelism import moved_rig
 
 Array = NDArray[np.float64]
+
+SAME = 1e-12
+"""Share of the largest variance below which a direction of a rig's covariance was held fixed: rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +70,23 @@ class SweepResiduals:
     def at(self, sigma: float) -> SweepResiduals:
         """Return the same readings with another noise."""
         return SweepResiduals(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
+
+
+def rig_shifts(kept: SweepResiduals, rig: Rig | None, xyz_m: Array) -> Array:
+    """Return whitened residuals' changes (4 m, k) by what a rig's calibration leaves open: k independent directions of
+    its covariance, each by one standard deviation; at model positions (m, 3). (.., 0) without a rig or covariance."""
+    none = np.empty((kept.rows * len(xyz_m), 0))
+    if rig is None or not PackedRig.of(rig).covariance.any():
+        return none
+    variances, directions = np.linalg.eigh(PackedRig.of(rig).covariance)
+    steps = (directions * np.sqrt(np.maximum(variances, 0.0))).T[variances > SAME * variances[-1]]
+    ray, uv, D = np.ascontiguousarray(xyz_m), np.empty((len(xyz_m), 2, 2)), np.empty((len(xyz_m), 2, 2, 3))
+    seen = []
+    for step in (np.zeros(len(directions)), *steps):
+        packed = PackedRig.of(moved_rig(rig, step))
+        see_many(packed.k, packed.R, packed.t, ray, uv, D)
+        seen.append(uv.ravel() / kept.sigma)
+    return np.stack(seen[1:], axis=1) - seen[0][:, None]
 
 
 def position_residuals(sweeps: Sweeps, sigma: float) -> SweepResiduals:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ FEWEST = 3
 """Three points lie on a circle always; from four on something is left to judge by."""
 HELD = 5e-3
 """Joints that hold still within a sweep may differ by so much (rad, m): what encoders and brakes leave."""
+UNEVEN = 1.8
+"""Standard deviation of a reading's pixels over the median's from which it is left out; others come to 1.5."""
 MOVED = 1e-3
 """Least movement (rad, m) of a joint in its own sweep."""
 
@@ -26,7 +28,9 @@ class Sweeps:
     """Readings row by row: joint (m,) that moves, from 0; q (m, n); xyz_m (m, 3) in rig axes.
 
     A joint may be swept several times, with the others at other places each time.
-    uv_px: (m, 2, 2) as [row, side], where a rig saw them. covariance_m2: (m, 3, 3) of the positions, where known.
+    uv_px: (m, 2, 2) as [row, side], where a rig saw them. std_px: (m,) of a coordinate of theirs, as whoever found them
+    claims; identification claims no less, for not all of it shows in what a fit leaves. covariance_m2: (m, 3, 3) of the
+    positions, where known.
     """
 
     joint: NDArray[np.intp]
@@ -34,6 +38,7 @@ class Sweeps:
     xyz_m: Array
     uv_px: Array | None = None
     covariance_m2: Array | None = None
+    std_px: Array | None = None
 
     def __post_init__(self) -> None:
         m = len(self.joint)
@@ -42,6 +47,8 @@ class Sweeps:
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
         if self.uv_px is not None:
             object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (m, 2, 2)))
+        if self.std_px is not None:
+            object.__setattr__(self, "std_px", frozen_array("std_px", self.std_px, (m,)))
         if self.covariance_m2 is not None:
             object.__setattr__(self, "covariance_m2", frozen_array("covariance_m2", self.covariance_m2, (m, 3, 3)))
 
@@ -72,6 +79,7 @@ class Sweeps:
             xyz_m=self.xyz_m[rows],
             uv_px=None if self.uv_px is None else self.uv_px[rows],
             covariance_m2=None if self.covariance_m2 is None else self.covariance_m2[rows],
+            std_px=None if self.std_px is None else self.std_px[rows],
         )
 
 
@@ -85,9 +93,24 @@ def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
         )
     noise = np.tile(sigma_px**2 * np.eye(2), (len(sweeps), 1, 1))
     found = triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise)
-    return Sweeps(
-        joint=sweeps.joint, q=sweeps.q, xyz_m=found.xyz_m, uv_px=sweeps.uv_px, covariance_m2=found.covariance_m2
-    )
+    return replace(sweeps, xyz_m=found.xyz_m, covariance_m2=found.covariance_m2)
+
+
+def even_ones(sweeps: Sweeps) -> tuple[Sweeps, list[str]]:
+    """Return the readings whose pixels are about as good as most, and notes on the others.
+
+    Weighing would not do: an edge behind the beacon shifts it alike in both views and in neighbouring readings, and
+    three of thirty turned an axis by seven standard deviations.
+    """
+    if sweeps.std_px is None or not len(sweeps):
+        return sweeps, []
+    typical = float(np.median(sweeps.std_px))
+    even = sweeps.std_px <= UNEVEN * typical
+    return sweeps.take(np.flatnonzero(even)), [
+        f"reading {row + 1} (joint {sweeps.joint[row] + 1}) left out: what is behind the beacon may shift it by "
+        f"{sweeps.std_px[row]:.2g} px, most by {typical:.2g} px"
+        for row in np.flatnonzero(~even)
+    ]
 
 
 def check_sweeps(sweeps: Sweeps) -> None:

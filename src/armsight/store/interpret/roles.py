@@ -86,7 +86,7 @@ ROLES: Mapping[str, Role] = {
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
         Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),
-        Role(name="sweep", position="maybe", rotation="maybe", joints="wanted", extras=("joint", *PIXELS)),
+        Role(name="sweep", position="maybe", rotation="maybe", joints="wanted", extras=("joint", *PIXELS, "std_px")),
         Role(name="sweep_joints", frames=(), joints="wanted", extras=("frame", "joint")),
     )
 }
