@@ -81,13 +81,15 @@ CALIBRATED = np.array([0.3, 0.3, 0.3, 0.3, 0, 3e-4, 0, 0, 0, 0] * 2 + [5e-5, 5e-
 
 
 def test_what_a_rig_does_not_know_is_in_the_table() -> None:
-    """Of 30 rigs calibrated anew, entries within two standard deviations; as exact rigs half of them are not."""
+    """Of 30 rigs calibrated anew, entries within two standard deviations; taken as exact a quarter of them is not."""
     clean, at = swept(0.0, 0.0, 2.6), np.array([0.0, -0.3, 2.2])
     rig = parallel_rig(CAMERA, BASELINE)
     x, y, z = (clean.xyz_m + at).T
     left = np.stack([FX * x / z + 319.5, FX * y / z + 239.5], axis=1)
     uv = np.stack([left, left - [1.0, 0.0] * (FX * BASELINE / z)[:, None]], axis=1)
-    truth = identify(swept(0.0, 1e-7)).arm.joints
+    truth = identify(
+        replace(clean, xyz_m=clean.xyz_m + at + np.random.default_rng(0).normal(0.0, 1e-7, clean.xyz_m.shape))
+    ).arm.joints
     names, inside = tuple(rig.parameters), {True: [], False: []}
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -97,6 +99,8 @@ def test_what_a_rig_does_not_know_is_in_the_table() -> None:
             covariance = NamedCovariance(names=names, matrix=np.diag(CALIBRATED**2)) if known else None
             found = identify(seen, rig=replace(wrong, covariance=covariance))
             for joint, true, one in zip(found.arm.joints, truth, found.joints, strict=True):
-                inside[known] += [abs(getattr(joint, k) - getattr(true, k)) < 2.0 * s for k, s in one.std.items() if s]
+                inside[known] += [
+                    abs(getattr(joint, k) - getattr(true, k)) < 2.0 * s for k, s in one.std.items() if s > 0.0
+                ]
     assert np.mean(inside[True]) > 0.9
-    assert np.mean(inside[False]) < 0.7
+    assert np.mean(inside[False]) < 0.85

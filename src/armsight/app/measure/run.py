@@ -392,9 +392,7 @@ def _with_place(failure: ArmsightError, outputs: Outputs, out: Path) -> Armsight
 
 def _total(total: int | None, limit: int | None) -> int:
     """Return how many pairs there will be, 0 where that is not known."""
-    if total is None or limit is None:
-        return total or limit or 0
-    return min(total, limit)
+    return min((n for n in (total, limit) if n is not None), default=0)
 
 
 def _generator(pairs: PairSource) -> Generator[Pair, None, None]:

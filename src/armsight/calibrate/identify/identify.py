@@ -129,16 +129,8 @@ def _at_once(
 ) -> Identification:
     """Place the frames on the axes of the whole arm's fit."""
     whole = fit_globally(seen, found)
-    if whole.scale2 > AT_ODDS:
-        notes.append(
-            f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
-            "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
-            "may not be enough: with values that are not exact use only their order (--increments order)"
-        )
-    notes += suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared, rig)
-    widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
-    if rig is not None and sigma is None and seen.sweeps.std_px is not None:
-        widen = max(widen, float(np.median(seen.sweeps.std_px) / seen.sigma) ** 2)
+    widen, misfit = _widening(seen, whole, sigma)
+    notes += misfit + suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared, rig)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
     p, model = whole.fit.shared, whole.model
     notes += _notes(found, [axis.revolute for axis in model.axes])
@@ -167,6 +159,22 @@ def _at_once(
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
     return replace(result, uncertainty=ParameterUncertainty(model=model, p=p, information=A.T @ A))
+
+
+def _widening(seen: SweepResiduals, whole: GlobalFit, sigma: float | None) -> tuple[float, list[str]]:
+    """Return by how much the variances are larger than the noise about single paths says, and a note where by much."""
+    notes = []
+    if whole.scale2 > AT_ODDS:
+        notes.append(
+            f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
+            "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
+            "may not be enough: with values that are not exact use only their order (--increments order)"
+        )
+    if sigma is not None:
+        return max(whole.scale2, 1.0), notes
+    if seen.rig is None or seen.sweeps.std_px is None:
+        return whole.scale2, notes
+    return max(whole.scale2, float(np.median(seen.sweeps.std_px) / seen.sigma) ** 2), notes
 
 
 def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
