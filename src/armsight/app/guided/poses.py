@@ -249,7 +249,8 @@ class HandEyeStep(PoseSamples):
         pairs = self.folder / "pairs.csv"
         pairs.parent.mkdir(parents=True, exist_ok=True)
         names = [sample.name for sample in self.samples]
-        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names))
+        covariance = np.array([pose.covariance for pose in self._poses])
+        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names, covariance))
         done = calibrate_handeye(HandEyeJob(pairs=pairs, out=self.out, setup=self.setup), progress)
         rows = (
             ("pairs used", f"{done.n_used} of {done.n_pairs}"),

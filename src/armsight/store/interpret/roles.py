@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from armsight.store.covariances import COVARIANCE, SYSTEMATIC_COVARIANCE
+from armsight.store.covariances import CAMERA_COVARIANCE, COVARIANCE, SYSTEMATIC_COVARIANCE
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -75,7 +75,7 @@ ROLES: Mapping[str, Role] = {
         Role(name="poses", time="wanted", extras=POSE_EXTRAS),
         Role(name="untimed-poses", time="maybe", extras=POSE_EXTRAS),
         Role(name="robot_poses", words={"file": IMAGES}),
-        Role(name="pairs", frames=PAIR_FRAMES),
+        Role(name="pairs", frames=PAIR_FRAMES, extras=CAMERA_COVARIANCE),
         Role(
             name="points",
             rotation="maybe",
