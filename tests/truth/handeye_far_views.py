@@ -1,7 +1,7 @@
-"""Hand-eye pairs whose camera poses are known unequally well: far and oblique views worse, translation tied to rotation.
+"""Hand-eye pairs whose camera poses are known unequally well: far and oblique views worse, place tied to turn.
 
-Four lights on a stick, seen by a pinhole camera of this file's own; the target's origin lies beside them, so that a turn
-moves it. The covariance of each pose is that of a least-squares fit to the lights' noise, by differences.
+Four lights on a stick, seen by a pinhole camera of this file's own; the target's origin lies beside them, so that a
+turn moves it. The covariance of each pose is that of a least-squares fit to the lights' noise, by differences.
 """
 
 from __future__ import annotations
@@ -63,7 +63,5 @@ def far_views(seed: int, n: int, *, robot_m: float = 0.05 * MM, robot_rad: float
     off = np.einsum("nij,nj->ni", np.linalg.cholesky(C), rng.normal(size=(n, 6)))
     seen = RigidTransform.from_components(t + off[:, :3], Rotation.from_rotvec(off[:, 3:]) * B.rotation)
     moved = A.translation + robot_m * rng.normal(size=(n, 3))
-    told = RigidTransform.from_components(
-        moved, Rotation.from_rotvec(robot_rad * rng.normal(size=(n, 3))) * A.rotation
-    )
+    told = RigidTransform.from_components(moved, Rotation.from_rotvec(robot_rad * rng.normal(size=(n, 3))) * A.rotation)
     return FarViews(X=X, Z=Z, robot=told, camera=seen, covariance=C)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
-from armsight.calibrate.handeye.known_noise import Weighed, fit_weighed, left_out
+from armsight.calibrate.handeye.known_noise import BELIEVED, Weighed, fit_weighed, left_out
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
 from armsight.fitting.quantiles import t_ppf
@@ -227,6 +227,8 @@ def uncertainty(solution: Solution) -> VarianceUncertainty:
     information = flat @ flat.T - 2.0 * flat @ turned.T  # tr Qk Qj, tr Qk Qj M
     CB = C @ B
     information = 0.5 * (information + np.einsum("kab,jba->kj", CB, CB))
+    if solution.weighed is not None:
+        information[-1, -1] += 1.0 / (BELIEVED * solution.variances[-1]) ** 2
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))  # variances are in m2, rad2 and none
     both = np.outer(scale, scale)
     covariance = both * np.linalg.pinv(both * information, rcond=1e-12, hermitian=True)

@@ -28,19 +28,32 @@ class Restricted:
 
 
 def restricted_variances(
-    e: Array, J: Array, known: Array, Q: Array, used: NDArray[np.bool_], floor: Array, start: Array | None = None
+    e: Array,
+    J: Array,
+    known: Array,
+    Q: Array,
+    used: NDArray[np.bool_],
+    floor: Array,
+    start: Array | None = None,
+    believed: float = np.inf,
 ) -> Restricted:
     """Return the variances theta of V_i = known_i + sum theta_k Q_ki from the residuals of a linear model.
 
     e (n, 6), J (n, 6, m), known (n, 6, 6), Q (K, n, 6, 6). used (n,): observations that count. floor (K,): the
-    least variances. start (K,): near the answer. Fisher scoring on the restricted likelihood (Patterson, Thompson
-    1971), halved where it would fall.
+    least variances. start (K,): near the answer. believed: standard deviation of the logarithm of the last variance
+    about nought, as it is known beforehand. Fisher scoring on the restricted likelihood (Patterson, Thompson 1971),
+    halved where it would fall.
     """
     theta = _first(e[used], Q[:, used]) if start is None else start
     theta = np.maximum(theta, floor)
     best, value = theta, -np.inf
     for _ in range(VARIANCE_ROUNDS):
         likelihood, score, information, share = _step(e[used], J[used], known[used], Q[:, used], theta)
+        if np.isfinite(believed):
+            logarithm = np.log(theta[-1])
+            likelihood -= 0.5 * (logarithm / believed) ** 2
+            score[-1] -= logarithm / (believed**2 * theta[-1])
+            information[-1, -1] += 1.0 / (believed * theta[-1]) ** 2
         if likelihood < value - 1e-9:
             theta = 0.5 * (theta + best)
             continue
