@@ -16,7 +16,7 @@ from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.store import write_text
-from armsight.store.covariances import DEVIATIONS, POINT_COVARIANCE
+from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import write_pairs
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells, word
@@ -178,7 +178,7 @@ def _write(
         names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
     if covariance is not None:
         C = covariance[:, :3, :3]
-        names = [*names, *DEVIATIONS[:3], *POINT_COVARIANCE]
+        names = [*names, *POSITION_COVARIANCE]
         columns = [*columns, np.sqrt(np.diagonal(C, axis1=1, axis2=2)), C[:, (0, 0, 1), (1, 2, 2)]]
     labels = [measured.point[group[0]] for group in rows]
     named = any(labels)

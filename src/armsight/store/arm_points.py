@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmPoints
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
+from armsight.store.covariances import DEVIATIONS, POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import named
-from armsight.store.tables import parse_table
+from armsight.store.tables import Table, parse_table
 from armsight.store.tracks import POSITION, QUATERNION
 
 SLIP = 0.8
@@ -22,15 +24,15 @@ SLIP = 0.8
 
 
 def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
-    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s], or of a table that can
-    be understood as one.
+    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s][,sx_m .. cov_y_z], or of
+    a table that can be understood as one.
 
     Columns that `verify` passes over (goal_x_m, temperature_c, ...) are passed over too; one that is nearly a column of
     this table is a slip of writing, and refused. Raises BadFile that names line and column, Inconsistent where units
     contradict the numbers.
     """
     data = standard_bytes(path, "points", format_)
-    own = (*QUATERNION, "point", "t_s")
+    own = (*QUATERNION, "point", "t_s", *POSITION_COVARIANCE)
     further = _further(data, (*POSITION, *own))
     table = parse_table(
         data,
@@ -38,7 +40,7 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         POSITION,
         optional=(*own, *further),
         text=("point", *further),
-        blank=("t_s", *further),
+        blank=("t_s", *POSITION_COVARIANCE, *further),
         series="q",
     )
     readings = table.series("q")
@@ -61,13 +63,30 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
             ]
         rotation = np.stack([pose.rotation.as_matrix() for pose in poses])
     t_s = table.numbers.get("t_s")
+    covariance, note = _covariance(table, path)
     return ArmPoints(
         q=table.stacked(readings),
         xyz_m=table.stacked(POSITION),
         rotation=rotation,
         point=table.text.get("point", ()),
         t_s=None if t_s is None or np.isnan(t_s).any() else t_s,
+        covariance=covariance,
+        unweighed=note,
     )
+
+
+def _covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
+    """Return the covariances (m, 3, 3) of the positions, None where not every row has them; and what to say."""
+    names = DEVIATIONS[:3]
+    if not any(name in table.numbers for name in names):
+        return None, ""
+    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
+    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
+    if without.any():
+        rows = f"{without.sum()} of {len(table)} rows have not all"
+        return None, f"{path.name}: the standard deviations of the positions are not used: {rows} three of them"
+    related = has_correlations(table.numbers)
+    return covariances(table, std, range(len(table))), "" if related else f"{path.name} {UNCORRELATED}"
 
 
 def _further(data: bytes, known: Sequence[str]) -> tuple[str, ...]:

@@ -72,8 +72,8 @@ class ArmCalibration:
     fitted: names and values of the parameters (changes to the nominal arm), noise. outliers: (row from 0, error in
     m). couplings: (joint, by which, share). correlation: of the errors in time, of samples of a stream; folds are
     blocks of time then, and covariance is widened for it. level: which kind of model was taken. still: joints that did
-    not move. before_m, error_m: (m,) before and after, by row. other_arm: why the nominal arm is that of another one;
-    nothing is corrected then.
+    not move. before_m, error_m: (m,) before and after, by row. place_noise_m: of one coordinate of the middle row.
+    other_arm: why the nominal arm is that of another one; nothing is corrected then.
     """
 
     arm: Arm
@@ -101,6 +101,7 @@ class ArmCalibration:
     verdict: str
     error_m: Array
     before_m: Array
+    place_noise_m: float
     other_arm: OtherArm | None = None
     correlation: Correlation | None = None
 
@@ -223,7 +224,12 @@ def _result(
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, best.fitted)
-    told = *_in_another_frame(model, first, holdout), *_unjudged(points, rows), *_in_stream(points, correlation)
+    told = (
+        *_weights(points, fitted),
+        *_in_another_frame(model, first, holdout),
+        *_unjudged(points, rows),
+        *_in_stream(points, correlation),
+    )
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -242,7 +248,7 @@ def _result(
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=fitted.fit.covariance,
-        outliers=_gross(after_m, best.fitted.sigma_m),
+        outliers=_gross(model, points, best.fitted, after_m),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
@@ -250,12 +256,14 @@ def _result(
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
+        place_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
     )
 
 
-def _gross(after_m: Array, sigma_m: float) -> tuple[tuple[int, float], ...]:
-    return tuple((int(i), float(after_m[i])) for i in np.flatnonzero(after_m > GROSS * sigma_m))
+def _gross(model: ArmModel, points: ArmPoints, fitted: ArmFit, after_m: Array) -> tuple[tuple[int, float], ...]:
+    size = np.linalg.norm(points.whiten(model.errors(fitted.p, points)[0], fitted.sigma_m), axis=1)
+    return tuple((int(i), float(after_m[i])) for i in np.flatnonzero(size > GROSS))
 
 
 def _held(
@@ -308,6 +316,18 @@ def _fixed(best: Level, richest: Level) -> tuple[tuple[str, str], ...]:
     """Return (name, why) of every parameter that the kept or the richest model offered and that was not corrected."""
     why = dict.fromkeys(richest.choice.free, UNPROVED) | dict(richest.choice.fixed) | dict(best.choice.fixed)
     return tuple((name, reason) for name, reason in why.items() if name not in best.choice.free)
+
+
+def _weights(points: ArmPoints, fitted: ArmFit) -> list[str]:
+    """Return notes of the positions' covariances: that they weigh, or why they do not."""
+    told = [points.unweighed] if points.unweighed else []
+    if points.covariance is not None:
+        own = 1e3 * points.typical_m(0.0)
+        told.append(
+            f"Rows are weighed by the covariances of their positions (typically {own:.2g} mm in a coordinate) and "
+            f"{1e3 * fitted.sigma_m:.2g} mm that these leave unexplained"
+        )
+    return told
 
 
 def _in_another_frame(model: ArmModel, first: Level, holdout: ArmPoints | None) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from armsight.store.covariances import CAMERA_COVARIANCE, COVARIANCE, SYSTEMATIC_COVARIANCE
+from armsight.store.covariances import CAMERA_COVARIANCE, COVARIANCE, POSITION_COVARIANCE, SYSTEMATIC_COVARIANCE
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -82,6 +82,7 @@ ROLES: Mapping[str, Role] = {
             joints="wanted",
             time="maybe",
             words={"point": ("reflector", "smr", "prism")},
+            extras=POSITION_COVARIANCE,
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
         Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),
