@@ -165,7 +165,8 @@ def _write(
     if job.kind == "pairs" and R is not None:
         F = [RigidTransform.from_matrix(paired.F[group]).mean() for group in rows]
         seen = [RigidTransform.from_components(x, r) for x, r in zip(xyz, R, strict=True)]
-        write_pairs(job.out, PosePairs.of(F, seen, camera_covariance=covariance))
+        known = covariance is not None and bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
+        write_pairs(job.out, PosePairs.of(F, seen, camera_covariance=covariance if known else None))
         return
     if paired.q is None or arm is None:
         raise UsageError(f"{job.kind} need joint readings")

@@ -250,7 +250,8 @@ class HandEyeStep(PoseSamples):
         pairs.parent.mkdir(parents=True, exist_ok=True)
         names = [sample.name for sample in self.samples]
         covariance = np.array([pose.covariance for pose in self._poses])
-        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names, covariance))
+        known = bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
+        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names, covariance if known else None))
         done = calibrate_handeye(HandEyeJob(pairs=pairs, out=self.out, setup=self.setup), progress)
         rows = (
             ("pairs used", f"{done.n_used} of {done.n_pairs}"),
