@@ -47,21 +47,7 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
     check_joint_values(table.stacked(readings), str(path), format_)
-    turns = [name for name in QUATERNION if name in table.numbers]
-    if turns and len(turns) < len(QUATERNION):
-        raise BadFile(
-            f"{path}: of the quaternion only {', '.join(turns)} is there",
-            consequence="The file is not used",
-            cure="Give qx, qy, qz and qw, or none of them",
-        )
-    rotation = None
-    if turns:
-        with named(str(path)):
-            poses = [
-                pose_from_quat(xyz, quat)
-                for xyz, quat in zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
-            ]
-        rotation = np.stack([pose.rotation.as_matrix() for pose in poses])
+    rotation = _rotation(table, path)
     t_s = table.numbers.get("t_s")
     covariance, note = _covariance(table, path)
     return ArmPoints(
@@ -73,6 +59,25 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         covariance=covariance,
         unweighed=note,
     )
+
+
+def _rotation(table: Table, path: Path) -> NDArray[np.float64] | None:
+    """Return the rotations (m, 3, 3), None where there is no quaternion. Raises BadFile for a part of one."""
+    turns = [name for name in QUATERNION if name in table.numbers]
+    if turns and len(turns) < len(QUATERNION):
+        raise BadFile(
+            f"{path}: of the quaternion only {', '.join(turns)} is there",
+            consequence="The file is not used",
+            cure="Give qx, qy, qz and qw, or none of them",
+        )
+    if not turns:
+        return None
+    with named(str(path)):
+        poses = [
+            pose_from_quat(xyz, quat)
+            for xyz, quat in zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
+        ]
+    return np.stack([pose.rotation.as_matrix() for pose in poses])
 
 
 def _covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:

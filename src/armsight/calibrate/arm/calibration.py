@@ -224,12 +224,6 @@ def _result(
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, best.fitted)
-    told = (
-        *_weights(points, fitted),
-        *_in_another_frame(model, first, holdout),
-        *_unjudged(points, rows),
-        *_in_stream(points, correlation),
-    )
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -252,12 +246,30 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *rotation_notes(model, points, fitted), *told),
+        notes=(*(item.sentence for item in at_limit), *_told(model, points, holdout, judged, fitted, correlation)),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
         place_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
+    )
+
+
+def _told(
+    model: ArmModel,
+    points: ArmPoints,
+    holdout: ArmPoints | None,
+    judged: _Judged,
+    fitted: ArmFit,
+    correlation: Correlation | None,
+) -> tuple[str, ...]:
+    """Return the notes of a result on its rows."""
+    return (
+        *rotation_notes(model, points, fitted),
+        *points.weight_notes(fitted.sigma_m),
+        *_in_another_frame(model, judged.first, holdout),
+        *_unjudged(points, judged.left.judged),
+        *_in_stream(points, correlation),
     )
 
 
@@ -316,18 +328,6 @@ def _fixed(best: Level, richest: Level) -> tuple[tuple[str, str], ...]:
     """Return (name, why) of every parameter that the kept or the richest model offered and that was not corrected."""
     why = dict.fromkeys(richest.choice.free, UNPROVED) | dict(richest.choice.fixed) | dict(best.choice.fixed)
     return tuple((name, reason) for name, reason in why.items() if name not in best.choice.free)
-
-
-def _weights(points: ArmPoints, fitted: ArmFit) -> list[str]:
-    """Return notes of the positions' covariances: that they weigh, or why they do not."""
-    told = [points.unweighed] if points.unweighed else []
-    if points.covariance is not None:
-        own = 1e3 * points.typical_m(0.0)
-        told.append(
-            f"Rows are weighed by the covariances of their positions (typically {own:.2g} mm in a coordinate) and "
-            f"{1e3 * fitted.sigma_m:.2g} mm that these leave unexplained"
-        )
-    return told
 
 
 def _in_another_frame(model: ArmModel, first: Level, holdout: ArmPoints | None) -> list[str]:

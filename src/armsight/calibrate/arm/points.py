@@ -123,6 +123,15 @@ class ArmPoints:
         L = np.linalg.cholesky(self.covariance + sigma_m**2 * np.eye(3))
         return np.asarray(np.linalg.solve(L, vectors.reshape(len(self), 3, -1)).reshape(vectors.shape))
 
+    def weight_notes(self, sigma_m: float) -> tuple[str, ...]:
+        """Return that the covariances weigh, with sigma_m that they leave unexplained, or why they do not."""
+        told = (self.unweighed,) if self.unweighed else ()
+        if self.covariance is None:
+            return told
+        own = f"(typically {1e3 * self.typical_m(0.0):.2g} mm in a coordinate)"
+        text = f"Rows are weighed by the covariances of their positions {own}"
+        return (*told, f"{text} and {1e3 * sigma_m:.2g} mm that these leave unexplained")
+
     def typical_m(self, sigma_m: float) -> float:
         """Return the noise of one coordinate of the middle row."""
         if self.covariance is None:

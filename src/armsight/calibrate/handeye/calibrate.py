@@ -108,11 +108,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         covariance_factor=None if solution.weighed is None else float(solution.variances[3]),
     )
     if pairs.t_s is not None:
-        noise = None
-        if solution.weighed is not None:
-            noise = np.tile(solution.weighed.V.mean(axis=0), (len(pairs), 1, 1))  # of rows that repeat others: any
-            noise[rows[order]] = solution.weighed.V
-        finished = _of_a_recording(finished, pairs.t_s, noise)
+        finished = _of_a_recording(finished, pairs.t_s, _noise(solution, rows[order], len(pairs)))
     return advise(finished, options.target_pitch_m)
 
 
@@ -124,6 +120,15 @@ def _require_others(pairs: PosePairs, alone: NDArray[np.intp]) -> None:
             consequence="An error in that pose would go unseen; no calibration is given",
             cure="Add poses that tilt the hand about two axes as that one does, five in all at least",
         )
+
+
+def _noise(solution: Solution, rows: NDArray[np.intp], n: int) -> Array | None:
+    """Return the noise (n, 6, 6) of each pair of a weighed fit to some rows; None where all are alike."""
+    if solution.weighed is None:
+        return None
+    noise = np.tile(solution.weighed.V.mean(axis=0), (n, 1, 1))  # of rows that repeat others: any
+    noise[rows] = solution.weighed.V
+    return noise
 
 
 def _of_a_recording(found: HandEye, t_s: Array, noise: Array | None) -> HandEye:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.pairs import Array, Arrays
-from armsight.calibrate.handeye.variances import restricted_variances
+from armsight.calibrate.handeye.variances import Restricted, restricted_variances
 from armsight.geometry.lie import skew
 
 Pose = tuple[Array, Array]
@@ -116,18 +116,41 @@ def fit_weighed(
         step = -C @ np.einsum("nia,ni->a", J, e)
         if not np.isfinite(step).all():
             return None
-        size = float((np.abs(step) / np.sqrt(np.diag(C))).max())
-        theta = found.variances
+        size, theta = float((np.abs(step) / np.sqrt(np.diag(C))).max()), found.variances
         X, Z, gamma = moved(X, Z, gamma, step)
         if size < settled[0]:
-            e = e + J @ step
-            whitened = W @ Q @ W.transpose(0, 2, 1)
-            whitened[:, ~keep] = 0.0
-            return Weighed(
-                X=X, Z=Z, gamma=gamma, variances=theta, C=C, e=e, J=J, Q=whitened, V=found.V, known=known,
-                lever=at.lever, log_likelihood=found.log_likelihood, iterations=iteration + 1,
-            )  # fmt: skip
+            Q = W @ Q @ W.transpose(0, 2, 1)
+            return _weighed((X, Z, gamma), at, found, Q, (e + J @ step, J, C), keep, known, iteration + 1)
     return None
+
+
+def _weighed(
+    unknowns: tuple[Pose, Pose, float],
+    at: Linear,
+    found: Restricted,
+    Q: Array,
+    normal: tuple[Array, Array, Array],
+    keep: NDArray[np.bool_],
+    known: Array,
+    iterations: int,
+) -> Weighed:
+    e, J, C = normal
+    Q[:, ~keep] = 0.0
+    return Weighed(
+        X=unknowns[0],
+        Z=unknowns[1],
+        gamma=unknowns[2],
+        variances=found.variances,
+        C=C,
+        e=e,
+        J=J,
+        Q=Q,
+        V=found.V,
+        known=known,
+        lever=at.lever,
+        log_likelihood=found.log_likelihood,
+        iterations=iterations,
+    )
 
 
 def left_out(
