@@ -9,6 +9,7 @@ import argparse
 import csv
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -277,6 +278,57 @@ def refusals(trials: int, good: int) -> None:
     bench.table("What is wrong with the data", ["fault", "sets", "recognised %", "most often said"], rows)
 
 
+def weights(trials: int) -> None:
+    """Pairs known unequally well (tests/truth/handeye_far_views.py, its own projection): weighed or all alike."""
+
+    def as_given(C: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return C
+
+    def boast(C: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        C = C.copy()
+        C[:3] *= 1e-4
+        return C
+
+    cases: list[tuple[str, int, Callable[[np.ndarray, np.random.Generator], np.ndarray]]] = [
+        ("right", 10, as_given),
+        ("right", 20, as_given),
+        ("right", 40, as_given),
+        ("all 3 times too small", 20, lambda C, rng: C / 9.0),
+        ("all 3 times too large", 20, lambda C, rng: C * 9.0),
+        ("3 of 20 are 100 times too small", 20, boast),
+        ("those of other pairs", 20, lambda C, rng: C[rng.permutation(len(C))]),
+        ("one for all", 20, lambda C, rng: np.tile(np.diag([1e-8] * 3 + [1e-7] * 3), (len(C), 1, 1))),
+    ]
+    rows: list[list[object]] = []
+    for name, n, change in cases:
+        for weighed in (True, False):
+            if not weighed and name != "right":
+                continue
+            moved, turned, inside, out = [], [], [], 0
+            for trial in range(trials):
+                world = bench.test_scene("handeye_far_views").far_views(trial, n)
+                covariance = change(world.covariance, np.random.default_rng(trial)) if weighed else None
+                pairs = replace(pairs_of(world.robot, world.camera), camera_covariance=covariance)
+                result = calibrate_eye_in_hand(pairs)
+                off = []
+                for got, true in ((result.T_parent_camera, world.X), (result.T_parent_target, world.Z)):
+                    off += [got.translation - true.translation, (got.rotation * true.rotation.inv()).as_rotvec()]
+                moved.append(np.linalg.norm(off[0]) / MM)
+                turned.append(np.linalg.norm(off[1]) / DEG)
+                inside.append(np.abs(np.concatenate(off)) < 1.96 * np.sqrt(np.diag(result.covariance.matrix)))
+                out += len(result.rejected)
+            share = 100.0 * np.mean(inside, axis=0)
+            rms = [float(np.sqrt(np.mean(np.square(x)))) for x in (moved, turned)]
+            text = f"covariances {name}" if weighed else "not given: all alike"
+            rows.append([text, n, *rms, float(share.mean()), float(share.min()), out / (n * trials)])
+    bench.table(
+        f"Pairs from 0.4 to 1.8 m, far ones worse, {trials} trials: error of T_flange_camera, 95 % intervals of 12 "
+        "parameters that hold",
+        ["camera's poses", "pairs", "mm RMS", "degrees RMS", "mean %", "least %", "left out, share"],
+        rows,
+    )
+
+
 def left_out(
     A: RigidTransform, B: RigidTransform, solve: Callable[[RigidTransform, RigidTransform], RigidTransform]
 ) -> tuple[float, float]:
@@ -325,8 +377,10 @@ def real() -> None:
     M = B.as_matrix().copy()
     M[:, :3, 3] *= scale.factor
     scaled = calibrate_eye_in_hand(pairs_of(A, RigidTransform.from_matrix(M)))
+    alike = calibrate_eye_in_hand(replace(ours.pairs, camera_covariance=None))
     rows: list[list[object]] = [
         ["armsight, from images", ours.loo_rms_m / MM, ours.loo_rms_rad / DEG],
+        ["armsight, from poses all alike", alike.loo_rms_m / MM, alike.loo_rms_rad / DEG],
         ["armsight, from poses", pairs_result.loo_rms_m / MM, pairs_result.loo_rms_rad / DEG],
         ["armsight, target's scale as found", scaled.loo_rms_m / MM, scaled.loo_rms_rad / DEG],
     ]
@@ -378,7 +432,7 @@ def robot_exact(views, board, camera, A, B, X0) -> tuple[float, float]:  # type:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a tenth of the trials")
-    parser.add_argument("--only", choices=["accuracy", "timing", "honesty", "refusals", "real"])
+    parser.add_argument("--only", choices=["accuracy", "timing", "honesty", "refusals", "real", "weights"])
     options = parser.parse_args()
     share = 10 if options.quick else 1
     print(f"{bench.machine()}, OpenCV {cv2.__version__}")
@@ -388,6 +442,7 @@ def main() -> None:
         "accuracy": lambda: accuracy(1000 // share),
         "refusals": lambda: refusals(200 // share, 1000 // share),
         "honesty": lambda: honesty(1000 // share),
+        "weights": lambda: weights(200 // share),
     }
     for name, part in parts.items():
         if options.only in (None, name):

@@ -6,7 +6,8 @@ Boards, robots and pictures are simulated by tests/truth/handeye_scenes.py, with
 where the calibration, with the camera it comes with, puts the points of a board in 20 fresh images for the robot, RMS
 in mm. So no choice of the camera's axes can flatter a result. Per run, from the same images:
 
-poses: from the target's poses in the images, the camera as given.
+poses: from the target's poses in the images, weighed by what the corners know of each, the camera as given; all alike:
+not weighed. left out: the board's points in images left out, mm RMS (with the robot's own error in these).
 corners: the bundle adjustment, kept always, as before cross-validation chose.
 kept: what the command keeps. Wanted: in no run worse than poses, or within noise.
 """
@@ -15,16 +16,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import bench
-from armsight.calibrate.handeye import Basis, HandEye, Setup, calibrate_from_views
+from armsight.calibrate.handeye import Basis, HandEye, Setup, calibrate_eye_in_hand, calibrate_from_views
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of
 from armsight.calibrate.handeye.pairs import pose
 from armsight.calibrate.handeye.target_views import poses_of_views
 from armsight.errors import ArmsightError
+from armsight.units import MM
 
 scenes = bench.test_scene("handeye_scenes")
 
@@ -42,7 +45,7 @@ def corners_mm(from_poses: HandEye, s: Any, *, free_camera: bool) -> float:
 
 def one_row(name: str, n: int, runs: int, *, free_camera: bool) -> list[object]:
     """Return the table's row of a cell and a number of images."""
-    found, refused, taken = [], 0, 0
+    found, left, refused, taken = [], [], 0, 0
     for seed in range(runs):
         s = scenes.scene(scenes.CELLS[name], n, seed)
         try:
@@ -55,18 +58,23 @@ def one_row(name: str, n: int, runs: int, *, free_camera: bool) -> list[object]:
             continue
         comparison = done.result.comparison
         taken += comparison is not None and comparison.kept is not Basis.POSES
+        if comparison is not None and Basis.CORNERS in comparison.errors:
+            left.append([comparison.errors[b].points_m / MM for b in (Basis.POSES, Basis.CORNERS)])
+        alike = calibrate_eye_in_hand(replace(done.from_poses.pairs, camera_covariance=None))
         found.append(
             [
+                scenes.error_mm(alike.T_parent_camera, scenes.CAMERA, s),
                 scenes.error_mm(done.from_poses.T_parent_camera, scenes.CAMERA, s),
                 corners_mm(done.from_poses, s, free_camera=free_camera),
                 scenes.error_mm(done.result.T_parent_camera, done.camera, s),
             ]
         )
-    poses, corners, kept = np.array(found).T
+    alike_mm, poses, corners, kept = np.array(found).T
     row: list[object] = [name, n, len(found), refused, *(float(np.median(x)) for x in (poses, corners, kept)), taken]
     for x in (corners, kept):
         row += [int((x > poses * (1 + 1e-9)).sum()), int((x > 1.2 * poses).sum()), float((x / poses).max())]
-    return row
+    missed = np.sqrt(np.mean(np.square(left), axis=0)).tolist() if left else ["", ""]
+    return [*row, float(np.median(alike_mm)), *missed]
 
 
 def main() -> None:
@@ -88,13 +96,16 @@ def main() -> None:
         if some:
             sums = [sum(row[k] for row in some) for k in (2, 3, 7, 8, 9, 11, 12)]
             worst = [max(row[k] for row in some) for k in (10, 13)]
-            rows.append([told, "", *sums[:2], "", "", "", sums[2], *sums[3:5], worst[0], *sums[5:], worst[1]])
+            rows.append(
+                [told, "", *sums[:2], "", "", "", sums[2], *sums[3:5], worst[0], *sums[5:], worst[1], "", "", ""]
+            )
     bench.table(
         f"Few images{', camera freed' * given.free_camera}: error against truth, mm (median), and runs in which it is "
         "worse than from poses",
         [
             "cell", "images", "runs", "refused", "poses", "corners", "kept", "corners taken", "corners worse",
             "by > 20 %", "most, x poses", "kept worse", "by > 20 %", "most, x poses",
+            "poses all alike", "left out, poses", "left out, corners",
         ],
         rows,
     )  # fmt: skip

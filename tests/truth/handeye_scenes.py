@@ -19,12 +19,15 @@ FRESH = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Noise of a corner in px, of the robot in m and rad; focal: true over given; part: 5 x 4 corners are seen only."""
+    """Noise of a corner in px, of the robot in m and rad; focal, pitch: true over given; bend_m: between the board's
+    middle and its ends; part: 5 x 4 corners are seen only."""
 
     px: float
     robot_m: float
     robot_rad: float
     focal: float = 1.0
+    pitch: float = 1.0
+    bend_m: float = 0.0
     part: bool = False
 
 
@@ -33,6 +36,10 @@ CELLS = {
     "noisy robot": Cell(px=0.1, robot_m=0.3 * MM, robot_rad=0.05 * DEG),
     "parts of the board": Cell(px=0.3, robot_m=0.1 * MM, robot_rad=0.02 * DEG, part=True),
     "focal length off by 0.5 %": Cell(px=0.2, robot_m=0.1 * MM, robot_rad=0.02 * DEG, focal=1.005),
+    "robot 0.5 mm and 0.1 degrees": Cell(px=0.2, robot_m=0.5 * MM, robot_rad=0.1 * DEG),
+    "and pitch off by 0.3 %": Cell(px=0.2, robot_m=0.5 * MM, robot_rad=0.1 * DEG, pitch=1.003),
+    "and board bent by 1 mm": Cell(px=0.2, robot_m=0.5 * MM, robot_rad=0.1 * DEG, bend_m=1.0 * MM),
+    "good robot, board bent by 1 mm": Cell(px=0.2, robot_m=0.05 * MM, robot_rad=0.01 * DEG, bend_m=1.0 * MM),
 }
 
 
@@ -71,7 +78,9 @@ def scene(cell: Cell, n: int, seed: int) -> Scene:
 
 def picture(rng: np.random.Generator, B: RigidTransform, cell: Cell, px: float, *, part: bool) -> BoardView:
     """Return the corners of the board at T_camera_target B; part: of a block of 5 x 4 of them."""
-    p = B.apply(BOARD.xyz_m)
+    along = (BOARD.xyz_m[:, 0] - BOARD.xyz_m[:, 0].mean()) / np.ptp(BOARD.xyz_m[:, 0])  # -0.5 to 0.5
+    bent = np.outer(cell.bend_m * (4.0 * along**2 - 0.5), [0.0, 0.0, 1.0])
+    p = B.apply(cell.pitch * BOARD.xyz_m + bent)
     uv = 1100.0 * cell.focal * p[:, :2] / p[:, 2:] + [640.0, 480.0] + px * rng.normal(size=(len(p), 2))
     index = np.arange(len(p))
     if part:

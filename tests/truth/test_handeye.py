@@ -327,11 +327,11 @@ def test_images_are_no_worse_than_poses_and_corners_know_the_cameras_share() -> 
         assert result.comparison is not None
         z.append(off(result) / np.sqrt(np.diag(result.covariance.matrix)))
         assert result.reprojection_rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
-        assert result.noise.robot_m.known == (result.comparison.kept is Basis.CORNERS)
+        assert result.noise.robot_m.known
         by_image.append(off(result)[:3])
         by_pose.append(off(done.from_poses)[:3])
     assert np.sqrt((np.array(z) ** 2).mean()) == pytest.approx(1.0, abs=0.35)  # 6 x 12 correlated numbers
-    assert np.linalg.norm(by_image) < np.linalg.norm(by_pose)
+    assert np.linalg.norm(by_image) <= np.linalg.norm(by_pose)  # poses are weighed by what the corners know
     wrong = Camera.pinhole(1280, 960, 1108, 1108, 640, 480, distortion=distortion)
     views, robot = pictures(7, K, distortion)
     freed = calibrate_from_views(views, list(robot), wrong, board, Setup.EYE_IN_HAND, free_camera=True)

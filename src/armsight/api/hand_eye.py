@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import Array, Poses, as_poses
@@ -29,7 +30,7 @@ from armsight.calibrate.handeye import (
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
 from armsight.optics import Camera
-from armsight.records import Progress, Target, one_of, require_count, require_texts
+from armsight.records import Progress, Target, one_of, real_array, require_count, require_texts
 from armsight.store.handeye_file import write_handeye
 from armsight.store.interpret import TableFormat
 from armsight.store.saving import YAML, file_to_write
@@ -161,6 +162,7 @@ def calibrate_hand_eye(
     *,
     setup: Literal["eye-in-hand", "eye-to-hand"] | Setup = "eye-in-hand",
     names: Sequence[str] | None = None,
+    camera_covariance: ArrayLike | None = None,
 ) -> HandEyeResult:
     """Return where the camera is, from poses of the robot and of the target at the same moments, row by row.
 
@@ -174,6 +176,9 @@ def calibrate_hand_eye(
         The camera is on the arm ('eye-in-hand') or beside it ('eye-to-hand').
     names
         Of the rows, for messages.
+    camera_covariance
+        Of T_camera_target (n, 6, 6), translation (m) then rotation vector (rad) in the camera's axes: pairs are weighed
+        by it, as far as their residuals bear it out.
 
     Raises
     ------
@@ -197,7 +202,8 @@ def calibrate_hand_eye(
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
     rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
-    pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows)
+    covariance = None if camera_covariance is None else real_array("camera_covariance", camera_covariance)
+    pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows, camera_covariance=covariance)
     calibrate = calibrate_eye_in_hand if one_of(Setup, "setup", setup) is Setup.EYE_IN_HAND else calibrate_eye_to_hand
     return HandEyeResult(detail=calibrate(pairs))
 

@@ -16,6 +16,7 @@ from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.store import write_text
+from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import write_pairs
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells, word
@@ -80,7 +81,7 @@ def join(job: JoinJob) -> JoinOutput:
             consequence="Nothing is written",
             cure="Check that both files are of one run" if not job.still else "Leave --still away, or let the arm rest",
         )
-    _write(job, arm, paired, rows, inside)
+    _write(job, arm, paired, rows, inside, _covariances(file, paired, rows))
     return _output(job, file, paired, len(rows))
 
 
@@ -134,8 +135,29 @@ def _rests(paired: Paired) -> list[NDArray[np.intp]]:
     return [span for span in spans if len(span) >= STILL_ROWS]
 
 
-def _write(job: JoinJob, arm: Arm | None, paired: Paired, rows: list[NDArray[np.intp]], inside: bool) -> None:
-    """Write the file asked for: one row for each group of rows, their mean."""
+def _covariances(file: MeasuredFile, paired: Paired, rows: list[NDArray[np.intp]]) -> Array | None:
+    """Return the covariance (k, 6, 6) of each group's mean, in the axes measured in; None where nobody says.
+
+    What repeats from row to row, as far as the file tells it, is not made less by a mean.
+    """
+    if file.measured.covariance is None:
+        return None
+    at = np.searchsorted(file.measured.rows, paired.measured.rows)
+    own, shared = file.measured.covariance[at], np.zeros((len(at), 6, 6))
+    if file.repeats.systematic is not None:
+        shared = file.repeats.systematic[at]
+    return np.array([(own[g] - shared[g]).mean(axis=0) / len(g) + shared[g].mean(axis=0) for g in rows])
+
+
+def _write(
+    job: JoinJob,
+    arm: Arm | None,
+    paired: Paired,
+    rows: list[NDArray[np.intp]],
+    inside: bool,
+    covariance: Array | None,
+) -> None:
+    """Write the file asked for: one row for each group of rows, their mean; covariance (k, 6, 6) of these."""
     measured = _inverse(paired.measured) if inside else paired.measured
     xyz = np.array([measured.xyz_m[group].mean(axis=0) for group in rows])
     turned = measured.rotation
@@ -143,7 +165,8 @@ def _write(job: JoinJob, arm: Arm | None, paired: Paired, rows: list[NDArray[np.
     if job.kind == "pairs" and R is not None:
         F = [RigidTransform.from_matrix(paired.F[group]).mean() for group in rows]
         seen = [RigidTransform.from_components(x, r) for x, r in zip(xyz, R, strict=True)]
-        write_pairs(job.out, PosePairs.of(F, seen))
+        known = covariance is not None and bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
+        write_pairs(job.out, PosePairs.of(F, seen, camera_covariance=covariance if known else None))
         return
     if paired.q is None or arm is None:
         raise UsageError(f"{job.kind} need joint readings")
@@ -154,6 +177,10 @@ def _write(job: JoinJob, arm: Arm | None, paired: Paired, rows: list[NDArray[np.
     if paired.at_s is not None and job.kind == "points":  # calibrate arm takes neighbours in time as what they are
         at_s = np.array([paired.at_s[group].mean() for group in rows])
         names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
+    if covariance is not None:
+        C = covariance[:, :3, :3]
+        names = [*names, *POSITION_COVARIANCE]
+        columns = [*columns, np.sqrt(np.diagonal(C, axis1=1, axis2=2)), C[:, (0, 0, 1), (1, 2, 2)]]
     labels = [measured.point[group[0]] for group in rows]
     named = any(labels)
     lines = [",".join([*names, *(["point"] if named else [])])]

@@ -72,7 +72,7 @@ def _cards(result: ArmCalibration) -> list[Card]:
         Card(name="error before", value=figure_of(result.left_before.mean_m / MM, "mm"), note=f"mean, {kind}"),
         Card(name="error after", value=figure_of(result.left_after.mean_m / MM, "mm"), note=f"mean, {kind}"),
         Card(name="largest error after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
-        Card(name="noise of a place", value=figure_of(result.fitted.sigma_m / MM, "mm"), note="one coordinate"),
+        Card(name="noise of a place", value=figure_of(result.place_noise_m / MM, "mm"), note="one coordinate"),
         Card(name="parameters corrected", value=str(len(result.free)), note=f"condition {result.condition:.3g}"),
     ]
 

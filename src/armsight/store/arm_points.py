@@ -8,14 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmPoints
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
 from armsight.records import PoseStatus
+from armsight.store.covariances import DEVIATIONS, POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import named
-from armsight.store.tables import parse_table
+from armsight.store.tables import Table, parse_table
 from armsight.store.tracks import POSITION, QUATERNION
 from armsight.store.verify_files import KNOWN
 
@@ -24,17 +26,17 @@ SLIP = 0.8
 
 
 def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
-    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s], or of a table that can
-    be understood as one.
+    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s][,sx_m .. cov_y_z], or of
+    a table that can be understood as one.
 
-    What `verify` takes is taken, as it sends its reader here: its further columns (sx_m, goal_x_m, temperature_c, ...)
+    What `verify` takes is taken, as it sends its reader here: its further columns (goal_x_m, temperature_c, ...)
     are passed over, and rows whose status is not ok are left out. A column that is nearly one of this table is a slip
     of writing, and refused. Raises BadFile that names line and column, Inconsistent where units
     contradict the numbers.
     """
     whole = standard_bytes(path, "points", format_)
     data = _without_lost(whole)
-    own = (*QUATERNION, "point", "t_s")
+    own = (*QUATERNION, "point", "t_s", *POSITION_COVARIANCE)
     further = _further(data, (*POSITION, *own))
     table = parse_table(
         data,
@@ -42,26 +44,16 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         POSITION,
         optional=(*own, *further),
         text=("point", *further),
-        blank=("t_s", *further),
+        blank=("t_s", *POSITION_COVARIANCE, *further),
         series="q",
     )
     readings = table.series("q")
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
     check_joint_values(table.stacked(readings), str(path), format_)
-    turns = [name for name in QUATERNION if name in table.numbers]
-    if turns and len(turns) < len(QUATERNION):
-        raise BadFile(
-            f"{path}: of the quaternion only {', '.join(turns)} is there",
-            consequence="The file is not used",
-            cure="Give qx, qy, qz and qw, or none of them",
-        )
-    rotation = None
-    if turns:
-        with named(str(path)):
-            each = zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
-            rotation = np.stack([pose_from_quat(xyz, quat).rotation.as_matrix() for xyz, quat in each])
+    rotation = _rotation(table, path)
     t_s = table.numbers.get("t_s")
+    covariance, note = _covariance(table, path)
     lines = [i for i, line in enumerate(whole.splitlines(), 1) if line.strip()]
     return ArmPoints(
         q=table.stacked(readings),
@@ -69,8 +61,40 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         rotation=rotation,
         point=table.text.get("point", ()),
         t_s=None if t_s is None or np.isnan(t_s).any() else t_s,
+        covariance=covariance,
+        unweighed=note,
         row=np.searchsorted(lines, table.lines) - 1,
     )
+
+
+def _rotation(table: Table, path: Path) -> NDArray[np.float64] | None:
+    """Return the rotations (m, 3, 3), None where there is no quaternion. Raises BadFile for a part of one."""
+    turns = [name for name in QUATERNION if name in table.numbers]
+    if turns and len(turns) < len(QUATERNION):
+        raise BadFile(
+            f"{path}: of the quaternion only {', '.join(turns)} is there",
+            consequence="The file is not used",
+            cure="Give qx, qy, qz and qw, or none of them",
+        )
+    if not turns:
+        return None
+    with named(str(path)):
+        each = zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
+        return np.stack([pose_from_quat(xyz, quat).rotation.as_matrix() for xyz, quat in each])
+
+
+def _covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
+    """Return the covariances (m, 3, 3) of the positions, None where not every row has them; and what to say."""
+    names = DEVIATIONS[:3]
+    if not any(name in table.numbers for name in names):
+        return None, ""
+    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
+    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
+    if without.any():
+        rows = f"{without.sum()} of {len(table)} rows have not all"
+        return None, f"{path.name}: the standard deviations of the positions are not used: {rows} three of them"
+    related = has_correlations(table.numbers)
+    return covariances(table, std, range(len(table))), "" if related else f"{path.name} {UNCORRELATED}"
 
 
 def _without_lost(data: bytes) -> bytes:

@@ -25,6 +25,11 @@ SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
 POINT_COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES[:3], 2))
 """Of a position."""
 
+POSITION_COVARIANCE = (*DEVIATIONS[:3], *POINT_COVARIANCE)
+"""Of a position measured of an arm."""
+CAMERA_COVARIANCE = tuple(f"camera_target_{name}" for name in (*DEVIATIONS, *COVARIANCE))
+"""Of the camera's pose in a pairs.csv."""
+
 NOT_POSITIVE = 1e-9
 """Least eigenvalue of a correlation matrix, below zero, that rounding explains (of one written in full: 1e-15)."""
 UNCORRELATED = "holds standard deviations only: its errors are taken as uncorrelated between the axes"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +18,14 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
 from armsight.store.atomic import write_text
+from armsight.store.covariances import (
+    CAMERA_COVARIANCE,
+    DEVIATIONS,
+    UNCORRELATED,
+    above_diagonal,
+    covariances,
+    has_correlations,
+)
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.schema import (
     CovarianceModel,
@@ -117,22 +125,46 @@ def read_pairs(path: Path, format_: TableFormat = OURS) -> PosePairs:
 
     Raises BadFile that names line and column, Inconsistent where units contradict the numbers, NotEnoughData.
     """
-    table = parse_table(standard_bytes(path, "pairs", format_), str(path), PAIR_COLUMNS)
+    data = standard_bytes(path, "pairs", format_)
+    table = parse_table(data, str(path), PAIR_COLUMNS, optional=CAMERA_COVARIANCE, blank=CAMERA_COVARIANCE)
     for who in ("base_flange", "camera_target"):
         names = [f"{who}_{name}" for name in POSITION]
         check_positions(table.stacked(names), names, str(path), format_)
     robot, camera = (_poses(table, f"{who}_") for who in ("base_flange", "camera_target"))
-    return PosePairs.of(robot, camera, [f"row {i + 1}" for i in range(len(table))])
+    covariance, note = _camera_covariance(table, path)
+    pairs = PosePairs.of(robot, camera, [f"row {i + 1}" for i in range(len(table))], covariance)
+    return replace(pairs, unweighed=note)
+
+
+def _camera_covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
+    """Return the covariances (n, 6, 6) of the camera's poses, None where not every row has them; and what to say."""
+    names = [f"camera_target_{name}" for name in DEVIATIONS]
+    there = [name for name in names if name in table.numbers]
+    if not there:
+        return None, ""
+    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
+    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
+    if without.any():
+        rows = f"{without.sum()} of {len(table)} rows have not all"
+        return None, f"{path.name}: the standard deviations of the camera's poses are not used: {rows} six of them"
+    covariance = covariances(table, std, range(len(table)), "camera_target_")
+    related = has_correlations(table.numbers, "camera_target_")
+    return covariance, "" if related else f"{path.name} {UNCORRELATED}"
 
 
 def write_pairs(path: Path, pairs: PosePairs) -> None:
-    """Write pairs.csv."""
+    """Write pairs.csv, with the covariances of the camera's poses where they are known."""
     columns = [
         np.concatenate([poses.translation, poses.rotation.as_quat(canonical=True)], axis=1)
         for poses in (pairs.T_base_flange, pairs.T_camera_target)
     ]
+    header = PAIR_COLUMNS
+    if pairs.camera_covariance is not None:
+        header = (*header, *CAMERA_COVARIANCE)
+        columns.append(np.sqrt(np.diagonal(pairs.camera_covariance, axis1=1, axis2=2)))
+        columns.append(np.array([above_diagonal(each) for each in pairs.camera_covariance]))
     rows = (cells(row) for row in np.concatenate(columns, axis=1))
-    write_text(path, "\n".join([",".join(PAIR_COLUMNS), *rows]) + "\n")
+    write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
 def read_robot_poses(

@@ -13,6 +13,7 @@ from armsight.app.join import JoinJob, join
 from armsight.calibrate.handeye import Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import fk, preset
+from armsight.store import read_poses, write_poses
 from armsight.store.arm_points import read_arm_points
 from armsight.store.handeye_file import read_pairs
 from armsight.verify.pairing import bare_arm
@@ -101,6 +102,31 @@ def test_pairs_for_the_hand_eye_calibration(run: Path, tmp_path: Path, setup: Se
     got = pairs.T_camera_target if setup is Setup.EYE_TO_HAND else pairs.T_camera_target.inv()
     assert np.linalg.norm(got.translation - want.translation, axis=1).max() < 2e-3
     assert np.max((got.rotation * want.rotation.inv()).magnitude()) < 6e-3
+
+
+def test_covariances_go_along_in_the_axes_they_were_measured_in(run: Path, tmp_path: Path) -> None:
+    rng, m = np.random.default_rng(8), 150
+    L = 1e-4 * rng.standard_normal((m, 6, 6))
+    C, S = L @ L.transpose(0, 2, 1), 1e-9 * np.eye(6)
+    for name in ("poses.csv", "moved.csv"):
+        found = read_poses(run / name)
+        with_them = [replace(p, covariance=C[i] + S, systematic_covariance=S) for i, p in enumerate(found)]
+        write_poses(tmp_path / name, with_them)
+    known = {"offset_s": -LEAD_S, "joints": run / "joints.csv", "arm": "ur10"}
+    for setup, name in ((Setup.EYE_TO_HAND, "poses.csv"), (Setup.EYE_IN_HAND, "moved.csv")):
+        job = JoinJob(measured=tmp_path / name, out=tmp_path / "pairs.csv", kind="pairs", setup=setup, **known)  # type: ignore[arg-type]
+        join(job)
+        got = read_pairs(tmp_path / "pairs.csv").camera_covariance
+        assert got is not None and len(got) == m
+        assert np.abs(got / (C + S) - 1.0).max() < 1e-9
+    alike = [replace(p, covariance=C[0] + S, systematic_covariance=S) for p in read_poses(run / "poses.csv")]
+    write_poses(tmp_path / "alike.csv", alike)
+    join(JoinJob(measured=tmp_path / "alike.csv", out=tmp_path / "p.csv", still=True, **known))  # type: ignore[arg-type]
+    header, first = [line.split(",") for line in (tmp_path / "p.csv").read_text().splitlines()[:2]]
+    value = dict(zip(header, map(float, first), strict=True))
+    k = round(C[0, 0, 1] / value["cov_x_y"])  # the mean is better by its number of rows, but for what repeats
+    assert k >= 3 and value["cov_x_y"] == pytest.approx(C[0, 0, 1] / k, rel=1e-6)
+    assert value["sx_m"] ** 2 == pytest.approx(C[0, 0, 0] / k + 1e-9, rel=1e-6)
 
 
 def test_an_offset_that_is_known_is_taken(run: Path, tmp_path: Path) -> None:

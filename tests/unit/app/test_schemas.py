@@ -43,7 +43,7 @@ HANDEYE = (
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
-    "time_offset_std_s proposals n_effective correlation_time_s crossval camera_file"
+    "time_offset_std_s proposals n_effective correlation_time_s crossval camera_file covariance_factor"
 )
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad notes"
 TIP_MAYBE = "mean_tip_m loo_rms_m n_effective correlation_time_s"
@@ -144,7 +144,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     arm.ToolErrors: ("mean_m rms_m max_m", ""),
     arm.BeforeAfter: ("before after", ""),
     arm.Outlier: ("row error_m", ""),
-    OUTPUTS["calibrate-robot-world"]: ("T_base_rig std residual_rms_m n_used rejected", ""),
+    OUTPUTS["calibrate-robot-world"]: ("T_base_rig std residual_rms_m n_used rejected notes", ""),
     OUTPUTS["identify"]: ("joints method notes noise misfit", "plan left_out"),
     arm.LeftOutJoint: ("joint held_at", ""),
     arm.IdentifiedJoint: (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,42 @@ def recording(n: int = 14, *, to_hand: bool = False) -> PosePairs:
     noise = Rotation.from_rotvec(rng.normal(0, 8e-4, (n, 3)))
     seen = RigidTransform.from_components(seen.translation + rng.normal(0, 3e-4, (n, 3)), noise * seen.rotation)
     return PosePairs(T_base_flange=robot, T_camera_target=seen, names=tuple(f"row {i + 1}" for i in range(n)))
+
+
+def unequal(pairs: PosePairs) -> PosePairs:
+    """The pairs with covariances, correlated, of half of which the claim is five times as large."""
+    rng = np.random.default_rng(3)
+    L = np.array([3e-4] * 3 + [8e-4] * 3)[:, None] * (np.eye(6) + 0.4 * rng.uniform(-1, 1, (len(pairs), 6, 6)))
+    L[::2] *= 5.0
+    return replace(pairs, camera_covariance=L @ L.transpose(0, 2, 1))
+
+
+def test_covariances_of_pairs_are_read_as_written_and_weigh(tmp_path: Path) -> None:
+    pairs, file = unequal(recording()), tmp_path / "pairs.csv"
+    write_pairs(file, pairs)
+    read = read_pairs(file)
+    assert read.camera_covariance is not None and pairs.camera_covariance is not None
+    assert np.abs(read.camera_covariance / pairs.camera_covariance - 1.0).max() < 1e-12
+    weighed = json.loads(run("handeye", "--pairs", file, "-o", tmp_path / "a.yaml", "--json").stdout)
+    assert weighed["covariance_factor"] > 0.0
+    assert not any("pairs.csv" in text for text in weighed["advice"])
+    lines = [line.split(",") for line in file.read_text().splitlines()]
+
+    def output(last: int, spoil: int = 0) -> dict[str, Any]:
+        rows = [line[:last] for line in lines]
+        if spoil:
+            rows[3][spoil] = ""
+        file.write_text("\n".join(map(",".join, rows)) + "\n")
+        return dict(json.loads(run("handeye", "--pairs", file, "-o", tmp_path / "b.yaml", "--json").stdout))
+
+    deviations = output(20)  # without cov_...: weighed, and the lack is told
+    assert deviations["covariance_factor"] > 0.0
+    assert sum("uncorrelated" in text for text in deviations["advice"]) == 1
+    assert deviations["T_flange_camera"] != weighed["T_flange_camera"]
+    partial, alike = output(35, spoil=16), output(14)
+    assert sum("not used" in text for text in partial["advice"]) == 1
+    assert "covariance_factor" not in partial and "covariance_factor" not in alike
+    assert partial["T_flange_camera"] == alike["T_flange_camera"] != weighed["T_flange_camera"]
 
 
 def test_a_tip_from_a_file_is_that_of_the_poses_in_memory(tmp_path: Path) -> None:

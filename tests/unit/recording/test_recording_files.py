@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.clock import ManualClock
 from armsight.errors import BadFile, BadImage, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
+from armsight.store import write_poses
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter, encode, mcapfile, repair
 
 ORIGIN_NS = 1_700_000_000_000_000_000
@@ -117,6 +118,40 @@ def test_records_come_back_exactly(tmp_path: Path) -> None:
         (event,) = recording.events()
         assert (event.level, event.message) == (3, "3 pairs dropped")
         assert event.t_s == pytest.approx(0.3, abs=1e-9)
+
+
+def test_a_recording_keeps_of_a_pose_what_poses_csv_keeps(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+
+    def covariance(n: int) -> np.ndarray:
+        L = 1e-4 * rng.normal(size=(n, n))
+        return L @ L.T
+
+    shared, T = covariance(6), RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)).as_matrix()
+    place = np.eye(4)
+    place[:3, 3] = rng.normal(size=3)
+    poses = [
+        TargetPose(t_s=0.1, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=covariance(6) + shared,
+                   systematic_covariance=shared),
+        TargetPose(t_s=0.2, status=PoseStatus.DOUBTFUL, parent="rig", T_parent_target=T, covariance=covariance(6)),
+        TargetPose(t_s=0.3, status=PoseStatus.POSITION_ONLY, parent="rig", T_parent_target=place,
+                   covariance=covariance(3) + shared[:3, :3], systematic_covariance=shared[:3, :3]),
+        TargetPose(t_s=0.4, status=PoseStatus.POSITION_ONLY, parent="rig", T_parent_target=place,
+                   covariance=covariance(3), origin_known=True),
+        TargetPose(t_s=0.5, status=PoseStatus.LOST, parent="rig"),
+    ]  # fmt: skip
+    with RecordingWriter(tmp_path / "a.mcap", origin_ns=ORIGIN_NS) as writer:
+        for each in poses:
+            writer.pose(each)
+    with Recording(tmp_path / "a.mcap") as recording:
+        recorded = list(recording.poses())
+    write_poses(tmp_path / "direct.csv", poses)
+    write_poses(tmp_path / "recorded.csv", recorded)
+    assert (tmp_path / "recorded.csv").read_text() == (tmp_path / "direct.csv").read_text()
+    for one, other in zip(poses, recorded, strict=True):
+        for name in ("covariance", "systematic_covariance"):
+            a, b = getattr(one, name), getattr(other, name)
+            assert (a is None) == (b is None) and (a is None or np.array_equal(a, b))
 
 
 def test_a_chunk_is_written_by_the_clock_even_where_nothing_follows(tmp_path: Path) -> None:

@@ -187,7 +187,7 @@ def arm_output(result: ArmCalibration) -> ArmCalibrationOutput:
         outliers=[Outlier(row=row + 1, error_m=error) for row, error in result.outliers],
         still=list(result.still),
         couplings=[CouplingOutput(joint=a, by=b, share=share) for a, b, share in result.couplings],
-        noise=ArmNoise(place_m=result.fitted.sigma_m, rotation_rad=_rotation_noise(result)),
+        noise=ArmNoise(place_m=result.place_noise_m, rotation_rad=_rotation_noise(result)),
         at_limit=[LimitOutput(name=x.name, change=x.change, limit=x.limit, flag=x.flag) for x in result.at_limit],
         notes=list(result.notes),
         model=result.level,
@@ -278,4 +278,5 @@ def world_output(result: WorldCalibration) -> RobotWorldOutput:
         residual_rms_m=result.residual_rms_m,
         n_used=len(result.residual_m) - len(result.rejected),
         rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
+        notes=list(result.notes),
     )

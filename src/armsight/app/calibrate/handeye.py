@@ -171,6 +171,7 @@ def handeye_output(
         loo_rms_m=result.loo_rms_m,
         loo_rms_rad=result.loo_rms_rad,
         noise=noise_output(result.noise),
+        covariance_factor=result.covariance_factor,
         turning_rms_rad=result.rotation_excitation.rms_rad.tolist(),
         verdict=verdict(result),
         concerns=list(result.concerns),
@@ -253,9 +254,8 @@ def calibrate_tip(
     chosen = [p.pose for p in read if p.pose is not None]
     result = calibrate_tooltip(chosen, _covariances(read), measured, _times(found, read))
     write_tip(out, result, inputs=[poses])
-    weighed = _covariances(read)
-    uncorrelated = weighed is not None and not (weighed * (1.0 - np.eye(6))).any()
-    return tip_output(result, (f"{poses.name} {UNCORRELATED}",) if uncorrelated else ())
+    note = _note(poses, _covariances(read))
+    return tip_output(result, (note,) if note else ())
 
 
 def tip_output(result: TipCalibration, notes: tuple[str, ...] = ()) -> TipOutput:
@@ -354,14 +354,18 @@ def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
 def _from_streams(job: HandEyeJob) -> Solved:
     if job.robot_stream is None or job.camera_stream is None:
         raise UsageError("--robot-stream needs --camera-stream, both as poses.csv")
-    times, poses = [], []
+    times, poses, covariances = [], [], []
     for path, format_ in ((job.robot_stream, job.table), (job.camera_stream, job.table.of_camera)):
         read = [p for p in read_poses(path, format_=format_, stream=True) if p.status is PoseStatus.OK]
         if len(read) < 2:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
-    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s)
+        covariances.append(_covariances(read))
+    pairs, offset = pairs_of_streams(
+        times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s, camera_covariance=covariances[1]
+    )
+    pairs = replace(pairs, unweighed=_note(job.camera_stream, covariances[1]))
     return Solved(
         result=solve_pose_pairs(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset
     )
@@ -379,3 +383,9 @@ def _covariances(poses: Sequence[TargetPose]) -> np.ndarray | None:
     """Return (n, 6, 6), or None where not every pose brings standard deviations."""
     found = [p.covariance for p in poses if p.covariance is not None and (np.diag(p.covariance) > 0.0).all()]
     return np.stack(found) if len(found) == len(poses) else None
+
+
+def _note(file: Path, covariances: np.ndarray | None) -> str:
+    """Return what is to be said of the covariances (n, 6, 6) of a file's poses."""
+    uncorrelated = covariances is not None and not (covariances * (1.0 - np.eye(6))).any()
+    return f"{file.name} {UNCORRELATED}" if uncorrelated else ""

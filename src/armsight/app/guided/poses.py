@@ -249,7 +249,9 @@ class HandEyeStep(PoseSamples):
         pairs = self.folder / "pairs.csv"
         pairs.parent.mkdir(parents=True, exist_ok=True)
         names = [sample.name for sample in self.samples]
-        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names))
+        covariance = np.array([pose.covariance for pose in self._poses])
+        known = bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
+        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names, covariance if known else None))
         done = calibrate_handeye(HandEyeJob(pairs=pairs, out=self.out, setup=self.setup), progress)
         rows = (
             ("pairs used", f"{done.n_used} of {done.n_pairs}"),

@@ -141,6 +141,7 @@ class RobotWorldOutput(Output):
     residual_rms_m: float = Field(description="Residual of a point, RMS, m.")
     n_used: int = Field(description="Rows that the result rests on.")
     rejected: list[RejectedRow] = Field(description="Rows left out.")
+    notes: list[str] = Field(description="What to know about the result.")
 
 
 class JointStd(Output):

@@ -96,6 +96,11 @@ class HandEyeOutput(Output):
     loo_rms_m: float = Field(description="Position error of each pair predicted from the others, RMS, m.")
     loo_rms_rad: float = Field(description="Orientation error of each pair predicted from the others, RMS, rad.")
     noise: HandEyeNoise = Field(description="Noise of robot and camera.")
+    covariance_factor: float | None = Field(
+        None,
+        exclude_if=absent,
+        description="On the covariances of the camera's poses, by which pairs are weighed; where they are known.",
+    )
     turning_rms_rad: Vector = Field(description="Turns of the hand about its principal axes, falling, RMS, rad.")
     verdict: str = Field(description="Whether the result can be trusted, in words.")
     concerns: list[str] = Field(description="The advice to follow before the result can be trusted; empty: it can be.")

@@ -72,8 +72,8 @@ class ArmCalibration:
     fitted: names and values of the parameters (changes to the nominal arm), noise. outliers: (row from 0, error in
     m). couplings: (joint, by which, share). correlation: of the errors in time, of samples of a stream; folds are
     blocks of time then, and covariance is widened for it. level: which kind of model was taken. still: joints that did
-    not move. before_m, error_m: (m,) before and after, by row. other_arm: why the nominal arm is that of another one;
-    nothing is corrected then.
+    not move. before_m, error_m: (m,) before and after, by row. place_noise_m: of one coordinate of the middle row.
+    other_arm: why the nominal arm is that of another one; nothing is corrected then.
     """
 
     arm: Arm
@@ -101,6 +101,7 @@ class ArmCalibration:
     verdict: str
     error_m: Array
     before_m: Array
+    place_noise_m: float
     other_arm: OtherArm | None = None
     correlation: Correlation | None = None
 
@@ -223,7 +224,6 @@ def _result(
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, best.fitted)
-    told = *_in_another_frame(model, first, holdout), *_unjudged(points, rows), *_in_stream(points, correlation)
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -242,21 +242,41 @@ def _result(
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=fitted.fit.covariance,
-        outliers=_gross(after_m, best.fitted.sigma_m, points.row),
+        outliers=_gross(model, points, best.fitted, after_m),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *rotation_notes(model, points, fitted), *told),
+        notes=(*(item.sentence for item in at_limit), *_told(model, points, holdout, judged, fitted, correlation)),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
+        place_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
     )
 
 
-def _gross(after_m: Array, sigma_m: float, row: NDArray[np.intp] | None) -> tuple[tuple[int, float], ...]:
-    far = np.flatnonzero(after_m > GROSS * sigma_m)
-    return tuple((int(i if row is None else row[i]), float(after_m[i])) for i in far)
+def _told(
+    model: ArmModel,
+    points: ArmPoints,
+    holdout: ArmPoints | None,
+    judged: _Judged,
+    fitted: ArmFit,
+    correlation: Correlation | None,
+) -> tuple[str, ...]:
+    """Return the notes of a result on its rows."""
+    return (
+        *rotation_notes(model, points, fitted),
+        *points.weight_notes(fitted.sigma_m),
+        *_in_another_frame(model, judged.first, holdout),
+        *_unjudged(points, judged.left.judged),
+        *_in_stream(points, correlation),
+    )
+
+
+def _gross(model: ArmModel, points: ArmPoints, fitted: ArmFit, after_m: Array) -> tuple[tuple[int, float], ...]:
+    size = np.linalg.norm(points.whiten(model.errors(fitted.p, points)[0], fitted.sigma_m), axis=1)
+    row = np.arange(len(size)) if points.row is None else points.row
+    return tuple((int(row[i]), float(after_m[i])) for i in np.flatnonzero(size > GROSS))
 
 
 def _held(

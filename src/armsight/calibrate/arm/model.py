@@ -221,11 +221,14 @@ class ArmModel:
     def evaluate(
         self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float, lever_m: Array | None = None
     ) -> Evaluation:
-        """Return whitened residuals and Jacobian; one block of three or six rows a measurement; lever_m as predict."""
+        """Return whitened residuals and Jacobian; one block of three or six rows a measurement; lever_m as predict.
+
+        sigma_m: noise of place, or what is added to the rows' covariances where they have some.
+        """
         T, J = self.predict(p, points, lever_m)
         place, turn = _errors(T, points)
-        r = place / sigma_m
-        slopes = J[:, :3] / sigma_m
+        r = points.whiten(place, sigma_m)
+        slopes = points.whiten(J[:, :3], sigma_m)
         if self.turned:
             r = np.concatenate([r, turn / sigma_rad], axis=1)
             slopes = np.concatenate([slopes, J[:, 3:] / sigma_rad], axis=1)

@@ -38,7 +38,8 @@ class ArmPoints:
     point: (m,) names which of the tool's points a row is of. t_s: (m,) times, where the rows are of one recording.
     row: (m,) which row of its table each is, from 0, where some of the table were left out.
     block: (m,) of time that each row is of, where the errors of neighbours were found alike, and gap_s: how far in time
-    rows must be apart to be independent.
+    rows must be apart to be independent. covariance (m, 3, 3): of the positions, by which rows are weighed; None where
+    it is not known. unweighed: why covariances that were given are not used, or not as they are; "" for nothing to say.
     """
 
     q: Array
@@ -49,9 +50,13 @@ class ArmPoints:
     row: NDArray[np.intp] | None = None
     block: NDArray[np.intp] | None = None
     gap_s: float = 0.0
+    covariance: Array | None = None
+    unweighed: str = ""
 
     def __post_init__(self) -> None:
         m = len(self.xyz_m)
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (m, 3, 3)))
         object.__setattr__(self, "q", frozen_array("q", self.q, (m, np.shape(self.q)[-1])))
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
         if self.rotation is not None:
@@ -110,7 +115,32 @@ class ArmPoints:
             row=rows if self.row is None else self.row[rows],
             block=None if self.block is None else self.block[rows],
             gap_s=self.gap_s,
+            covariance=None if self.covariance is None else self.covariance[rows],
+            unweighed=self.unweighed,
         )
+
+    def whiten(self, vectors: Array, sigma_m: float) -> Array:
+        """Return (m, 3, ...) in units of each row's noise: sigma_m in every coordinate, beside its own covariance."""
+        if self.covariance is None:
+            return vectors / sigma_m
+        L = np.linalg.cholesky(self.covariance + sigma_m**2 * np.eye(3))
+        return np.asarray(np.linalg.solve(L, vectors.reshape(len(self), 3, -1)).reshape(vectors.shape))
+
+    def weight_notes(self, sigma_m: float) -> tuple[str, ...]:
+        """Return that the covariances weigh, with sigma_m that they leave unexplained, or why they do not."""
+        told = (self.unweighed,) if self.unweighed else ()
+        if self.covariance is None:
+            return told
+        own = f"(typically {1e3 * self.typical_m(0.0):.2g} mm in a coordinate)"
+        text = f"Rows are weighed by the covariances of their positions {own}"
+        return (*told, f"{text} and {1e3 * sigma_m:.2g} mm that these leave unexplained")
+
+    def typical_m(self, sigma_m: float) -> float:
+        """Return the noise of one coordinate of the middle row."""
+        if self.covariance is None:
+            return sigma_m
+        own = float(np.median(np.trace(self.covariance, axis1=1, axis2=2))) / 3.0
+        return float(np.sqrt(sigma_m**2 + own))
 
 
 def check_points(arm: Arm, points: ArmPoints) -> None:

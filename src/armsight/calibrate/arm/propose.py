@@ -55,14 +55,14 @@ def propose(
     """
     tolerance = tolerance or Tolerance()
     there = _candidates(model, fitted, points, visible)
-    noise = fitted.sigma_m, fitted.sigma_rad
+    noise = points.typical_m(fitted.sigma_m), fitted.sigma_rad
     plain = ArmModel(arm=model.arm, labels=model.labels, turned=False)
     names = choose(plain, there, fitted.p, model.geometry, tolerance, noise).free
     wanted = (*names, *(name for name in plain.mounts if not _turn_of_tool(name)))
     index = [plain.names.index(name) for name in wanted]
     scale = np.array([tolerance.of(name) if name in names else 1.0 for name in wanted])
     J = plain.evaluate(fitted.p, there, *noise).shared[0][:, index].reshape(len(there.q), 3, -1) * scale
-    seen_J = model.evaluate(fitted.p, points, *noise).shared[0][:, index] * scale
+    seen_J = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad).shared[0][:, index] * scale
     H = seen_J.T @ seen_J + np.diag([1.0 if name in names else 1e-6 for name in wanted])
     order, H_then = _most_telling(J, H, n)
     expected = _std(H_then, wanted, scale)

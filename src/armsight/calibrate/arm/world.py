@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.arm.fit import MEDIAN_3
+from armsight.calibrate.arm.fit import MEDIAN_3, added_noise
 from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, spread_m
@@ -28,18 +28,22 @@ WORLD_FIT_TRIES = 300
 """Draws of three positions: with half of the rows wrong, one draw in eight is without a wrong one."""
 WORLD_FIT_SEED = 11
 """The same measurements give the same answer."""
+WEIGHING_ROUNDS = 5
+"""Fits with what the one before left unexplained; two or three settle it."""
 LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorldCalibration:
-    """T_base_rig with its covariance (dt, dw in base axes), residuals (m,) in m and the rows left out, from 0."""
+    """T_base_rig with its covariance (dt, dw in base axes), residuals (m,) in m, the rows left out, from 0, and notes
+    on how the rows were weighed."""
 
     T_base_rig: RigidTransform
     covariance: NamedCovariance
     residual_m: Array
     rejected: tuple[tuple[int, str], ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def residual_rms_m(self) -> float:
@@ -69,10 +73,37 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
         raise senseless(size, spread)
     out = np.setdiff1d(np.arange(len(points)), kept)
     _check_others(base, points.xyz_m, kept, out)
-    T, covariance = _refine(T, points.xyz_m[kept], base[kept])
+    notes = (points.unweighed,) if points.unweighed else ()
+    if points.covariance is None:
+        T, covariance = _refine(T, points.take(kept), base[kept], 0.0)
+    else:
+        T, covariance, kept, note = _weighed(T, points, base, kept)
+        notes, out = (*notes, note), np.setdiff1d(np.arange(len(points)), kept)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
-    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected=rejected)
+    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected=rejected, notes=notes)
+
+
+def _weighed(
+    T: RigidTransform, points: ArmPoints, base_m: Array, kept: NDArray[np.intp]
+) -> tuple[RigidTransform, NamedCovariance, NDArray[np.intp], str]:
+    """Return the rig's pose from rows weighed by their covariances, its covariance, the rows used, and what to say.
+
+    Rows that are far off only because they are known poorly belong to it.
+    """
+    for _ in range(WEIGHING_ROUNDS):
+        near = points.take(kept)
+        added = added_noise(near.xyz_m - T.inv().apply(base_m[kept]), near)
+        T, covariance = _refine(T, near, base_m[kept], added)
+        off = np.linalg.norm(points.whiten(points.xyz_m - T.inv().apply(base_m), added), axis=1)
+        good = np.flatnonzero(off <= GROSS * max(float(np.median(off[kept])) / np.sqrt(MEDIAN_3), 1.0))
+        if len(good) < LEAST_LEFT or np.array_equal(good, kept):
+            break
+        kept = good
+    text = (
+        f"Rows are weighed by the covariances of their positions and {1e3 * added:.2g} mm that these leave unexplained"
+    )
+    return T, covariance, kept, text
 
 
 def _places(arm: Arm, points: ArmPoints) -> Array:
@@ -151,17 +182,24 @@ def _check_others(base_m: Array, rig_m: Array, kept: NDArray[np.intp], out: NDAr
         )
 
 
-def _refine(T: RigidTransform, rig_m: Array, base_m: Array) -> tuple[RigidTransform, NamedCovariance]:
-    sigma = max(float(np.sqrt(np.mean((T.apply(rig_m) - base_m) ** 2))), 1e-9)
+def _refine(
+    T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float
+) -> tuple[RigidTransform, NamedCovariance]:
+    """Return the rig's pose by least squares, and its covariance. added_m: to the rows' covariances, if there are."""
+    sigma = max(float(np.sqrt(np.mean((T.apply(points.xyz_m) - base_m) ** 2))), 1e-9)
+    noise_m = sigma if points.covariance is None else added_m
+    to_rig = T.rotation.as_matrix().T  # covariances are in rig axes, and so are the whitened residuals
 
     def evaluate(p: Array, _: Array) -> Evaluation:
-        turned = rig_m @ Rotation.from_rotvec(np.array(p[3:])).as_matrix().T
-        J = np.zeros((len(rig_m), 3, 6))
+        turned = points.xyz_m @ Rotation.from_rotvec(np.array(p[3:])).as_matrix().T
+        J = np.zeros((len(points), 3, 6))
         J[:, :, :3] = np.eye(3)
         J[:, :, 3:] = np.cross(np.eye(3), turned[:, None, :]).transpose(0, 2, 1)
-        r = (turned + p[:3] - base_m) / sigma
+        r = points.whiten((turned + p[:3] - base_m) @ to_rig.T, noise_m)
         return Evaluation(
-            residuals=r.reshape(1, -1), shared=J.reshape(1, -1, 6) / sigma, local=np.empty((1, r.size, 0))
+            residuals=r.reshape(1, -1),
+            shared=points.whiten(to_rig @ J, noise_m).reshape(1, -1, 6),
+            local=np.empty((1, r.size, 0)),
         )
 
     def retract(p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
@@ -173,7 +211,7 @@ def _refine(T: RigidTransform, rig_m: Array, base_m: Array) -> tuple[RigidTransf
         guess=np.append(T.translation, T.rotation.as_rotvec()),
         evaluate=evaluate,
         retract=retract,
-        n_residuals=3 * len(rig_m),
+        n_residuals=3 * len(points),
         loss=Loss(kind=LossKind.HUBER, scale=3.0, block=3),
     )
     fit = solve(problem, Settings(estimate_noise=True))

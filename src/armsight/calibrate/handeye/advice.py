@@ -15,6 +15,9 @@ SCALE_SURE = 1e-5
 SCALE_MATTERS = 2e-3
 """A target whose size is right within 0.2 % is not worth a word."""
 
+CLAIM_OFF = 1.5
+"""Standard deviations of the camera's poses that are right within this factor need no word: 20 pairs tell it to 0.2."""
+
 FEW_PAIRS = 10
 WEAK_TURN_RAD = 8.0 * DEG
 """Below this second turn (root mean square) more tilt is the cheapest gain: errors shrink in proportion to it."""
@@ -23,7 +26,7 @@ WEAK_TURN_RAD = 8.0 * DEG
 def advise(result: HandEye, pitch_m: float | None) -> HandEye:
     """Return the result with its advice, most urgent first."""
     concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *_drift(result))
-    advice = (*concerns, *_copies(result), result.noise.explanation() + ".")
+    advice = (*concerns, *_copies(result), *_weights(result), result.noise.explanation() + ".")
     return replace(result, concerns=concerns, advice=advice)
 
 
@@ -87,6 +90,17 @@ def _outliers(result: HandEye) -> list[str]:
 def _copies(result: HandEye) -> list[str]:
     copies = sum(not why.startswith("off by") for _, why in result.rejected)
     return [f"{copies} rows repeat others and were left out: copies add no knowledge."] if copies else []
+
+
+def _weights(result: HandEye) -> list[str]:
+    told = [f"{result.pairs.unweighed}."] if result.pairs.unweighed else []
+    if result.covariance_factor is not None:
+        factor = float(np.sqrt(result.covariance_factor))
+        text = "The pairs are weighed by the covariances of the camera's poses"
+        if not 1.0 / CLAIM_OFF < factor < CLAIM_OFF:
+            text += f", whose standard deviations the residuals say are {factor:.2g} times as large as given"
+        told.append(f"{text}.")
+    return told
 
 
 def _poses(result: HandEye) -> list[str]:

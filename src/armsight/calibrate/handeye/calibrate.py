@@ -28,6 +28,9 @@ MASKED = 2.5
 """Outliers that hide each other raise the fitted noise above what most pairs show by more than this factor; of ten
 good pairs the two differ by less than 2."""
 
+MEDIAN_6 = 5.348
+"""Median of the squared length of six unit normals."""
+
 REJECTION_ROUNDS = 10
 """Rounds of naming outliers and fitting again; two or three settle it."""
 
@@ -86,14 +89,13 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     errors = found.copy()
     errors[rows[order]] = left_out
     widen = doubts.std / np.sqrt(np.diag(solution.C))
-    lever = float(solution.lever[solution.keep].mean())
     finished = HandEye(
         setup=setup,
         T_parent_camera=pose(solution.R_X, solution.t_x),
         T_parent_target=pose(solution.R_Z, solution.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
         dof=float(doubts.dof[:6].min()),
-        noise=noise_of_pairs(solution.variances, doubts.variance_covariance, lever),
+        noise=noise_of_pairs(solution, doubts.variance_covariance),
         scale=true_scale(solution),
         rotation_excitation=turned,
         pairs=pairs,
@@ -103,9 +105,10 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         left_out=errors,
         concerns=(),
         advice=(),
+        covariance_factor=None if solution.weighed is None else float(solution.variances[3]),
     )
     if pairs.t_s is not None:
-        finished = _of_a_recording(finished, pairs.t_s)
+        finished = _of_a_recording(finished, pairs.t_s, _noise(solution, rows[order], len(pairs)))
     return advise(finished, options.target_pitch_m)
 
 
@@ -119,13 +122,25 @@ def _require_others(pairs: PosePairs, alone: NDArray[np.intp]) -> None:
         )
 
 
-def _of_a_recording(found: HandEye, t_s: Array) -> HandEye:
-    """Return the calibration with the errors' drift in it: weighed, claimed and left out by it."""
+def _noise(solution: Solution, rows: NDArray[np.intp], n: int) -> Array | None:
+    """Return the noise (n, 6, 6) of each pair of a weighed fit to some rows; None where all are alike."""
+    if solution.weighed is None:
+        return None
+    noise = np.tile(solution.weighed.V.mean(axis=0), (n, 1, 1))  # of rows that repeat others: any
+    noise[rows] = solution.weighed.V
+    return noise
+
+
+def _of_a_recording(found: HandEye, t_s: Array, noise: Array | None) -> HandEye:
+    """Return the calibration with the errors' drift in it: weighed, claimed and left out by it.
+
+    noise (n, 6, 6): of each pair up to a factor; None where all are alike.
+    """
     arrays = found.pairs.arrays(found.setup)
     poses = (found.T_parent_camera, found.T_parent_target)
     start = tuple(part for one in poses for part in (one.rotation.as_matrix(), np.asarray(one.translation)))
     start = cast("tuple[Array, Array, Array, Array]", start)
-    fitted = fit_drifting(arrays, found.used, start, t_s)
+    fitted = fit_drifting(arrays, found.used, start, t_s, noise)
     at = (fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
     return replace(
         found,
@@ -133,7 +148,7 @@ def _of_a_recording(found: HandEye, t_s: Array) -> HandEye:
         T_parent_target=pose(fitted.R_Z, fitted.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=fitted.C),
         residuals=residuals(arrays, *at),
-        left_out=left_out_blocks(arrays, found.used, at, t_s, fitted.correlation),
+        left_out=left_out_blocks(arrays, found.used, at, t_s, fitted.correlation, noise),
         correlation=fitted.correlation,
     )
 
@@ -148,24 +163,27 @@ def _solve_in_order(pairs: PosePairs, setup: Setup) -> tuple[Solution, Array, ND
     arrays: Arrays = tuple(np.ascontiguousarray(a[order]) for a in as_given)  # type: ignore[assignment]  # four stay four
     given = consensus(arrays)
     check_reading(arrays, setup, given, as_given)
-    solution, left_out = settle(arrays, setup, given)
+    known = None if pairs.camera_covariance is None else pairs.camera_covariance[order]
+    solution, left_out = settle(arrays, setup, given, known)
     return solution, left_out, order
 
 
-def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Array]:
+def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None) -> tuple[Solution, Array]:
     """Return the fit to the pairs that belong to it, and the left-out error (n, 6) of each.
+
+    known (n, 6, 6): covariances of the camera's poses.
 
     A pair is an outlier where its prediction from the other used pairs is off by more than chance allows in any
     pair of FALSE_ALARM of all good sets (Hotelling's T-square on the left-out error). Raises Inconsistent where fewer
     than LEAST_SHARE of the pairs stay.
     """
     n = len(given.keep)
-    whole = _whole(arrays, setup, given)
+    whole = _whole(arrays, setup, given, known)
     if whole is not None:
         return whole
     keep, start = given.keep, given.start
     for _ in range(REJECTION_ROUNDS):
-        solution = solve_pairs(arrays, setup, keep=keep, start=start)
+        solution = solve_pairs(arrays, setup, keep=keep, start=start, known=known)
         start = (solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
         errors, q = solution.left_out()
         fitting = np.where(np.isfinite(q), q <= _limit(solution), keep)
@@ -181,19 +199,23 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Ar
     return solution, errors
 
 
-def _whole(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Array] | None:
+def _whole(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None) -> tuple[Solution, Array] | None:
     """Return the fit to all pairs where nothing speaks against any of them; None otherwise.
 
     Trimming first and taking back later would rob small sets of good pairs: the trimmed fit underrates the noise.
     """
     try:
-        solution = solve_pairs(arrays, setup, start=given.start)
+        solution = solve_pairs(arrays, setup, start=given.start, known=known)
     except DataRefused:
         return None
-    noise_m, noise_rad = np.sqrt(solution.variances[0]), np.sqrt(solution.variances[1:].sum())
-    if noise_m > MASKED * given.sigma_m or noise_rad > MASKED * given.sigma_rad:
-        return None
     errors, q = solution.left_out()
+    if known is None:
+        noise_m, noise_rad = np.sqrt(solution.variances[0]), np.sqrt(solution.variances[1:].sum())
+        masked = noise_m > MASKED * given.sigma_m or noise_rad > MASKED * given.sigma_rad
+    else:  # most pairs are off by far less than the noise that the fit found
+        masked = np.nanmedian(q) * MASKED**2 < MEDIAN_6
+    if masked:
+        return None
     return (solution, errors) if (q[np.isfinite(q)] <= _limit(solution)).all() else None
 
 
@@ -212,6 +234,7 @@ def true_scale(solution: Solution) -> Scale | None:
             keep=solution.keep,
             start=(solution.R_X, solution.t_x, solution.R_Z, solution.t_z),
             free_scale=True,
+            known=None if solution.weighed is None else solution.weighed.known,
         )
     except DataRefused:
         return None

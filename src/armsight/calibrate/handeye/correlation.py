@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
+from armsight.calibrate.handeye.known_noise import moved, whitener
 from armsight.calibrate.handeye.pairs import Array, Arrays
 from armsight.calibrate.handeye.solution import residuals
 
@@ -29,18 +29,26 @@ class DriftingFit:
 
 
 def fit_drifting(
-    arrays: Arrays, keep: NDArray[np.bool_], start: tuple[Array, Array, Array, Array], t_s: Array
+    arrays: Arrays,
+    keep: NDArray[np.bool_],
+    start: tuple[Array, Array, Array, Array],
+    t_s: Array,
+    noise: Array | None = None,
 ) -> DriftingFit:
     """Return the fit to the kept pairs whose errors are white noise and a drift that is forgotten exponentially.
 
     arrays: of PosePairs.arrays, start: RX, tX, RZ, tZ near the answer, t_s (n,): times of the pairs. In the camera's
-    axes all components drift alike, places and turns each by their own size.
+    axes all components drift alike, places and turns each by their own size, or each pair by its noise (n, 6, 6).
     """
     used: Arrays = tuple(a[keep] for a in arrays)  # type: ignore[assignment]  # four stay four
     r, J = _linear(used, start)  # (n, 6), (n, 6, 12)
-    size = np.repeat(np.sqrt([np.mean(r[:, :3] ** 2), np.mean(r[:, 3:] ** 2)]), 3)
-    size = np.maximum(size, 1e-12)
-    r, J = r / size, J / size[:, None]
+    if noise is None:
+        size = np.repeat(np.sqrt([np.mean(r[:, :3] ** 2), np.mean(r[:, 3:] ** 2)]), 3)
+        size = np.maximum(size, 1e-12)
+        r, J = r / size, J / size[:, None]
+    else:
+        W = whitener(noise[keep])
+        r, J = np.einsum("nij,nj->ni", W, r), W @ J
     found = fit_averaged(r, J, t_s[keep])
     RX, tX, RZ, tZ = _moved(start, found.step)
     return DriftingFit(R_X=RX, t_x=tX, R_Z=RZ, t_z=tZ, C=found.C, correlation=found.correlation)
@@ -59,9 +67,8 @@ def _linear(arrays: Arrays, start: tuple[Array, Array, Array, Array]) -> tuple[A
 
 def _moved(start: tuple[Array, Array, Array, Array], step: Array) -> tuple[Array, Array, Array, Array]:
     """Return RX, tX, RZ, tZ after a step (12,) of (dtX, dwX, dtZ, dwZ)."""
-    RX, tX, RZ, tZ = start
-    turns = Rotation.from_rotvec(step.reshape(4, 3)[1::2]).as_matrix()
-    return turns[0] @ RX, tX + step[:3], turns[1] @ RZ, tZ + step[6:9]
+    (RX, tX), (RZ, tZ), _ = moved(start[:2], start[2:], 1.0, step)
+    return RX, tX, RZ, tZ
 
 
 def left_out_blocks(
@@ -70,6 +77,7 @@ def left_out_blocks(
     start: tuple[Array, Array, Array, Array],
     t_s: Array,
     correlation: Correlation,
+    noise: Array | None = None,
 ) -> Array:
     """Return the error (n, 6) of each pair against the fit to the pairs further away in time than a drift lasts.
 
@@ -80,7 +88,7 @@ def left_out_blocks(
         others = keep & away
         if others.sum() < 4:
             continue
-        fitted = fit_drifting(arrays, others, start, t_s)
+        fitted = fit_drifting(arrays, others, start, t_s, noise)
         there: Arrays = tuple(a[inside] for a in arrays)  # type: ignore[assignment]  # four stay four
         out[inside] = residuals(there, fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
     return out

@@ -59,7 +59,7 @@ def cross_validate_images(result: HandEye, images: ImageSet, *, free_camera: boo
 def _fitted(basis: Basis, result: HandEye, images: ImageSet, rest: NDArray[np.bool_]) -> tuple[Poses, Camera]:
     """Return X and Z from the images of rest (n,), and the camera: as given, or freed with them."""
     arrays = result.pairs.arrays(result.setup)
-    by_poses = solve_pairs(arrays, result.setup, keep=rest)
+    by_poses = solve_pairs(arrays, result.setup, keep=rest, known=result.pairs.camera_covariance)
     at = (by_poses.R_X, by_poses.t_x, by_poses.R_Z, by_poses.t_z)
     if basis is Basis.POSES:
         return at, images.camera

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, problem_of
-from armsight.calibrate.handeye.kernels import fit as kernels
-from armsight.calibrate.handeye.kernels import noise as noise_kernels
+from armsight.calibrate.handeye.known_noise import left_out, linearise, whitener
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup, components
 from armsight.calibrate.handeye.result import NAMES, HandEye
 from armsight.calibrate.handeye.target_views import ViewPoses, cross
@@ -59,20 +58,16 @@ class ImageModel:
     def linearised(self, at: Poses) -> tuple[Array, Array, Array]:
         """Return residuals e (n, 6), derivatives J (n, 6, 12) by X and Z, and lever shapes L (n, 6, 6)."""
         RX, tX, RZ, tZ = at
-        RF, tF, RB, tB = self.arrays
-        n = len(RF)
-        e, J, L = np.empty((n, 6)), np.empty((n, 6, 13)), np.empty((n, 6, 6))
-        P, t_hat, work, E = np.empty((3, 3)), np.empty(3), np.empty((2, 3, 3)), np.empty((3, 3))
-        for i in range(n):
-            kernels.residual(RX, tX, RZ, tZ, 1.0, RF[i], tF[i], RB[i], tB[i], e[i], P, t_hat, work)
-            kernels.jacobian(RX, 1.0, e[i], P, t_hat, J[i])
-            to_hand = self.setup is Setup.EYE_TO_HAND
-            length = noise_kernels.lever_frame(RX, tX, 1.0, RF[i], tF[i], t_hat, to_hand, E)
-            reach = np.concatenate(
-                [-cross(length * E[2:])[0], np.eye(3)]
-            )  # (6, 3): dw at the flange seen at the target
-            L[i] = reach @ reach.T
-        return e, J[:, :, :12], L
+        found = linearise(self.arrays, (RX, tX), (RZ, tZ), 1.0, to_hand=self.setup is Setup.EYE_TO_HAND)
+        return found.e, found.J[:, :, :12], found.L
+
+    def left_out(self, at: Poses, V: Array) -> Array:
+        """Return (n, 6): each pose against its prediction from the other used ones, V (n, 6, 6) the noise of each."""
+        X, Z, to_hand = (at[0], at[1]), (at[2], at[3]), self.setup is Setup.EYE_TO_HAND
+        _, J, _ = self.linearised(at)
+        J = (whitener(V) @ J)[self.used]
+        C = np.linalg.inv(np.einsum("nia,nib->ab", J, J))
+        return left_out(self.arrays, X, Z, 1.0, V, self.used, C, to_hand=to_hand)[0]
 
     def variances(self) -> Restricted:
         """Return the noises beside that of the corners, by restricted maximum likelihood."""

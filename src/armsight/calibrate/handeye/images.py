@@ -12,9 +12,9 @@ from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import HandEyeOptions, calibrate_eye_in_hand, calibrate_eye_to_hand
 from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison
 from armsight.calibrate.handeye.image_cross_validation import ImageSet, cross_validate_images
-from armsight.calibrate.handeye.image_model import ImageModel, Poses, camera_of, poses_of, rotation_of
-from armsight.calibrate.handeye.noise import Noise, part
-from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup, pose
+from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of
+from armsight.calibrate.handeye.noise import noise_beside
+from armsight.calibrate.handeye.pairs import PosePairs, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye
 from armsight.calibrate.handeye.solution import residuals
 from armsight.calibrate.handeye.target_views import ViewPoses, poses_of_views
@@ -53,7 +53,12 @@ def calibrate_from_views(
     if len(views) != len(T_base_flange):
         raise Inconsistent(f"{len(views)} views and {len(T_base_flange)} robot poses do not pair up")
     seen = poses_of_views(views, camera, board)
-    pairs = PosePairs.of(T_base_flange, [seen.T_camera_target[i] for i in range(len(views))], [v.source for v in views])
+    pairs = PosePairs.of(
+        T_base_flange,
+        [seen.T_camera_target[i] for i in range(len(views))],
+        [v.source for v in views],
+        seen.covariance,
+    )
     calibrate = calibrate_eye_in_hand if setup is Setup.EYE_IN_HAND else calibrate_eye_to_hand
     by_poses = calibrate(pairs, HandEyeOptions(target_pitch_m=board.pitch_m or None))
     images = ImageSet(views=views, camera=camera, board=board, seen=seen)
@@ -76,7 +81,7 @@ def _adjusted(by_poses: HandEye, images: ImageSet, comparison: ImageComparison) 
         return _refined(by_poses, images.seen, model, restricted, fit), images.camera
     moved = camera_of(fit, images.camera)
     seen = poses_of_views(images.views, moved, images.board)
-    pairs = replace(by_poses.pairs, T_camera_target=seen.T_camera_target)
+    pairs = replace(by_poses.pairs, T_camera_target=seen.T_camera_target, camera_covariance=seen.covariance)
     model = replace(model, arrays=pairs.arrays(by_poses.setup), seen=seen)
     refined = _refined(replace(by_poses, pairs=pairs), seen, model, restricted, fit)
     # A freed camera has seen the image that one step leaves out: only folds without it tell its error.
@@ -88,53 +93,15 @@ def _adjusted(by_poses: HandEye, images: ImageSet, comparison: ImageComparison) 
 def _refined(result: HandEye, seen: ViewPoses, model: ImageModel, restricted: Restricted, fit: Fit) -> HandEye:
     """Return the result with the reprojection's answer in place of the pose fit's."""
     at = poses_of(fit)
+    corners = np.einsum("nii->i", seen.covariance[result.used]) / result.n_used
     covariance = result.covariance.matrix if fit.covariance is None else fit.covariance.block(NAMES)
     return replace(
         result,
         T_parent_camera=pose(at[0], at[1]),
         T_parent_target=pose(at[2], at[3]),
         covariance=NamedCovariance(names=NAMES, matrix=covariance * result.coverage_factor**2),
-        noise=_noise(result, seen, restricted),
+        noise=noise_beside(restricted.variances, restricted.covariance, result.noise.lever_m, corners),
         residuals=residuals(model.arrays, *at),
-        left_out=_left_out(model, at, restricted.V + seen.covariance),
+        left_out=model.left_out(at, restricted.V + seen.covariance),
         reprojection_rms_px=seen.rms_px,
-    )
-
-
-def _left_out(model: ImageModel, at: Poses, S: Array) -> Array:
-    """Return (n, 6): each pose against its prediction from the other used ones, S (n, 6, 6) the noise of each."""
-    e, J, _ = model.linearised(at)
-    whiten = np.linalg.inv(np.linalg.cholesky(S))
-    e, J = np.einsum("nij,nj->ni", whiten, e), whiten @ J
-    C = np.linalg.inv(np.einsum("nia,nib->ab", J[model.used], J[model.used]))
-    M = J @ C @ J.transpose(0, 2, 1)
-    out: Array = np.empty((len(e), 6))
-    for i in range(len(e)):
-        one = tuple(a[i : i + 1] for a in model.arrays)
-        step = C @ J[i].T @ np.linalg.solve(np.eye(6) - M[i], e[i]) if model.used[i] else np.zeros(12)
-        RX, tX, RZ, tZ = at
-        moved = (
-            rotation_of(step[3:6]) @ RX,
-            tX + step[:3],
-            rotation_of(step[9:]) @ RZ,
-            tZ + step[6:9],
-        )
-        out[i] = residuals((one[0], one[1], one[2], one[3]), *moved)[0]
-    return out
-
-
-def _noise(result: HandEye, seen: ViewPoses, restricted: Restricted) -> Noise:
-    """Return the noises with the corners' share known."""
-    corners = np.einsum("nii->ni", seen.covariance[result.used]).mean(axis=0)
-    uncertainty = restricted.covariance
-    robot_m = part(restricted.variances[0], uncertainty[0, 0])
-    corner_m = float(corners[:3].mean())
-    camera_rad = part(restricted.variances[1] + corners[3:].mean(), uncertainty[1, 1])
-    return Noise(
-        translation_m=part(restricted.variances[0] + corner_m, uncertainty[0, 0]),
-        robot_m=robot_m,
-        camera_m=part(corner_m, 0.0),
-        robot_rad=part(restricted.variances[2], uncertainty[2, 2]),
-        camera_rad=camera_rad,
-        lever_m=result.noise.lever_m,
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armsight.calibrate.handeye.pairs import Array
+from armsight.calibrate.handeye.solution import Solution
 from armsight.units import DEG, MM
 
 
@@ -31,8 +32,8 @@ class Noise:
     """Noise of one component of a pose of the robot and of the camera.
 
     translation_m: of both together as seen at the target, without what the robot's orientation adds through the
-    lever. Pose pairs cannot split it: a shift of the flange and a shift of the target look alike; with images the
-    camera's share is known from the corners.
+    lever. Pose pairs cannot split it: a shift of the flange and a shift of the target look alike; with images, or
+    covariances of the camera's poses, the camera's share is known.
     """
 
     translation_m: Part
@@ -62,11 +63,15 @@ class Noise:
             return f"{turn}; the {self.translation_m.value / MM:.2g} mm in position may be either's"
         robot, corners = self.robot_m.value / MM, self.camera_m.value / MM
         rest = "the robot, or what bends an image as a whole (lens, sheet)"
-        return f"{turn}; in position the corners' noise makes {corners:.2g} mm, {rest} {robot:.2g} mm"
+        return f"{turn}; in position the noise of the image makes {corners:.2g} mm, {rest} {robot:.2g} mm"
 
 
-def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise:
-    """Return the noises of a fit to pose pairs from its variances (3,) and their covariance (3, 3)."""
+def noise_of_pairs(solution: Solution, covariance: Array) -> Noise:
+    """Return the noises of a fit to pose pairs, from the covariance (k, k) of its variances."""
+    variances, lever_m = solution.variances, float(solution.lever[solution.keep].mean())
+    if solution.weighed is not None:
+        claimed = np.einsum("nii->i", solution.weighed.known[solution.keep]) / solution.n_used
+        return noise_beside(variances[:3], covariance, lever_m, variances[3] * claimed)
     together = part(variances[0], covariance[0, 0])
     open_ = Part(value=together.value, std=float("inf"))
     return Noise(
@@ -75,6 +80,19 @@ def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise
         camera_m=open_,
         robot_rad=part(variances[2], covariance[2, 2]),
         camera_rad=part(variances[1], covariance[1, 1]),
+        lever_m=lever_m,
+    )
+
+
+def noise_beside(variances: Array, covariance: Array, lever_m: float, known: Array) -> Noise:
+    """Return the noises where the mean variances (6,) of the camera's poses are known, from those found beside them."""
+    camera_m, camera_rad = float(known[:3].mean()), float(known[3:].mean())
+    return Noise(
+        translation_m=part(variances[0] + camera_m, covariance[0, 0]),
+        robot_m=part(variances[0], covariance[0, 0]),
+        camera_m=part(camera_m, 0.0),
+        robot_rad=part(variances[2], covariance[2, 2]),
+        camera_rad=part(variances[1] + camera_rad, covariance[1, 1]),
         lever_m=lever_m,
     )
 

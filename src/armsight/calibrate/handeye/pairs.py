@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
 Arrays = tuple[Array, Array, Array, Array]
@@ -22,6 +23,9 @@ MIN_PAIRS = 4
 SAME = 1e-9
 """Poses whose matrices (m, and directions) agree so closely are copies: no robot or camera repeats itself to a
 nanometre."""
+
+ROUNDED = 1e-8
+"""Of a correlation, what rounding in a file explains."""
 
 
 class Setup(StrEnum):
@@ -35,15 +39,19 @@ class Setup(StrEnum):
 class PosePairs:
     """n poses T_base_flange of the robot and n poses T_camera_target of the camera, row by row, and the rows' names.
 
-    t_s (n,): when, of poses of one recording; None of poses that were taken one by one.
+    t_s (n,): when, of poses of one recording; None of poses that were taken one by one. camera_covariance (n, 6, 6): of
+    T_camera_target in the camera's axes, by which the pairs are weighed; None where it is not known. unweighed: why
+    covariances that were given are not used, or not as they are; "" where there is nothing to say.
 
-    Raises NotEnoughData below MIN_PAIRS rows, Inconsistent for tables of different length.
+    Raises NotEnoughData below MIN_PAIRS rows, Inconsistent for tables of different length and what is no covariance.
     """
 
     T_base_flange: RigidTransform
     T_camera_target: RigidTransform
     names: tuple[str, ...]
     t_s: Array | None = None
+    camera_covariance: Array | None = None
+    unweighed: str = ""
 
     def __post_init__(self) -> None:
         n, m = _count(self.T_base_flange), _count(self.T_camera_target)
@@ -63,6 +71,26 @@ class PosePairs:
             if not np.isfinite(poses.as_matrix()).all():
                 row = int(np.argmax(~np.isfinite(poses.as_matrix()).all(axis=(1, 2))))
                 raise Inconsistent(f"the {what} pose of {self.names[row]} is not finite")
+        if self.camera_covariance is not None:
+            object.__setattr__(self, "camera_covariance", self._checked(self.camera_covariance))
+
+    def _checked(self, covariance: Array) -> Array:
+        """Return covariances (n, 6, 6) that are such; Inconsistent with the row of the first that is none."""
+        C = frozen_array("camera_covariance", covariance, (len(self), 6, 6))
+        std = np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0))
+        bad = ~(std > 0.0).all(axis=1)
+        scale = np.where(std > 0.0, std, 1.0)
+        correlation = C / (scale[:, :, None] * scale[:, None, :])
+        bad |= np.abs(correlation - correlation.transpose(0, 2, 1)).max(axis=(1, 2)) > ROUNDED
+        bad |= np.linalg.eigvalsh(correlation)[:, 0] < -ROUNDED
+        if bad.any():
+            raise Inconsistent(
+                f"the covariance of the camera's pose in {self.names[int(np.argmax(bad))]} is none",
+                consequence="Nobody knows how much to trust that pose",
+                cure="Give symmetric, positive 6 x 6 matrices: translation (m) then rotation vector (rad), in the "
+                "camera's axes",
+            )
+        return C
 
     @classmethod
     def of(
@@ -70,12 +98,14 @@ class PosePairs:
         T_base_flange: Sequence[RigidTransform],
         T_camera_target: Sequence[RigidTransform],
         names: Sequence[str] | None = None,
+        camera_covariance: Array | None = None,
     ) -> PosePairs:
         """Return the pairs of two sequences of single poses; rows are called 'row 1', 'row 2' ... unless named."""
         return cls(
             T_base_flange=stack(T_base_flange),
             T_camera_target=stack(T_camera_target),
             names=tuple(names) if names is not None else tuple(f"row {i + 1}" for i in range(len(T_base_flange))),
+            camera_covariance=camera_covariance,
         )
 
     def __len__(self) -> int:
@@ -89,6 +119,8 @@ class PosePairs:
             T_camera_target=self.T_camera_target[i],
             names=tuple(self.names[k] for k in i),
             t_s=None if self.t_s is None else self.t_s[i],
+            camera_covariance=None if self.camera_covariance is None else self.camera_covariance[i],
+            unweighed=self.unweighed,
         )
 
     def canonical_order(self) -> NDArray[np.intp]:

@@ -41,8 +41,9 @@ class HandEye:
     pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
     correlation: of the errors in time, where the poses are of one recording; left_out is then against what is further
-    away in time. comparison: of images, what the result rests on and by which errors. advice: what would make it
-    surer; concerns: those that keep it from being trusted.
+    away in time. covariance_factor: on the covariances of the camera's poses, by which the pairs are weighed with what
+    these leave unexplained; None where none were given. comparison: of images, what the result rests on and by which
+    errors. advice: what would make it surer; concerns: those that keep it from being trusted.
     """
 
     setup: Setup
@@ -63,6 +64,7 @@ class HandEye:
     reprojection_rms_px: float | None = None
     correlation: Correlation | None = None
     comparison: ImageComparison | None = None
+    covariance_factor: float | None = None
 
     def __post_init__(self) -> None:
         n = len(self.pairs)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
+from armsight.calibrate.handeye.known_noise import BELIEVED, Weighed, fit_weighed, left_out
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
 from armsight.fitting.quantiles import t_ppf
@@ -39,6 +40,7 @@ class Solution:
     free. variances (3,): of the translation (robot's and camera's together), of the camera's orientation and of the
     robot's. C (m, m): covariance of (dtX, dwX, dtZ, dwZ[, gamma]). e (n, 6), J (n, 6, m), lever (n,): whitened
     residuals and derivatives in the lever's axes. log_likelihood: restricted.
+    weighed: where the camera's poses brought covariances; variances are then (4,), the last the factor on these.
     """
 
     setup: Setup
@@ -56,6 +58,7 @@ class Solution:
     lever: Array
     log_likelihood: float
     iterations: int
+    weighed: Weighed | None = None
 
     @property
     def n_used(self) -> int:
@@ -68,18 +71,11 @@ class Solution:
 
     def left_out(self) -> tuple[Array, Array]:
         """Return the error (n, 6) of each pair as predicted from the other used ones, and its chi-square (n,)."""
+        X, Z, to_hand = (self.R_X, self.t_x), (self.R_Z, self.t_z), self.setup is Setup.EYE_TO_HAND
+        if self.weighed is not None:
+            return left_out(self.arrays, X, Z, self.gamma, self.weighed.V, self.keep, self.C, to_hand=to_hand)
         out = np.empty((len(self.keep), 6))
-        q = kernels.left_out(
-            (self.R_X, self.t_x),
-            (self.R_Z, self.t_z),
-            self.gamma,
-            self.arrays,
-            self.variances,
-            self.setup is Setup.EYE_TO_HAND,
-            self.keep,
-            self.C,
-            out,
-        )
+        q = kernels.left_out(X, Z, self.gamma, self.arrays, self.variances, to_hand, self.keep, self.C, out)
         return out, q
 
 
@@ -91,11 +87,13 @@ def solve_pairs(
     start: tuple[Array, Array, Array, Array] | None = None,
     variances: Array | None = None,
     free_scale: bool = False,
+    known: Array | None = None,
 ) -> Solution:
     """Return the maximum-likelihood X, Z of F X B = Z, the noises by restricted maximum likelihood.
 
     arrays: of PosePairs.arrays. keep (n,): the pairs to use. start: RX, tX, RZ, tZ, by default Shah's closed form.
     variances (3,): known and held, else estimated. free_scale: the camera's distances carry a common factor gamma.
+    known (n, 6, 6): covariances of the camera's poses, in its axes; the others are then what they leave unexplained.
     Raises NotConverged. Model of the noise: the robot's pose is off by N(0, s_t) m and N(0, s_r) rad about the
     flange, which reaches the target through its lever; the camera's by N(0, c_t) m and N(0, c_r) rad; s_t and c_t
     act alike and only their sum is known.
@@ -103,6 +101,8 @@ def solve_pairs(
     keep = np.ones(len(arrays[0]), bool) if keep is None else keep
     (RX, tX, RZ, tZ), gamma = _closed_form(arrays, keep, free_scale) if start is None else (start, 1.0)
     X, Z = (RX, tX), (RZ, tZ)
+    if known is not None:
+        return _solve_weighed(arrays, setup, keep, (X, Z, gamma), known, 13 if free_scale else 12)
     theta, floor = _first_variances(X, Z, gamma, arrays, keep) if variances is None else _held(variances)
     m = 13 if free_scale else 12
     to_hand = setup is Setup.EYE_TO_HAND
@@ -126,6 +126,41 @@ def solve_pairs(
         lever=lever,
         log_likelihood=likelihood,
         iterations=iterations,
+    )
+
+
+def _solve_weighed(
+    arrays: Arrays,
+    setup: Setup,
+    keep: NDArray[np.bool_],
+    start: tuple[tuple[Array, Array], tuple[Array, Array], float],
+    known: Array,
+    m: int,
+) -> Solution:
+    """Return the fit that weighs each pair by the covariance of its camera pose."""
+    to_hand = setup is Setup.EYE_TO_HAND
+    found = fit_weighed(
+        arrays, known, keep, start, (FLOOR, LEAST_OWN), to_hand=to_hand, n_free=m, settled=(TOLERANCE, LIMIT)
+    )
+    if found is None:
+        raise _not_converged("no minimum with the camera poses' covariances")
+    return Solution(
+        setup=setup,
+        arrays=arrays,
+        keep=keep,
+        R_X=found.X[0],
+        t_x=found.X[1],
+        R_Z=found.Z[0],
+        t_z=found.Z[1],
+        gamma=found.gamma,
+        variances=found.variances,
+        C=found.C,
+        e=found.e,
+        J=found.J,
+        lever=found.lever,
+        log_likelihood=found.log_likelihood,
+        iterations=found.iterations,
+        weighed=found,
     )
 
 
@@ -171,7 +206,7 @@ def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma:
 class VarianceUncertainty:
     """What the estimated noises leave uncertain.
 
-    variance_covariance (3, 3): of the variances. dof (m,): effective degrees of freedom behind each parameter's
+    variance_covariance (k, k): of the variances. dof (m,): effective degrees of freedom behind each parameter's
     variance (Satterthwaite 1946). std (m,): standard deviations with what wrong weights cost (Kenward, Roger 1997),
     widened by Student's factor, so that +- 1.96 std holds 95 %.
     """
@@ -183,20 +218,24 @@ class VarianceUncertainty:
 
 def uncertainty(solution: Solution) -> VarianceUncertainty:
     """Return the uncertainty of a fit whose noises were estimated from its own residuals."""
-    Q = _shapes(solution)  # (3, n, 6, 6) whitened derivative of the noise by each variance
+    Q = _shapes(solution)  # (k, n, 6, 6) whitened derivative of the noise by each variance
     J, C = solution.J, solution.C
     M = J @ C @ J.transpose(0, 2, 1)  # (n, 6, 6)
     m = len(C)
-    B = np.stack([J.reshape(-1, m).T @ QJ.reshape(-1, m) for QJ in Q @ J])  # (3, m, m)
-    flat, turned = Q.reshape(3, -1), (Q @ M).swapaxes(2, 3).reshape(3, -1)
+    B = np.stack([J.reshape(-1, m).T @ QJ.reshape(-1, m) for QJ in Q @ J])  # (k, m, m)
+    flat, turned = Q.reshape(len(Q), -1), (Q @ M).swapaxes(2, 3).reshape(len(Q), -1)
     information = flat @ flat.T - 2.0 * flat @ turned.T  # tr Qk Qj, tr Qk Qj M
     CB = C @ B
     information = 0.5 * (information + np.einsum("kab,jba->kj", CB, CB))
-    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
-    slope = np.diagonal(CB @ C, axis1=1, axis2=2)  # (3, m): dC / d variance
+    if solution.weighed is not None:
+        information[-1, -1] += 1.0 / (BELIEVED * solution.variances[-1]) ** 2
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))  # variances are in m2, rad2 and none
+    both = np.outer(scale, scale)
+    covariance = both * np.linalg.pinv(both * information, rcond=1e-12, hermitian=True)
+    slope = np.diagonal(CB @ C, axis1=1, axis2=2)  # (k, m): dC / d variance
     spread = ((covariance @ slope) * slope).sum(axis=0)
-    QJ = (Q @ J).reshape(3, -1, m)
-    lost = sum(covariance[k, j] * (QJ[k].T @ QJ[j] - B[k] @ C @ B[j]) for k in range(3) for j in range(3))
+    QJ, every = (Q @ J).reshape(len(Q), -1, m), range(len(Q))
+    lost = sum(covariance[k, j] * (QJ[k].T @ QJ[j] - B[k] @ C @ B[j]) for k in every for j in every)
     variance = np.diag(C)
     grown = variance + 2.0 * np.maximum(np.diag(C @ lost @ C), 0.0)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
@@ -214,7 +253,9 @@ def warm_up() -> None:
 
 
 def _shapes(solution: Solution) -> Array:
-    """Return (3, n, 6, 6): the derivative of the whitened noise by each variance, zero for pairs not used."""
+    """Return (k, n, 6, 6): the derivative of the whitened noise by each variance, zero for pairs not used."""
+    if solution.weighed is not None:
+        return solution.weighed.Q
     n = len(solution.keep)
     Q = np.zeros((3, n, 6, 6))
     w, q = np.empty(5), np.empty((3, 5))

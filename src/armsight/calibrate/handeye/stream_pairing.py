@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Slerp
 
-from armsight.calibrate.handeye.pairs import MIN_PAIRS, PosePairs
+from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, PosePairs
 from armsight.calibrate.handeye.timing import TimeOffset, time_offset
 from armsight.errors import NotEnoughData
 from armsight.units import DEG
@@ -28,6 +28,7 @@ def pairs_of_streams(
     *,
     most: int = MAX_PAIRS,
     within_s: float | None = None,
+    camera_covariance: Array | None = None,
 ) -> tuple[PosePairs, TimeOffset]:
     """Return pairs of the camera's poses with the robot's at the same moment, and the offset between their clocks.
 
@@ -52,7 +53,13 @@ def pairs_of_streams(
             cure="Move the hand through more and wider turns while recording",
         )
     names = tuple(f"t = {tc[inside[i]]:.3f} s" for i in chosen)
-    pairs = PosePairs(T_base_flange=flange[chosen], T_camera_target=camera[inside[chosen]], names=names, t_s=at[chosen])
+    pairs = PosePairs(
+        T_base_flange=flange[chosen],
+        T_camera_target=camera[inside[chosen]],
+        names=names,
+        t_s=at[chosen],
+        camera_covariance=None if camera_covariance is None else camera_covariance[inside[chosen]],
+    )
     return pairs, found
 
 

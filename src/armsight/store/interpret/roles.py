@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from armsight.store.covariances import COVARIANCE, SYSTEMATIC_COVARIANCE
+from armsight.store.covariances import CAMERA_COVARIANCE, COVARIANCE, POSITION_COVARIANCE, SYSTEMATIC_COVARIANCE
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -75,14 +75,14 @@ ROLES: Mapping[str, Role] = {
         Role(name="poses", time="wanted", extras=POSE_EXTRAS),
         Role(name="untimed-poses", time="maybe", extras=POSE_EXTRAS),
         Role(name="robot_poses", words={"file": IMAGES}),
-        Role(name="pairs", frames=PAIR_FRAMES),
+        Role(name="pairs", frames=PAIR_FRAMES, extras=CAMERA_COVARIANCE),
         Role(
             name="points",
             rotation="maybe",
             joints="wanted",
             time="maybe",
             words={"point": ("reflector", "smr", "prism")},
-            extras=POSE_EXTRAS,
+            extras=tuple(dict.fromkeys((*POSE_EXTRAS, *POSITION_COVARIANCE))),
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
         Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),

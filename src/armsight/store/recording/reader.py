@@ -363,6 +363,7 @@ def _messages_of(
 def _pose(it: dict[str, Any]) -> TargetPose:
     status = PoseStatus(it["status"])
     known = status is not PoseStatus.LOST
+    shared = it.get("systematic_covariance", [])  # recordings of earlier versions have none
     return TargetPose(
         t_s=float(it["t_s"]),
         status=status,
@@ -370,6 +371,8 @@ def _pose(it: dict[str, Any]) -> TargetPose:
         spots=tuple(it["spots"]),
         T_parent_target=pose_from_quat(it["xyz_m"], it["quat_xyzw"]).as_matrix() if known else None,
         covariance=np.array(it["covariance"], float) if known else None,
+        systematic_covariance=np.array(shared, float) if shared else None,
+        origin_known=bool(it.get("origin_known", False)),
         residual_px=np.array(it["residual_px"], float),
         why=str(it["why"]),
     )

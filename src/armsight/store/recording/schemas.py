@@ -78,6 +78,8 @@ _MESSAGES: Mapping[str, Json] = {
         xyz_m=_list(_NUMBER),
         quat_xyzw=_list(_NUMBER),
         covariance=_list(_list(_NUMBER)),
+        systematic_covariance=_list(_list(_NUMBER)),
+        origin_known={"type": "boolean"},
         residual_px=_list(_NUMBER),
         why=_STRING,
     ),

@@ -146,6 +146,8 @@ class RecordingWriter:
             "xyz_m": xyz,
             "quat_xyzw": quat,
             "covariance": pose.covariance if pose.covariance is not None else [],
+            "systematic_covariance": pose.systematic_covariance if pose.systematic_covariance is not None else [],
+            "origin_known": pose.origin_known,
             "residual_px": pose.residual_px,
             "why": pose.why,
         }

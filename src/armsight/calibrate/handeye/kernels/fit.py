@@ -123,6 +123,22 @@ def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     return total
 
 
+@kernel
+def linearise(X, Z, gamma, pairs, to_hand, e, J, reach):
+    """Fill e (n, 6), J (n, 6, 13) and reach (n, 3), the lever from flange to target, in camera axes: not whitened."""
+    Rf, tf, Rb, tb = pairs
+    P = np.empty((3, 3))
+    E = np.empty((3, 3))
+    work = np.empty((2, 3, 3))
+    t_hat = np.empty(3)
+    for i in range(Rf.shape[0]):
+        residual(X[0], X[1], Z[0], Z[1], gamma, Rf[i], tf[i], Rb[i], tb[i], e[i], P, t_hat, work)
+        jacobian(X[0], gamma, e[i], P, t_hat, J[i])
+        length = lever_frame(X[0], X[1], gamma, Rf[i], tf[i], t_hat, to_hand, E)
+        for a in range(3):
+            reach[i, a] = length * E[2, a]
+
+
 @inner_kernel
 def normal_equations(e, J, H, g):
     """Fill H (m, m) = sum J'J and g (m,) = sum J'e; return sum e'e."""

@@ -1,0 +1,207 @@
+"""Pose pairs whose camera poses bring covariances of their own: weighed by these, and by what they leave unexplained.
+
+The noise of a pair is V_i = a T + b W + c L_i + s S_i: S_i the covariance that came with the camera's pose, T and W
+unit noise of its position and orientation, L_i that of the robot's orientation as seen at the target. The common
+additions a, b, c and the factor s are found from the residuals: covariances that are too small altogether grow, where
+those of a few pairs are too small the additions keep these from taking over, and covariances that explain nothing fade
+behind the additions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.calibrate.handeye.kernels import fit as kernels
+from armsight.calibrate.handeye.pairs import Array, Arrays
+from armsight.calibrate.handeye.variances import Restricted, restricted_variances
+from armsight.geometry.lie import skew
+
+Pose = tuple[Array, Array]
+
+BELIEVED = 0.8
+"""How far the logarithm of the factor on the covariances is off, as known beforehand: their standard deviations are
+right within a factor of 1.5. What the residuals show beyond is put to the additions first. Without this belief the
+corners of the real recording in benchmarks/handeye.py grow 15 times and its positions left out get worse by a tenth;
+covariances that are all 9 times too small or too large are found out none the less."""
+CONDITION = 1e-12
+"""Noise below this share of a pair's own in some direction is added to it, so that every pair can be whitened."""
+LEAST_SPARE = 1e-9
+"""Least share of a pair's noise that the other pairs must leave to it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linear:
+    """Residuals e (n, 6) in camera axes, derivatives J (n, 6, 13), and L (n, 6, 6): unit noise of the robot's
+    orientation as it is seen at the target; lever (n,) in m."""
+
+    e: Array
+    J: Array
+    L: Array
+    lever: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Weighed:
+    """The fit of X, Z (and gamma): variances (4,) of a, b, c and s; C (m, m); whitened e (n, 6), J (n, 6, m) and shapes
+    Q (4, n, 6, 6), zero for pairs not used; V (n, 6, 6): the noise of each pair in camera axes; known: as given."""
+
+    X: Pose
+    Z: Pose
+    gamma: float
+    variances: Array
+    C: Array
+    e: Array
+    J: Array
+    Q: Array
+    V: Array
+    known: Array
+    lever: Array
+    log_likelihood: float
+    iterations: int
+
+
+def linearise(arrays: Arrays, X: Pose, Z: Pose, gamma: float, *, to_hand: bool) -> Linear:
+    """Return the residuals and their derivatives by dtX, dwX, dtZ, dwZ, gamma."""
+    n = len(arrays[0])
+    e, J, reach = np.empty((n, 6)), np.empty((n, 6, 13)), np.empty((n, 3))
+    kernels.linearise(X, Z, gamma, arrays, to_hand, e, J, reach)
+    at = np.concatenate([-skew(reach), np.tile(np.eye(3), (n, 1, 1))], axis=1)  # (n, 6, 3): dw at the flange
+    return Linear(e=e, J=J, L=at @ at.transpose(0, 2, 1), lever=np.linalg.norm(reach, axis=1))
+
+
+def whitener(V: Array) -> Array:
+    """Return (n, 6, 6): what makes errors of covariances V (n, 6, 6) independent, of unit size."""
+    size = np.sqrt(np.diagonal(V, axis1=1, axis2=2))
+    one = V / (size[:, :, None] * size[:, None, :]) + CONDITION * np.eye(V.shape[1])
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(one)) / size[:, None, :])
+
+
+def fit_weighed(
+    arrays: Arrays,
+    known: Array,
+    keep: NDArray[np.bool_],
+    start: tuple[Pose, Pose, float],
+    least: tuple[Array, float],
+    *,
+    to_hand: bool,
+    n_free: int,
+    settled: tuple[float, int],
+) -> Weighed | None:
+    """Return the maximum-likelihood fit with the four variances by restricted likelihood; None without a minimum.
+
+    known (n, 6, 6): covariances of the camera's poses. start: X, Z, gamma near the answer. least: the smallest a, b and
+    c (3,), and the share of the residuals that stays with the covariances. n_free: 12, or 13 with gamma. settled: step
+    in standard deviations, and the most rounds.
+    """
+    X, Z, gamma = start
+    theta = floor = None
+    for iteration in range(settled[1]):
+        at = linearise(arrays, X, Z, gamma, to_hand=to_hand)
+        Q = _shapes(at, known)
+        if theta is None or floor is None:
+            theta, floor = _first(at, known, keep, least)
+        J = at.J[:, :, :n_free]
+        try:
+            found = restricted_variances(at.e, J, np.zeros_like(known), Q, keep, floor, theta, BELIEVED)
+            W = whitener(found.V)
+            e, J = np.einsum("nij,nj->ni", W, at.e), W @ J
+            e[~keep], J[~keep] = 0.0, 0.0
+            C = np.linalg.inv(np.einsum("nia,nib->ab", J, J))
+        except np.linalg.LinAlgError:
+            return None
+        step = -C @ np.einsum("nia,ni->a", J, e)
+        if not np.isfinite(step).all():
+            return None
+        size, theta = float((np.abs(step) / np.sqrt(np.diag(C))).max()), found.variances
+        X, Z, gamma = moved(X, Z, gamma, step)
+        if size < settled[0]:
+            Q = W @ Q @ W.transpose(0, 2, 1)
+            return _weighed((X, Z, gamma), at, found, Q, (e + J @ step, J, C), keep, known, iteration + 1)
+    return None
+
+
+def _weighed(
+    unknowns: tuple[Pose, Pose, float],
+    at: Linear,
+    found: Restricted,
+    Q: Array,
+    normal: tuple[Array, Array, Array],
+    keep: NDArray[np.bool_],
+    known: Array,
+    iterations: int,
+) -> Weighed:
+    e, J, C = normal
+    Q[:, ~keep] = 0.0
+    return Weighed(
+        X=unknowns[0],
+        Z=unknowns[1],
+        gamma=unknowns[2],
+        variances=found.variances,
+        C=C,
+        e=e,
+        J=J,
+        Q=Q,
+        V=found.V,
+        known=known,
+        lever=at.lever,
+        log_likelihood=found.log_likelihood,
+        iterations=iterations,
+    )
+
+
+def left_out(
+    arrays: Arrays, X: Pose, Z: Pose, gamma: float, V: Array, keep: NDArray[np.bool_], C: Array, *, to_hand: bool
+) -> tuple[Array, Array]:
+    """Return the error (n, 6) of each pair as predicted from the other kept ones, and its squared length (n,) against
+    its own noise V (n, 6, 6) and that of the unknowns, C (m, m). NaN where a pair alone fixes some unknown."""
+    m = len(C)
+    at = linearise(arrays, X, Z, gamma, to_hand=to_hand)
+    W = whitener(V)
+    e, J = np.einsum("nij,nj->ni", W, at.e), W @ at.J[:, :, :m]
+    M = J @ C @ J.transpose(0, 2, 1)
+    out, q = np.full((len(e), 6), np.nan), np.full(len(e), np.nan)
+    e1, J1, reach = np.empty((1, 6)), np.empty((1, 6, 13)), np.empty((1, 3))
+    for i in range(len(e)):
+        S = np.eye(6) - M[i] if keep[i] else np.eye(6) + M[i]
+        if not np.linalg.eigvalsh(S)[0] > LEAST_SPARE:
+            continue
+        y = np.linalg.solve(S, e[i])
+        step = C @ J[i].T @ y if keep[i] else np.zeros(m)
+        one = tuple(a[i : i + 1] for a in arrays)
+        X1, Z1, gamma1 = moved(X, Z, gamma, step)
+        kernels.linearise(X1, Z1, gamma1, one, to_hand, e1, J1, reach)
+        out[i], q[i] = e1[0], e[i] @ y
+    return out, q
+
+
+def moved(X: Pose, Z: Pose, gamma: float, step: Array) -> tuple[Pose, Pose, float]:
+    """Return X, Z and gamma after a step (12,) or (13,)."""
+    turns = Rotation.from_rotvec(step[:12].reshape(4, 3)[1::2]).as_matrix()
+    further = gamma + float(step[12]) if len(step) > 12 else gamma
+    return (turns[0] @ X[0], X[1] + step[:3]), (turns[1] @ Z[0], Z[1] + step[6:9]), further
+
+
+def _shapes(at: Linear, known: Array) -> Array:
+    n = len(at.e)
+    Q = np.zeros((4, n, 6, 6))
+    Q[0, :, :3, :3] = Q[1, :, 3:, 3:] = np.eye(3)
+    Q[2], Q[3] = at.L, known
+    return Q
+
+
+def _first(at: Linear, known: Array, keep: NDArray[np.bool_], least: tuple[Array, float]) -> tuple[Array, Array]:
+    """Return where the variances (4,) start, and the least they may become.
+
+    Of the middle pair's position a share stays noise of position: the covariances', or what is added where they are
+    smaller.
+    """
+    squares = (at.e[keep] ** 2).reshape(-1, 2, 3).mean(axis=2)  # of place and turn
+    claimed = np.diagonal(known[keep, :3, :3], axis1=1, axis2=2).mean(axis=1)
+    move, turn = np.median(squares, axis=0).tolist()
+    floor = np.append(least[0], least[1] * min(float(np.median(squares[:, 0] / claimed)), 1.0))
+    floor[0] = max(floor[0], least[1] * move - float(np.median(claimed)))
+    return np.maximum(np.array([0.3 * move, 0.3 * turn, 0.1 * turn, 1.0]), floor), floor
