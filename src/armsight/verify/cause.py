@@ -214,10 +214,17 @@ def _decide(
     most = max(gains.values())
     adds = _adds(after, trial.own, beyond)
     needed = by_chance(before.linear, geometry, before.with_geometry(own_columns)) < CHANCE
-    one = trial.gained and (not adds or (needed and _dominates(gains["joint"], most)))
+    size = before.linear.residual.size
+    least = min(_variance(fit, size) for fit in (everything, geometry, beyond))
+    one = trial.gained and (
+        not adds or (needed and _dominates(gains["joint"], most, _variance(trial.own, size) / least))
+    )
     several = _gained(before, plain, zeros) and (
         not _adds(before, zeros, everything)
-        or (_zeros_needed(before, geometry, everything) and _dominates(gains["zeros"], most))
+        or (
+            _zeros_needed(before, geometry, everything)
+            and _dominates(gains["zeros"], most, _variance(zeros, size) / least)
+        )
     )
     told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
     moved = moved_rig(
@@ -239,9 +246,16 @@ def _decide(
     return _nothing(aligned, replace(told, joints=_estimates(judged, able, trial, zeros, before.std(able, region))))
 
 
-def _dominates(share: float, most: float) -> bool:
-    """Whether a share of the errors is nearly all that can be taken off them."""
-    return share >= DOMINANT * most and (share >= NEARLY_ALL or 1.0 - share <= LEAVES * (1.0 - most))
+def _variance(fit: Fitted, size: int) -> float:
+    """Return the variance that a fit to so many errors leaves."""
+    return max(fit.squares / max(size - fit.rank, 1), 1e-300)
+
+
+def _dominates(share: float, most: float, leaves: float) -> bool:
+    """Whether a share of the errors is nearly all that can be taken off them. leaves: the variance left over what the
+    geometry leaves: few rows left out do not show what a rich model gains, all rows do."""
+    few = leaves <= LEAVES and 1.0 - share <= LEAVES * (1.0 - most)
+    return share >= DOMINANT * most and (share >= NEARLY_ALL or few)
 
 
 def _gained(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:
