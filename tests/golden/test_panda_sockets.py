@@ -41,6 +41,16 @@ def test_rows_of_the_other_socket_are_named_and_no_others() -> None:
         assert 3e-3 < found.residual_rms_m < 5e-3  # the nominal arm's errors
 
 
+def test_deviations_hold_that_the_nominal_arm_errs_alike_where_poses_are_alike() -> None:
+    tips = [tip("front", "0"), tip("front", "1"), tip("left", "0")]
+    off = []
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        std = np.hypot(list(tips[i].std().values()), list(tips[j].std().values()))
+        off.append(np.abs(tips[i].tip_m - tips[j].tip_m) / std)
+    assert np.max(off) < 4.0  # 6 with rows counted as independent
+    assert max(max(found.std().values()) for found in tips) < 2e-3
+
+
 def test_two_points_are_no_places_to_calibrate_an_arm_by() -> None:
     q = np.concatenate([joints("front", "0"), joints("front", "1")])
     xyz_m = np.where(np.arange(len(q))[:, None] < 31, [0.0, 0.0, 0.0], [0.0, 0.05, 0.0])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.regions import regions
 from armsight.errors import Ambiguous, Inconsistent
 from armsight.kinematics import Arm, dh_arm, fk, preset
 from armsight.records import PoseStatus, TargetPose
@@ -17,7 +18,7 @@ from armsight.store.verify_files import read_measured
 from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
 from armsight.verify.alignment import align
 from armsight.verify.clocks import sampling_times
-from armsight.verify.left_out import Linear, fit_linear, jackknife_std, regions
+from armsight.verify.left_out import Linear, fit_linear, jackknife_std
 from armsight.verify.model import Mounts
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "ur10_tmac"
