@@ -300,7 +300,7 @@ def _fit(
         WJ = W[keep] @ J[keep]
         H = np.einsum("nia,nib->ab", J[keep], WJ)
         g = -np.einsum("nia,ni->a", WJ, t[keep])
-        new = np.linalg.solve(H, g)
+        new: Array = np.linalg.solve(H, g)
         e = np.einsum("nia,a->ni", J, new) + t
         scale2 = float(np.einsum("ni,nij,nj->", e[keep], W[keep], e[keep])) / dof
         if point is not None:  # a measurement of the point, in its own units: the poses' factor must be known first
