@@ -290,7 +290,7 @@ def _fit(
     estimated factor on V; degrees of freedom."""
     n = len(R)
     J = slopes(R)
-    x = np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0]
+    x = np.asarray(np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0], np.float64)
     dof = max(3 * int(keep.sum()) - 6, 1)
     for _ in range(TIP_ROUNDS):
         lever = np.einsum("nij,j->ni", R, x[:3])  # (n, 3)
@@ -300,7 +300,7 @@ def _fit(
         WJ = W[keep] @ J[keep]
         H = np.einsum("nia,nib->ab", J[keep], WJ)
         g = -np.einsum("nia,ni->a", WJ, t[keep])
-        new: Array = np.linalg.solve(H, g)
+        new = np.linalg.solve(H, g)
         e = np.einsum("nia,a->ni", J, new) + t
         scale2 = float(np.einsum("ni,nij,nj->", e[keep], W[keep], e[keep])) / dof
         if point is not None:  # a measurement of the point, in its own units: the poses' factor must be known first
