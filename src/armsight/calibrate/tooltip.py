@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.correlation import Correlation
-from armsight.calibrate.tooltip_stream import PivotStream, checked_times
+from armsight.calibrate.regions import regions, widened
+from armsight.calibrate.tooltip_stream import PivotStream, checked_times, slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
+from armsight.geometry.lie import skew
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
 
@@ -139,7 +141,8 @@ def calibrate_tooltip(
     covariances: (n, 6, 6) of the poses, translation then rotation vector in the parent's axes; without them one noise
     of position and orientation is assumed and its size estimated. point: where it rests, if measured; without a
     sigma worth having leave it out. t_s (n,): times in s, where the poses are of one recording: how long their errors
-    are alike is estimated then, and they are weighed and believed by it. Raises NotEnoughData below MIN_POSES,
+    are alike is estimated then, and they are weighed and believed by it; without, how much regions of the turning
+    differ (an arm's own errors) widens the covariance. Raises NotEnoughData below MIN_POSES,
     Degenerate for too little turning or one axis, Inconsistent where the poses share no point.
     """
     R, t = _split(poses)
@@ -159,6 +162,8 @@ def calibrate_tooltip(
         found = stream.fit(x, keep, _turned(R, keep))
         x, cov, left, correlation = found.x, found.C, found.left_out_m, found.correlation
         e = R @ x[:3] + t - x[3:]
+    else:
+        cov = widened(cov, slopes(R[keep]), V[keep] * scale2, e[keep], regions(R[keep].reshape(-1, 9)))
     return TipCalibration(
         tip_m=x[:3],
         point_m=x[3:],
@@ -284,12 +289,12 @@ def _fit(
     """Return x (6,) = tip, point; its covariance; residuals (n, 3); their covariances V (n, 3, 3) in given units; the
     estimated factor on V; degrees of freedom."""
     n = len(R)
-    J = np.concatenate([R, np.tile(-np.eye(3), (n, 1, 1))], axis=2)  # (n, 3, 6)
-    x = np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0]
+    J = slopes(R)
+    x = np.asarray(np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0], np.float64)
     dof = max(3 * int(keep.sum()) - 6, 1)
     for _ in range(TIP_ROUNDS):
         lever = np.einsum("nij,j->ni", R, x[:3])  # (n, 3)
-        A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), _minus_cross(lever)], axis=2)  # (n, 3, 6): dt + dw x lever
+        A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -skew(lever)], axis=2)  # (n, 3, 6): dt + dw x lever
         V = A @ C @ A.transpose(0, 2, 1)
         W = np.linalg.inv(V)
         WJ = W[keep] @ J[keep]
@@ -312,7 +317,7 @@ def _fit(
 
 def _distance(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_], scale2: float) -> Array:
     """Return (n,): squared length of each residual, as left out, against its own noise and the answer's."""
-    J = np.concatenate([R, np.tile(-np.eye(3), (len(R), 1, 1))], axis=2)
+    J = slopes(R)
     M = J @ cov @ J.transpose(0, 2, 1)
     S = V * scale2 + np.where(keep[:, None, None], -M, M)
     S = S + 1e-24 * np.eye(3)
@@ -321,7 +326,7 @@ def _distance(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_],
 
 def _left_out(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_]) -> Array:
     """Return (n, 3): each residual by the fit to the other kept poses; V (n, 3, 3): their covariances."""
-    J = np.concatenate([R, np.tile(-np.eye(3), (len(R), 1, 1))], axis=2)
+    J = slopes(R)
     own = J @ cov @ J.transpose(0, 2, 1) @ np.linalg.inv(V + 1e-24 * np.eye(3))  # the share of itself in its fit
     others = np.eye(3) - np.where(keep[:, None, None], own, 0.0)
     return np.asarray(np.linalg.solve(others + 1e-12 * np.eye(3), e[:, :, None])[:, :, 0])
@@ -332,7 +337,7 @@ def _consensus(R: Array, t: Array) -> NDArray[np.bool_]:
     n = len(R)
     rng = np.random.default_rng(41)
     order = np.lexsort(t.T)  # the answer does not depend on the order of the poses
-    J = np.concatenate([R, np.tile(-np.eye(3), (n, 1, 1))], axis=2)[order]
+    J = slopes(R)[order]
     b = t[order]
     samples = np.argsort(rng.random((60, n)), axis=1)[:, : min(n, 5)]
     A = J[samples].reshape(len(samples), -1, 6)
@@ -391,10 +396,3 @@ def _no_point(agree: int, n: int) -> Inconsistent:
         consequence="The tip moved, or the poses do not belong to one recording; no tip is given",
         cure="Keep the end of the tool on one point, a small cone or centre punch, and record again",
     )
-
-
-def _minus_cross(v: Array) -> Array:
-    """Return (n, 3, 3): dw -> dw x v."""
-    x, y, z = v.T
-    o = np.zeros_like(x)
-    return np.array([[o, z, -y], [-z, o, x], [y, -x, o]]).transpose(2, 0, 1)

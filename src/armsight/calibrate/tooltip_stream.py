@@ -56,7 +56,7 @@ class PivotStream:
         """Return the fit of a step from x, residuals made of one size by the square roots of V."""
         value, vector = np.linalg.eigh(self.V[keep])
         root = (vector / np.sqrt(value)[:, None, :]) @ vector.transpose(0, 2, 1)  # (n, 3, 3)
-        J = np.concatenate([self.R[keep], np.tile(-np.eye(3), (int(keep.sum()), 1, 1))], axis=2)
+        J = slopes(self.R[keep])
         r = np.einsum("nij,nj->ni", root, self._residuals(x)[keep])
         prior = None if self.prior is None else (self.prior[0] - x, self.prior[1])
         return fit_averaged(r, root @ J, self.t_s[keep], prior)
@@ -79,3 +79,8 @@ def checked_times(t_s: Array, n: int) -> Array:
 
 def _rms(turn: Array) -> float:
     return float(np.sqrt(np.mean(turn**2)))
+
+
+def slopes(R: Array) -> Array:
+    """Return (n, 3, 6): how R tip + t - point goes with tip and point."""
+    return np.concatenate([R, np.tile(-np.eye(3), (len(R), 1, 1))], axis=2)

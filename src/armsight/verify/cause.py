@@ -6,15 +6,17 @@ geometry does not explain the same as well. Two joints that explain alike are tw
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm.parameter_selection import APART
+from armsight.calibrate.regions import regions
 from armsight.verify.effects import Effect, Kind, effects, still
 from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of, regions
+from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of
 from armsight.verify.left_out import falls as fall_by_chance
 from armsight.verify.model import ModelFit
 from armsight.verify.moved_rig import moved_rig
@@ -202,7 +204,6 @@ def _decide(
 ) -> Cause:
     able = np.flatnonzero([v.judged for v in judged])
     before, after, plain, region = trial.before, trial.after, trial.plain, regions(case.q)
-    own_columns = before.columns(trial.effect)
     geometry, zeros = before.with_geometry(), before.with_joints(able)
     everything = before.with_geometry(before.joints[:, :, able])
     beyond = after.with_geometry(after.joints[:, :, np.setdiff1d(able, [trial.effect.joint])])
@@ -211,13 +212,13 @@ def _decide(
         "zeros": gain(plain, zeros),
         "model": gain(plain, min(everything, geometry, beyond, key=lambda fit: fit.left_out)),
     }
-    most = max(gains.values())
+    most, leaves = max(gains.values()), _leaves(before, (everything, geometry, beyond))
     adds = _adds(after, trial.own, beyond)
-    needed = by_chance(before.linear, geometry, before.with_geometry(own_columns)) < CHANCE
-    one = trial.gained and (not adds or (needed and _dominates(gains["joint"], most)))
+    needed = by_chance(before.linear, geometry, before.with_geometry(before.columns(trial.effect))) < CHANCE
+    one = trial.gained and (not adds or (needed and _dominates(gains["joint"], most, leaves(trial.own))))
     several = _gained(before, plain, zeros) and (
         not _adds(before, zeros, everything)
-        or (_zeros_needed(before, geometry, everything) and _dominates(gains["zeros"], most))
+        or (_zeros_needed(before, geometry, everything) and _dominates(gains["zeros"], most, leaves(zeros)))
     )
     told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
     moved = moved_rig(
@@ -239,9 +240,22 @@ def _decide(
     return _nothing(aligned, replace(told, joints=_estimates(judged, able, trial, zeros, before.std(able, region))))
 
 
-def _dominates(share: float, most: float) -> bool:
-    """Whether a share of the errors is nearly all that can be taken off them."""
-    return share >= DOMINANT * most and (share >= NEARLY_ALL or 1.0 - share <= LEAVES * (1.0 - most))
+def _leaves(evidence: Evidence, richest: Sequence[Fitted]) -> Callable[[Fitted], float]:
+    """Return what tells by how many times the variance that a fit leaves is that of the best of the richest fits."""
+    size = evidence.linear.residual.size
+
+    def variance(fit: Fitted) -> float:
+        return max(fit.squares / max(size - fit.rank, 1), 1e-300)
+
+    least = min(map(variance, richest))
+    return lambda fit: variance(fit) / least
+
+
+def _dominates(share: float, most: float, leaves: float) -> bool:
+    """Whether a share of the errors is nearly all that can be taken off them. leaves: the variance left over what the
+    geometry leaves: few rows left out do not show what a rich model gains, all rows do."""
+    few = leaves <= LEAVES and 1.0 - share <= LEAVES * (1.0 - most)
+    return share >= DOMINANT * most and (share >= NEARLY_ALL or few)
 
 
 def _gained(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:

@@ -12,8 +12,6 @@ from armsight.fitting.quantiles import chi2_sf, t_sf
 Array = NDArray[np.float64]
 
 BLOCKS = 10
-HALVINGS = 3
-"""Eight regions of the joints' space: each takes an eighth away from what determines a zero."""
 RIDGE = 1e-9
 """Keeps directions that no row tells where they are, in scaled information."""
 SAME_POSE = 5e-3
@@ -65,24 +63,6 @@ def blocks(m: int, group: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
     order = np.argsort(np.argsort(first))[which]
     block = order * BLOCKS // (order.max() + 1)
     return np.asarray(np.unique(block, return_inverse=True)[1], dtype=np.intp)  # no number without rows
-
-
-def regions(q: Array) -> NDArray[np.intp]:
-    """Return (m,) which part of the joints' space each row of q (m, n) is in, of 2^HALVINGS about equal ones.
-
-    Halved again and again across the joint that spreads most, so that a part is near in all of them.
-    """
-    out = np.zeros(len(q), dtype=np.intp)
-    size = np.maximum(np.ptp(q, axis=0), 1e-300)
-    for _ in range(HALVINGS):
-        for part in range(out.max() + 1):
-            rows = np.flatnonzero(out == part)
-            if len(rows) < 2:
-                continue
-            values = q[rows, int(np.argmax((q[rows] / size).std(axis=0)))]
-            out[rows[values > np.median(values)]] += len(q)  # the upper half, numbered anew below
-        out = np.unique(out, return_inverse=True)[1].astype(np.intp)
-    return out
 
 
 def jackknife_std(problem: Linear, added: Array, region: NDArray[np.intp], prior: Array | None = None) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
+from armsight.calibrate.arm.held_geometry import with_held_geometry
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.limits import LimitReached, limits_reached
 from armsight.calibrate.arm.model import ArmModel
@@ -223,7 +224,7 @@ def _result(
     left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
-    fitted, correlation = believed(model, points, best.fitted)
+    fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -317,7 +318,9 @@ def _laid_anew(model: ArmModel, level: Level, holdout: ArmPoints) -> Level:
 def _arm(model: ArmModel, fitted: ArmFit) -> Arm:
     """Return the arm of a fit, with the covariance of its links and the places of its tool's points."""
     arm, covariance = model.arm_at(fitted.p), fitted.fit.covariance
-    arm = replace(arm, tool_points=tool_points(model, fitted))
+    heavy = any(joint.mass_kg for joint in arm.joints)  # which way is down matters, and is written, for weights alone
+    down = arm.down_in_base if heavy else model.arm.down_in_base
+    arm = replace(arm, tool_points=tool_points(model, fitted), down_in_base=down)
     if covariance is not None:
         links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
         if links:

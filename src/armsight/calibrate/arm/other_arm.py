@@ -32,9 +32,6 @@ BEYOND = 3.0
 MOST_SCALE = 0.005
 """A joint that turns so much more, or less, than it says has other gears: a ratio of teeth has no tolerance, and what
 bends and runs out of true stays below 0.1 %."""
-SOFT = 2.0
-"""Lengths of an arm whose joints sag may be off by so many times more: its links bend too, and lengths take that up
-(TALOS's upper arm by 7 to 10 mm, which rows left out confirm)."""
 SURE = 2.0
 """Standard deviations that a correction may be wrong by."""
 QUIET = 0.25
@@ -83,9 +80,10 @@ class Misfit:
     excess: float
     beside: tuple[str, ...] = ()
 
-    def certain(self, soft: bool) -> bool:
-        """Whether it is too much even for all that add up in it, each within tolerance; soft: of an arm that sags."""
-        return bool(self.excess > (SOFT if soft else 1.0) * np.sqrt(1.0 + len(self.beside)))
+    @property
+    def certain(self) -> bool:
+        """Whether it is too much even for all that add up in it, each within tolerance."""
+        return bool(self.excess > np.sqrt(1.0 + len(self.beside)))
 
     def text(self) -> str:
         """Return the sentence's part: what it would have to be."""
@@ -172,7 +170,7 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
     scales, sags = tuple(f"{joint.name}.scale" for joint in model.arm.joints), model.sags
     soft = bool(set(sags) & set(best.choice.free))
     # Of a soft arm only what rows say with hardly any belief, predicting as well, is evidence.
-    certain = not soft and any(item.certain(soft) for item in kept)
+    certain = not soft and any(item.certain for item in kept)
     found = open_fit(model, points, plain.fitted, sags if soft else scales)
     if found is not None:
         left = left_out(model, points, found)
@@ -180,7 +178,7 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
             wide = beyond(model, found, tolerance)
             # What tight belief has put into scales and lengths beside the wrong one is no evidence where the same rows,
             # asked with hardly any, are sure of none: a joint that sags under load is taken for one of another gear.
-            certain = any(item.certain(soft) for item in wide) or (certain and bool(wide))
+            certain = any(item.certain for item in wide) or (certain and bool(wide))
             wide = wide or (beyond(model, found, tolerance, sure=0.0) if kept else ())
             kept, left_m = (wide, float(left.mean())) if wide else (kept, left_m)
             if certain and all(item.name.endswith(".scale") for item in wide):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +30,7 @@ def drift_of(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Averaged | N
     """Return how long the errors that a fit leaves are alike; None without times, or where they are too few."""
     if points.t_s is None or points.position.max() + 1 < FEWEST_TIMED or not np.ptp(points.t_s) > 0.0:
         return None
-    r, J, _ = _weighted(model, points, fitted)
+    r, J = weighted(model, points, fitted, fitted.free)
     basis = orthonormal_basis(J.reshape(-1, J.shape[2]))  # directions that are open, or told twice, are not there
     return fit_averaged(r, basis.reshape(*r.shape, -1), points.t_s)
 
@@ -62,20 +63,18 @@ def widened(model: ArmModel, points: ArmPoints, fitted: ArmFit, drift: Averaged)
     covariance = fitted.fit.covariance
     if covariance is None or points.t_s is None:
         return fitted
-    _, J, names = _weighted(model, points, fitted)
-    known = [names.index(name) for name in covariance.names]
-    scatter = score_covariance(drift, J[:, :, known], points.t_s) + np.diag(fitted.prior_weight[known])
+    _, J = weighted(model, points, fitted, covariance.names)
+    known = [fitted.free.index(name) for name in covariance.names]
+    scatter = score_covariance(drift, J, points.t_s) + np.diag(fitted.prior_weight[known])
     C = covariance.matrix @ scatter @ covariance.matrix
     wide = NamedCovariance(names=covariance.names, matrix=0.5 * (C + C.T))
     return replace(fitted, fit=replace(fitted.fit, covariance=wide))
 
 
-def _weighted(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> tuple[Array, Array, list[str]]:
-    """Return whitened residuals (m, k), their derivative (m, k, F) by what was fitted, both with the robust weights,
-    and the names (F,)."""
+def weighted(model: ArmModel, points: ArmPoints, fitted: ArmFit, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return whitened residuals (m, k) and their derivative (m, k, N) by what is named, with the robust weights."""
     evaluation = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad)
-    index = [model.names.index(name) for name in fitted.free]
+    index = [model.names.index(name) for name in names]
     root = np.sqrt(fitted.fit.weights.reshape(len(points), -1))
     r = evaluation.residuals.reshape(len(points), -1) * root
-    J = evaluation.shared[0][:, index].reshape(*r.shape, len(index)) * root[:, :, None]
-    return r, J, list(fitted.free)
+    return r, evaluation.shared[0][:, index].reshape(*r.shape, len(index)) * root[:, :, None]
