@@ -24,6 +24,7 @@ SHARES = (1.0, 0.5, 0.25)
 LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
+NOT_FLAT = np.zeros(3)
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
 TOUCH_SIZES = 3.0
@@ -78,13 +79,16 @@ def solve_seen(
 def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tuple[Frame, Frame]) -> tuple[int, Array]:
     """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
     out = np.zeros((2, len(left), kernels.FINDING))
+    lean = NOT_FLAT if solved.T is None else setup.model.radius_m * (solved.T[:3, :3] @ setup.model.normal)
     verdict = kernels.compare_lights(
         channels(frames[0]),
         channels(frames[1]),
         setup.settings.options,
+        setup.packed.k,
         setup.packed.R,
         setup.packed.t,
         solved.points.xyz_m,
+        lean,
         left.uv_px,
         left.covariance_px2,
         sizes(left, overlaid=setup.overlaid),
