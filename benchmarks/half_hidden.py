@@ -14,7 +14,8 @@ from __future__ import annotations
 import argparse
 import csv
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from armsight.errors import ArmsightError
+from armsight.measure.poses import hidden
 from armsight.measure.poses.outcome import Track
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.records import PoseStatus, Target
@@ -98,6 +100,16 @@ class Outcome:
         if self.error is None or self.covariance is None:
             return False
         return bool((np.abs(self.error) > SIGMAS * np.sqrt(np.diag(self.covariance))).any())
+
+
+SETS = {
+    "covered": "covered",
+    "control": "control",
+    "covered -": "covered, no diameter in the target",
+    "control -": "control, no diameter in the target",
+    "covered, blind": "covered, outlines not looked at",
+    "control, blind": "control, outlines not looked at",
+}
 
 
 class Edge:
@@ -276,6 +288,17 @@ def case(seed: int) -> tuple[list[Composite], list[Composite], Hidden]:
     return [*pairs[:-1], covered], pairs, edge.hidden()
 
 
+@contextmanager
+def blind() -> Iterator[None]:
+    """Nothing looks at outlines within."""
+    look = hidden.compare
+    hidden.compare = lambda *_: (hidden.kernels.NO_DOUBT, np.zeros((0, 0, 0)))
+    try:
+        yield
+    finally:
+        hidden.compare = look
+
+
 def measure(pairs: Sequence[Composite], *, diameter: bool) -> Outcome:
     """Return what the product makes of the last pair, the others before it as its track."""
     target = pairs[0].target if diameter else without_diameter(pairs[0])
@@ -351,6 +374,29 @@ def groups(seeds: Sequence[int], hidden: Mapping[int, Hidden], outcomes: Mapping
     summary("Covered, by kind", rows(names))
 
 
+def claims(outcomes: Mapping[str, Mapping[int, Outcome]]) -> None:
+    """Print how much more is claimed of poses, and how many are given up, than without a look at outlines."""
+    rows = []
+    for name in ("covered", "control"):
+        before, now = outcomes[f"{name}, blind"], outcomes[name]
+        given = [s for s, o in before.items() if o.ok]
+        kept = [s for s in given if now[s].ok]
+        ratios = np.array([now[s].claimed_mm / before[s].claimed_mm for s in kept])
+        medians = [float(np.median([set_[s].claimed_mm for s in kept])) if kept else np.nan for set_ in (before, now)]
+        rows.append(
+            [
+                name,
+                len(given),
+                share(len(given) - len(kept), len(given)),
+                *medians,
+                100.0 * (medians[1] / medians[0] - 1.0),
+                share(int((ratios > 1.01).sum()), len(kept)),
+            ]
+        )
+    head = ["", "ok, blind", "% given up", "median claimed mm, blind", "now", "% more", "% that claim more"]
+    table("Against the same without a look at outlines", head, rows)
+
+
 def main() -> None:
     """Print outcomes of covered cases beside their controls."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -367,21 +413,19 @@ def main() -> None:
         return
     print(machine())
     warm_up()
-    hidden: dict[int, Hidden] = {}
-    outcomes: dict[str, dict[int, Outcome]] = {name: {} for name in ("covered", "control", "covered -", "control -")}
+    made: dict[int, Hidden] = {}
+    outcomes: dict[str, dict[int, Outcome]] = {name: {} for name in SETS}
     for seed in seeds:
-        covered, control, hidden[seed] = case(seed)
+        covered, control, made[seed] = case(seed)
         for name, pairs in (("covered", covered), ("control", control)):
             outcomes[name][seed] = measure(pairs, diameter=True)
             outcomes[f"{name} -"][seed] = measure(pairs, diameter=False)
-    rows = [
-        ("covered", list(outcomes["covered"].values())),
-        ("control", list(outcomes["control"].values())),
-        ("covered, no diameter in the target", list(outcomes["covered -"].values())),
-        ("control, no diameter in the target", list(outcomes["control -"].values())),
-    ]
+            with blind():
+                outcomes[f"{name}, blind"][seed] = measure(pairs, diameter=True)
+    rows = [(title, list(outcomes[name].values())) for name, title in SETS.items()]
     summary("Half-hidden lights", rows)
-    groups(seeds, hidden, outcomes["covered"])
+    claims(outcomes)
+    groups(seeds, made, outcomes["covered"])
     counted = Counter(reason(o.why) for o in outcomes["covered"].values() if not o.ok)
     before = Counter(reason(o.why) for o in outcomes["control"].values() if not o.ok)
     table(
@@ -389,9 +433,9 @@ def main() -> None:
         ["why", "covered", "controls"],
         [[w, n, before[w]] for w, n in (counted | before).most_common(12)],
     )
-    table("The worst beyond their claim", WORST_HEAD, worst_rows(hidden, outcomes))
+    table("The worst beyond their claim", WORST_HEAD, worst_rows(made, outcomes))
     if options.rows:
-        write_rows(options.rows, seeds, hidden, outcomes)
+        write_rows(options.rows, seeds, made, outcomes)
 
 
 WORST_HEAD = ["seed", "set", "mm", "claimed mm", "chi2", "gone left, right", "edge", "soft px", "cover", "others"]
@@ -399,7 +443,7 @@ WORST_HEAD = ["seed", "set", "mm", "claimed mm", "chi2", "gone left, right", "ed
 
 def worst_rows(hidden: Mapping[int, Hidden], outcomes: Mapping[str, Mapping[int, Outcome]]) -> list[list[object]]:
     """Return rows of the poses that mislead most."""
-    beyond = [(name, s, o) for name, mine in outcomes.items() for s, o in mine.items() if o.beyond]
+    beyond = [(name, s, o) for name in tuple(SETS)[:4] for s, o in outcomes[name].items() if o.beyond]
     rows = []
     for name, seed, o in sorted(beyond, key=lambda x: -x[2].chi2)[:40]:
         h = hidden[seed]

@@ -200,3 +200,41 @@ def test_flat_lights_are_compared_as_seen_from_one_side() -> None:
     )
     assert with_diameter.pose.status is PoseStatus.OK
     assert without.cause is Unseen.HALF_HIDDEN
+
+
+BEACON = Setup(RIG, spot_target({"A": (0.0, 0.0, 0.0)}))
+
+
+def beacon(cuts: tuple[dict[int, Cut], dict[int, Cut]], *, shade: float = 0.0, seed: int = 0) -> tuple[float, float]:
+    """Return the squared error of a beacon's position over its claim, and its claim in mm."""
+    rng = np.random.default_rng(seed)
+    views = RIG.project(POSE.translation[None])
+    images = [draw(uv, np.full(1, 180.0), cut, rng, shade=shade) for uv, cut in zip(views, cuts, strict=True)]
+    found = measure_pair(BEACON, *(Frame(image=i, t_s=0.0, sequence=0, source="drawn") for i in images))
+    T, C = found.pose.T_parent_target, found.pose.covariance
+    assert found.pose.status is PoseStatus.POSITION_ONLY and T is not None and C is not None
+    error = T[:3, 3] - POSE.translation
+    return float(error @ np.linalg.solve(C[:3, :3], error)), 1e3 * float(np.sqrt(np.trace(C[:3, :3])))
+
+
+@pytest.mark.parametrize(
+    ("cuts", "shade"),
+    [
+        (({0: (0.3, 1.0)}, {}), 0.0),
+        (({}, {0: (3.3, 1.5)}), 0.0),
+        (({0: (4.7, 1.5)}, {0: (4.7, 1.5)}), 20.0),
+    ],
+)
+def test_a_beacon_is_placed_as_surely_as_its_outlines_allow(
+    cuts: tuple[dict[int, Cut], dict[int, Cut]], shade: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    within = float(chi2.isf(1e-3, 3))
+    assert beacon(cuts, shade=shade)[0] < within
+    monkeypatch.setattr(hidden.kernels, "compare_lights", lambda *_: int(hidden.kernels.NO_DOUBT))
+    assert beacon(cuts, shade=shade)[0] > within
+
+
+def test_a_whole_beacon_claims_what_its_noise_leaves() -> None:
+    for seed in range(4):
+        off, claimed_mm = beacon(({}, {}), seed=seed)
+        assert off < chi2.isf(1e-3, 3) and claimed_mm < 0.2

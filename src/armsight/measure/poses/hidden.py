@@ -56,7 +56,7 @@ def solve_seen(
     """
     solved = solve_spots(setup, t_s, names, left, right)
     n = len(names)
-    if frames is None or n < 2 or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
+    if frames is None or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
         return Seen(names, left, right, solved)
     verdict, out = compare(setup, solved, left, right, frames)
     if verdict == kernels.NO_DOUBT:

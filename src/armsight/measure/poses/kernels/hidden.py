@@ -242,6 +242,48 @@ def outlines_of(image, flip, k, R, t, P, lean, uv, cov, size, outlines, sigma, w
 
 
 @inner_kernel
+def compare_views(k, R, t, p, outlines, side, mean, d, found):
+    """Compare a light at p (3,) that is alone with itself in the other view; outlines (2, OUTLINE).
+
+    Fills mean (OUTLINE,) with what the view of `side` would show of the other one's outline if it faced that camera,
+    and found (3,) as compare_view does. Where an edge runs through the light it may lack the same in both views: it is
+    then compared with a round one as large as it is long.
+    """
+    other = 1 - side
+    if not (outlines[0, AREA] > 0.0 and outlines[1, AREA] > 0.0):
+        return
+    z = R[side, 2, 0] * p[0] + R[side, 2, 1] * p[1] + R[side, 2, 2] * p[2] + t[side, 2]
+    a = (R[side, 0, 0] * p[0] + R[side, 0, 1] * p[1] + R[side, 0, 2] * p[2] + t[side, 0]) / z
+    b = (R[side, 1, 0] * p[0] + R[side, 1, 1] * p[1] + R[side, 1, 2] * p[2] + t[side, 1]) / z
+    far = R[other, 2, 0] * p[0] + R[other, 2, 1] * p[1] + R[other, 2, 2] * p[2] + t[other, 2]
+    A = np.empty((2, 2))  # from px of the other view to px of this one
+    for j in range(2):
+        x = R[side, 0, 0] * R[other, j, 0] + R[side, 0, 1] * R[other, j, 1] + R[side, 0, 2] * R[other, j, 2]
+        y = R[side, 1, 0] * R[other, j, 0] + R[side, 1, 1] * R[other, j, 1] + R[side, 1, 2] * R[other, j, 2]
+        deep = R[side, 2, 0] * R[other, j, 0] + R[side, 2, 1] * R[other, j, 1] + R[side, 2, 2] * R[other, j, 2]
+        A[0, j] = k[side, 0] / z * (x - a * deep) * far / k[other, j]
+        A[1, j] = k[side, 1] / z * (y - b * deep) * far / k[other, j]
+    xx = outlines[other, XX]
+    xy = outlines[other, XY]
+    yy = outlines[other, YY]
+    mean[AREA] = outlines[other, AREA] * abs(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
+    mean[XX] = A[0, 0] ** 2 * xx + 2.0 * A[0, 0] * A[0, 1] * xy + A[0, 1] ** 2 * yy
+    mean[XY] = A[0, 0] * A[1, 0] * xx + (A[0, 0] * A[1, 1] + A[0, 1] * A[1, 0]) * xy + A[0, 1] * A[1, 1] * yy
+    mean[YY] = A[1, 0] ** 2 * xx + 2.0 * A[1, 0] * A[1, 1] * xy + A[1, 1] ** 2 * yy
+    mine = outlines[side]
+    if mine[EDGE_X] ** 2 + mine[EDGE_Y] ** 2 > EDGE**2:
+        half = 0.5 * (mine[XX] - mine[YY])
+        length = 0.5 * (mine[XX] + mine[YY]) + sqrt(half * half + mine[XY] ** 2)
+        if length > 0.5 * (mean[XX] + mean[YY]):
+            mean[XX] = length
+            mean[XY] = 0.0
+            mean[YY] = length
+    differences(mine, mean, d)
+    found[0] = max(d[0], 0.0)
+    found[1] = 0.0
+
+
+@inner_kernel
 def judge_light(outlines, mean, sigma, found, out):
     """Fill out (2, FINDING) for a light from its outline, that of the others, and found (compare_view), in both views.
 
@@ -288,6 +330,9 @@ def compare_lights(
     compare_view(outlines[0], left_size, sigma[0], mean[0], work[0], found[0])
     outlines_of(right, flip, k[1], R[1], t[1], P, lean, right_uv, right_cov, right_size, outlines[1], sigma[1], work)
     compare_view(outlines[1], right_size, sigma[1], mean[1], work[0], found[1])
+    if n == 1:
+        for side in range(2):
+            compare_views(k, R, t, P[0], outlines[:, 0], side, mean[side, 0], work[0], found[side, 0])
     verdict = NO_DOUBT
     for i in range(n):
         verdict = max(verdict, judge_light(outlines[:, i], mean[:, i], sigma[:, i], found[:, i], out[:, i]))
