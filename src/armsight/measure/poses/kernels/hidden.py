@@ -25,8 +25,9 @@ CUT = 2.5
 short: of 395 half-hidden lights of composites the centres are off by 2.1 in the middle, by 3.2 at nine tenths."""
 EDGE = 0.05
 """Change of what is behind a light, in heights of the light, from which an edge runs through it: what is seen there may
-be before it, and whatever its outline lacks is then hidden. Of 4860 lights that nobody covers a tenth is beyond, nearly
-all of them before a room; of 44 poses there that a half-hidden light made worse than they claimed, 64 %."""
+be before it, and whatever its outline lacks across the edge is then hidden. Of 4860 lights that nobody covers a tenth
+is beyond, nearly all of them before a room; of 44 poses there that a half-hidden light made worse than they claimed,
+64 %."""
 CLAIMED = 1.0
 """Standard deviations that a centre's own covariance already allows for."""
 ODD_PX = 0.6
@@ -121,13 +122,21 @@ def doubt_light(mine, mean, sigma, narrower, wider, row):
 
 
 @inner_kernel
-def doubt_edge(outline, sigma, row):
-    """Add to row what the thing whose edge runs through a light may hide of it along the edge's way, and no one sees.
+def doubt_edge(mine, mean, sigma, row):
+    """Add to row what the thing whose edge runs through a light may hide of it: what it lacks across the edge.
 
-    Radii are compared to within BOTH_PX; a disc's second moment falls short by half a radius times that.
+    That is not less than what no one sees: radii are compared to within BOTH_PX, and a disc's second moment falls short
+    by half a radius times that.
     """
-    variance = max((0.5 * CUT * BOTH_PX) ** 2 - (CLAIMED * sigma) ** 2, 0.0)
-    add_along(atan2(outline[EDGE_Y], outline[EDGE_X]), variance, row)
+    size = sqrt(mine[EDGE_X] ** 2 + mine[EDGE_Y] ** 2)
+    if size < EDGE:
+        return
+    c = mine[EDGE_X] / size
+    s = mine[EDGE_Y] / size
+    short = (mean[XX] - mine[XX]) * c * c + 2.0 * (mean[XY] - mine[XY]) * c * s + (mean[YY] - mine[YY]) * s * s
+    variance = (CUT * max(short / sqrt(mean[AREA] / pi), 0.5 * BOTH_PX)) ** 2
+    known = (CLAIMED * sigma) ** 2 + row[UU] * c * c + 2.0 * row[UV] * c * s + row[VV] * s * s
+    add_along(atan2(s, c), max(variance - known, 0.0), row)
 
 
 @inner_kernel
@@ -243,11 +252,11 @@ def outlines_of(image, flip, k, R, t, P, lean, uv, cov, size, outlines, sigma, w
 
 @inner_kernel
 def compare_views(k, R, t, p, outlines, side, mean, d, found):
-    """Compare a light at p (3,) that is alone with itself in the other view; outlines (2, OUTLINE).
+    """Compare a light at p (3,), beside which there is none to compare it with, with itself in the other view.
 
-    Fills mean (OUTLINE,) with what the view of `side` would show of the other one's outline if it faced that camera,
-    and found (3,) as compare_view does. Where an edge runs through the light it may lack the same in both views: it is
-    then compared with a round one as large as it is long.
+    outlines (2, OUTLINE): its own. Fills mean (OUTLINE,) with what the view of `side` would show of the other one's
+    outline if it faced that camera, and found (3,) as compare_view does. Where an edge runs through the light it may
+    lack the same in both views: it is then compared with a round one as large as it is long.
     """
     other = 1 - side
     if not (outlines[0, AREA] > 0.0 and outlines[1, AREA] > 0.0):
@@ -292,18 +301,14 @@ def judge_light(outlines, mean, sigma, found, out):
     if found[0, 2] + found[1, 2] >= 1.0:
         out[0, ODD] = 1.0
         return ODD_ONE
-    edge = False
-    for side in range(2):
-        if mean[side, AREA] > 0.0:
-            edge = edge or outlines[side, EDGE_X] ** 2 + outlines[side, EDGE_Y] ** 2 > EDGE**2
-    narrower = edge or found[0, 0] ** 2 + found[1, 0] ** 2 > GATE_PX**2 or min(found[0, 0], found[1, 0]) > BOTH_PX
+    narrower = found[0, 0] ** 2 + found[1, 0] ** 2 > GATE_PX**2 or min(found[0, 0], found[1, 0]) > BOTH_PX
     wider = found[0, 1] ** 2 + found[1, 1] ** 2 > WIDER_PX**2
     verdict = NO_DOUBT
     for side in range(2):
         if (narrower and found[side, 0] > 0.0) or (wider and found[side, 1] > 0.0):
             doubt_light(outlines[side], mean[side], sigma[side], narrower, wider, out[side])
-        if mean[side, AREA] > 0.0 and outlines[side, EDGE_X] ** 2 + outlines[side, EDGE_Y] ** 2 > EDGE**2:
-            doubt_edge(outlines[side], sigma[side], out[side])
+        if mean[side, AREA] > 0.0:
+            doubt_edge(outlines[side], mean[side], sigma[side], out[side])
         if out[side, UU] + out[side, VV] > 0.0:
             verdict = DOUBT
     return verdict
@@ -330,10 +335,10 @@ def compare_lights(
     compare_view(outlines[0], left_size, sigma[0], mean[0], work[0], found[0])
     outlines_of(right, flip, k[1], R[1], t[1], P, lean, right_uv, right_cov, right_size, outlines[1], sigma[1], work)
     compare_view(outlines[1], right_size, sigma[1], mean[1], work[0], found[1])
-    if n == 1:
-        for side in range(2):
-            compare_views(k, R, t, P[0], outlines[:, 0], side, mean[side, 0], work[0], found[side, 0])
     verdict = NO_DOUBT
     for i in range(n):
+        for side in range(2):
+            if mean[side, i, AREA] == 0.0:
+                compare_views(k, R, t, P[i], outlines[:, i], side, mean[side, i], work[0], found[side, i])
         verdict = max(verdict, judge_light(outlines[:, i], mean[:, i], sigma[:, i], found[:, i], out[:, i]))
     return verdict
