@@ -24,7 +24,8 @@ SHARES = (1.0, 0.5, 0.25)
 LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
-NOT_FLAT = np.zeros(3)
+UNKNOWN = np.zeros((4, 4))
+"""A pose that tells nothing of how lights lean."""
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
 TOUCH_SIZES = 3.0
@@ -79,7 +80,6 @@ def solve_seen(
 def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tuple[Frame, Frame]) -> tuple[int, Array]:
     """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
     out = np.zeros((2, len(left), kernels.FINDING))
-    lean = NOT_FLAT if solved.T is None else setup.model.radius_m * (solved.T[:3, :3] @ setup.model.normal)
     verdict = kernels.compare_lights(
         channels(frames[0]),
         channels(frames[1]),
@@ -88,7 +88,8 @@ def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tup
         setup.packed.R,
         setup.packed.t,
         solved.points.xyz_m,
-        lean,
+        UNKNOWN if solved.T is None else solved.T,
+        setup.model.lean,
         left.uv_px,
         left.covariance_px2,
         sizes(left, overlaid=setup.overlaid),

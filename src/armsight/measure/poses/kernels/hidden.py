@@ -316,13 +316,14 @@ def judge_light(outlines, mean, sigma, found, out):
 
 @kernel
 def compare_lights(
-    left, right, options, k, R, t, P, lean, left_uv, left_cov, left_size, right_uv, right_cov, right_size, out
+    left, right, options, k, R, t, P, T, lean, left_uv, left_cov, left_size, right_uv, right_cov, right_size, out
 ):
     """Compare a target's lights in both images (h, w, c); return NO_DOUBT, DOUBT or ODD_ONE.
 
-    k (2, 12), R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes; lean (3,): the radius of flat
-    lights times their normal in rig axes, zero where they are not known to be. uv (n, 2), cov (n, 2, 2) and size (n,)
-    of the spots of each side; a size of zero or less: not to be looked at. Fills out (2, n, FINDING), zero before.
+    k (2, 12), R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes; T (4, 4): the target's pose,
+    zero where it is not known; lean (3,): the radius of flat lights times their normal in target axes, zero where they
+    are not known to be flat. uv (n, 2), cov (n, 2, 2) and size (n,) of the spots of each side; a size of zero or less:
+    not to be looked at. Fills out (2, n, FINDING), zero before.
     """
     n = P.shape[0]
     flip = np.uint8(options[O_FLIP])
@@ -331,9 +332,12 @@ def compare_lights(
     found = np.empty((2, n, 3))
     sigma = np.empty((2, n))
     work = np.empty((2, RING))
-    outlines_of(left, flip, k[0], R[0], t[0], P, lean, left_uv, left_cov, left_size, outlines[0], sigma[0], work)
+    turned = np.empty(3)
+    for i in range(3):
+        turned[i] = T[i, 0] * lean[0] + T[i, 1] * lean[1] + T[i, 2] * lean[2]
+    outlines_of(left, flip, k[0], R[0], t[0], P, turned, left_uv, left_cov, left_size, outlines[0], sigma[0], work)
     compare_view(outlines[0], left_size, sigma[0], mean[0], work[0], found[0])
-    outlines_of(right, flip, k[1], R[1], t[1], P, lean, right_uv, right_cov, right_size, outlines[1], sigma[1], work)
+    outlines_of(right, flip, k[1], R[1], t[1], P, turned, right_uv, right_cov, right_size, outlines[1], sigma[1], work)
     compare_view(outlines[1], right_size, sigma[1], mean[1], work[0], found[1])
     verdict = NO_DOUBT
     for i in range(n):

@@ -70,13 +70,20 @@ def look_around(image, flip, u, v, radius, ring, out):
 
 
 @inner_kernel
+def share_of(weight):
+    """Return a weight between 0 and 1."""
+    if weight < 0.0:
+        return 0.0
+    return 1.0 if weight > 1.0 else weight
+
+
+@inner_kernel
 def add_row(image, flip, y, u, v, first, last, low, scale, sums):
     """Add the pixels first..last of a row, by quarters, to sums (6,): weight, and times x, y, xx, xy, yy about (u, v).
 
     scale: weight per level above low, of levels that are bilinear between the pixels' centres. All has to be a pixel
     or more within the image.
     """
-    dy = y - v
     per = scale / 16.0
     zero = low * scale
     before = level_at(image, flip, y, first - 1)
@@ -85,29 +92,39 @@ def add_row(image, flip, y, u, v, first, last, low, scale, sums):
     here = level_at(image, flip, y, first)
     up = 3.0 * here + level_at(image, flip, y - 1, first)
     down = 3.0 * here + level_at(image, flip, y + 1, first)
+    all_ = 0.0  # sums of the row in quarters, y about its middle in quarters of a pixel
+    sum_x = 0.0
+    sum_y = 0.0
+    sum_xx = 0.0
+    sum_xy = 0.0
     for x in range(first, last + 1):
         after = level_at(image, flip, y, x + 1)
         right_up = 3.0 * after + level_at(image, flip, y - 1, x + 1)
         right_down = 3.0 * after + level_at(image, flip, y + 1, x + 1)
-        a = min(max((3.0 * up + left_up) * per - zero, 0.0), 1.0)
-        b = min(max((3.0 * up + right_up) * per - zero, 0.0), 1.0)
-        c = min(max((3.0 * down + left_down) * per - zero, 0.0), 1.0)
-        d = min(max((3.0 * down + right_down) * per - zero, 0.0), 1.0)
-        w = 0.25 * (a + b + c + d)
-        if w > 0.0:
-            dx = x - u
-            wx = 0.0625 * (b + d - a - c)
-            wy = 0.0625 * (c + d - a - b)
-            sums[0] += w
-            sums[1] += w * dx + wx
-            sums[2] += w * dy + wy
-            sums[3] += (w * dx + 2.0 * wx) * dx + 0.0625 * w
-            sums[4] += (w * dx + wx) * dy + wy * dx + 0.015625 * (a + d - b - c)
-            sums[5] += (w * dy + 2.0 * wy) * dy + 0.0625 * w
+        a = share_of((3.0 * up + left_up) * per - zero)
+        b = share_of((3.0 * up + right_up) * per - zero)
+        c = share_of((3.0 * down + left_down) * per - zero)
+        d = share_of((3.0 * down + right_down) * per - zero)
+        dx = x - u
+        w = a + b + c + d
+        wx = 0.25 * (b + d - a - c)
+        wy = c + d - a - b
+        all_ += w
+        sum_x += w * dx + wx
+        sum_y += wy
+        sum_xx += (w * dx + 2.0 * wx) * dx
+        sum_xy += wy * dx + 0.25 * (a + d - b - c)
         left_up = up
         left_down = down
         up = right_up
         down = right_down
+    dy = y - v
+    sums[0] += 0.25 * all_
+    sums[1] += 0.25 * sum_x
+    sums[2] += 0.25 * (all_ * dy + 0.25 * sum_y)
+    sums[3] += 0.25 * (sum_xx + 0.0625 * all_)
+    sums[4] += 0.25 * (sum_x * dy + 0.25 * sum_xy)
+    sums[5] += 0.25 * (all_ * dy * dy + 0.5 * sum_y * dy + 0.0625 * all_)
 
 
 @inner_kernel
