@@ -59,6 +59,8 @@ def solve_seen(
     n = len(names)
     if frames is None or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
         return Seen(names, left, right, solved)
+    if n == 1 and setup.settings.colour is not None:  # outlines are of all colours together, its spot is of one
+        return Seen(names, left, right, solved)
     verdict, out = compare(setup, solved, left, right, frames)
     if verdict == kernels.NO_DOUBT:
         return Seen(names, left, right, solved)
@@ -107,13 +109,13 @@ def widen(
     """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
 
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
-    light is nearly free, poses bend too much for slopes. None where the rotation is then not known any more.
+    light is nearly free, poses bend too much for slopes. None where the rotation, or the place, is then not known any more.
     """
     T, own = solved.T, solved.pose.covariance
     if T is None or own is None:
-        return solve_spots(
-            setup, t_s, names, *(_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
-        )
+        doubted = (_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
+        placed = solve_spots(setup, t_s, names, *doubted)
+        return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
     for side in range(2):
         for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):
