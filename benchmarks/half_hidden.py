@@ -370,7 +370,8 @@ def traced_case(seed: int) -> tuple[list[Traced], list[Traced], Hidden]:
         covered = replace(cell, cameras=cameras)
         shares = [[lost(cell, covered, side, index, k) for k in range(len(cell.lights))] for side in SIDES]
         mine = (shares[0][light], shares[1][light])
-        if LEAST_HIDDEN <= max(mine) <= MOST_HIDDEN:
+        most = max(x for side in shares for k, x in enumerate(side) if k != light)
+        if LEAST_HIDDEN <= max(mine) <= MOST_HIDDEN and most < MOST_HIDDEN:
             break
     others = max(sum(x > 0.02 for k, x in enumerate(side) if k != light) for side in shares)
     first = index - SEQUENCE + 1 if tracked(seed) else index
@@ -385,7 +386,7 @@ def put_before(cell: Cell, index: int, light: int, rng: np.random.Generator) -> 
     place = cell.path(np.array([t_s]))[0].apply(np.array(cell.lights[light].xyz_m))
     kind = str(rng.choice(["card", "hand", "cable"], p=[0.6, 0.25, 0.15]))
     camera = cell.cameras[SIDES[int(rng.integers(2))]]
-    eye, nearer, size = np.asarray(camera.T_world_camera.translation), rng.uniform(0.85, 0.99), rng.uniform(0.03, 0.12)
+    eye, nearer, size = np.asarray(camera.T_world_camera.translation), rng.uniform(0.85, 0.99), rng.uniform(0.015, 0.05)
     at = eye + nearer * (place - eye)
     px_m = at[2] / camera.lens.focal_px[0]
     off_m = rng.uniform(-6.0, 6.0, 2) * px_m

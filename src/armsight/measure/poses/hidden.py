@@ -109,7 +109,7 @@ def widen(
     """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
 
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
-    light is nearly free, poses bend too much for slopes. None where the rotation, or the place, is then not known any more.
+    light is nearly free, poses bend too much for slopes. None where the rotation or the place is not known then.
     """
     T, own = solved.T, solved.pose.covariance
     if T is None or own is None:
