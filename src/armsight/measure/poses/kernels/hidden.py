@@ -342,7 +342,7 @@ def compare_lights(
     verdict = NO_DOUBT
     for i in range(n):
         for side in range(2):
-            if mean[side, i, AREA] == 0.0:
+            if mean[side, i, AREA] == 0.0 and sigma[1 - side, i] <= COMPARABLE_PX:
                 compare_views(k, R, t, P[i], outlines[:, i], side, mean[side, i], work[0], found[side, i])
         verdict = max(verdict, judge_light(outlines[:, i], mean[:, i], sigma[:, i], found[:, i], out[:, i]))
     return verdict
