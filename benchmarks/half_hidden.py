@@ -3,9 +3,11 @@
 Composites (composites.py) with something before one light of the target, 10 to 95 % of its light gone in one view or
 both: straight and round edges, sharp and soft, dark, grey and textured, some over two lights. The same pictures
 without it are the controls. A third of the cases is a track of three pairs of which the last is covered. Truth, light
-and cover are drawn by code that shares nothing with the product.
+and cover are drawn by code that shares nothing with the product. `--traced`: the same question to the product's
+simulation, which shares nothing with composites: a card, a hand or a cable traced ray by ray between light and cameras.
 
     python benchmarks/half_hidden.py                       # 500 covered cases and their controls
+    python benchmarks/half_hidden.py --traced --cases 90
     python benchmarks/half_hidden.py --write FOLDER --seeds 3 17
 """
 
@@ -14,9 +16,11 @@ from __future__ import annotations
 import argparse
 import csv
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -24,9 +28,16 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from armsight.errors import ArmsightError
+from armsight.measure.poses import hidden
 from armsight.measure.poses.outcome import Track
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
-from armsight.records import PoseStatus, Target
+from armsight.optics import Rig
+from armsight.records import Frame, PoseStatus, Target
+from armsight.sim import LedCellOptions, led_cell
+from armsight.sim.camera import SimCamera
+from armsight.sim.cell import Cell
+from armsight.sim.rooms.occluders import EDGE_BLUR_PX, make_occluder
+from armsight.store import rig_from_mapping, target_from_mapping
 from backdrops import photographs
 from bench import machine, table
 from composites import SIDES, Composite, composite
@@ -98,6 +109,16 @@ class Outcome:
         if self.error is None or self.covariance is None:
             return False
         return bool((np.abs(self.error) > SIGMAS * np.sqrt(np.diag(self.covariance))).any())
+
+
+SETS = {
+    "covered": "covered",
+    "control": "control",
+    "covered -": "covered, no diameter in the target",
+    "control -": "control, no diameter in the target",
+    "covered, blind": "covered, outlines not looked at",
+    "control, blind": "control, outlines not looked at",
+}
 
 
 class Edge:
@@ -276,7 +297,133 @@ def case(seed: int) -> tuple[list[Composite], list[Composite], Hidden]:
     return [*pairs[:-1], covered], pairs, edge.hidden()
 
 
-def measure(pairs: Sequence[Composite], *, diameter: bool) -> Outcome:
+@contextmanager
+def blind() -> Iterator[None]:
+    """Nothing looks at outlines within."""
+    look = hidden.compare
+    hidden.compare = lambda *_: (hidden.kernels.NO_DOUBT, np.zeros((0, 0, 0)))
+    try:
+        yield
+    finally:
+        hidden.compare = look
+
+
+class Shown(Protocol):
+    """What a case is made of: pictures of one moment, what the product is asked with, and the truth (4, 4)."""
+
+    @property
+    def rig(self) -> Rig: ...
+
+    @property
+    def target(self) -> Target: ...
+
+    @property
+    def T_rig_target(self) -> Array: ...
+
+    def frames(self, t_s: float = 0.0, sequence: int = 0) -> tuple[Frame, Frame]: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Traced:
+    """A moment of a simulated cell, number `index` of its frames."""
+
+    cell: Cell
+    index: int
+
+    @property
+    def rig(self) -> Rig:
+        """The cell's rig."""
+        return rig_from_mapping(self.cell.rig, "rig")
+
+    @property
+    def target(self) -> Target:
+        """The cell's target."""
+        return target_from_mapping(self.cell.target, "target")
+
+    @property
+    def T_rig_target(self) -> Array:
+        """The true pose."""
+        return np.asarray(self.cell.path(np.array([self.index / self.cell.fps]))[0].as_matrix())
+
+    def frames(self, t_s: float = 0.0, sequence: int = 0) -> tuple[Frame, Frame]:
+        """Return the pictures as frames of one moment."""
+        return tuple(replace(frame, t_s=t_s, sequence=sequence) for frame in self.cell.pair(self.index))  # type: ignore[return-value]
+
+
+def traced_case(seed: int) -> tuple[list[Traced], list[Traced], Hidden]:
+    """Return as `case` the pairs of a simulated cell with something traced before one light, and without it."""
+    rng = np.random.default_rng([seed, 779])
+    options = LedCellOptions(
+        width=1280 if seed % 5 == 0 else 640,
+        height=720 if seed % 5 == 0 else 360,
+        level=float(np.exp(rng.uniform(np.log(120.0), np.log(900.0)))),
+        sigma_px=float(rng.uniform(0.7, 1.8)),
+        diameter_m=float(rng.uniform(0.003, 0.012)) if rng.uniform() < 0.75 else None,
+        hot_pixels=0,
+        faults=False,
+    )
+    room = "dark" if seed % 2 else str(rng.choice(["workshop", "office", "plain"]))
+    cell = led_cell(seed, 30, options, room=room, pipeline=str(rng.choice(["ideal", "machine", "webcam"])))
+    index, light = int(rng.integers(SEQUENCE, 30)), int(rng.integers(len(cell.lights)))
+    while True:
+        kind, cameras = put_before(cell, index, light, rng)
+        covered = replace(cell, cameras=cameras)
+        shares = [[lost(cell, covered, side, index, k) for k in range(len(cell.lights))] for side in SIDES]
+        mine = (shares[0][light], shares[1][light])
+        most = max(x for side in shares for k, x in enumerate(side) if k != light)
+        if LEAST_HIDDEN <= max(mine) <= MOST_HIDDEN and most < MOST_HIDDEN:
+            break
+    others = max(sum(x > 0.02 for k, x in enumerate(side) if k != light) for side in shares)
+    first = index - SEQUENCE + 1 if tracked(seed) else index
+    pairs = [Traced(cell=cell, index=k) for k in range(first, index + 1)]
+    what = Hidden(light=light, shares=mine, edge=kind, soft_px=EDGE_BLUR_PX, shade="grey", others=others)
+    return [*pairs[:-1], Traced(cell=covered, index=index)], pairs, what
+
+
+def put_before(cell: Cell, index: int, light: int, rng: np.random.Generator) -> tuple[str, dict[str, SimCamera]]:
+    """Return what stands before a light, its edge or middle near it, and cameras of which one or both look past it."""
+    t_s = index / cell.fps
+    place = cell.path(np.array([t_s]))[0].apply(np.array(cell.lights[light].xyz_m))
+    kind = str(rng.choice(["card", "hand", "cable"], p=[0.6, 0.25, 0.15]))
+    camera = cell.cameras[SIDES[int(rng.integers(2))]]
+    eye, nearer, size = np.asarray(camera.T_world_camera.translation), rng.uniform(0.85, 0.99), rng.uniform(0.015, 0.05)
+    at = eye + nearer * (place - eye)
+    px_m = at[2] / camera.lens.focal_px[0]
+    off_m = rng.uniform(-6.0, 6.0, 2) * px_m
+    if kind == "card":  # one of its four edges near the light
+        axis = int(rng.integers(2))
+        off_m[axis] += rng.choice([-0.5, 0.5]) * size
+        off_m[1 - axis] = rng.uniform(-0.3, 0.3) * size
+    elif kind == "hand":
+        off_m += rng.uniform(-0.5, 0.5, 2) * size
+    at[:2] += off_m
+    thing = make_occluder(
+        kind, size_m=size, from_m=at, to_m=at, first_s=t_s - 1e-6, last_s=t_s + 1e-3,
+        level=float(np.exp(rng.uniform(np.log(10.0), np.log(400.0)))), seed=int(rng.integers(1 << 30)),
+    )  # fmt: skip
+    both = rng.uniform() < 0.65
+    return kind, {
+        side: replace(one, occluders=(thing,)) if both or one is camera else one for side, one in cell.cameras.items()
+    }
+
+
+def lost(cell: Cell, covered: Cell, side: str, index: int, light: int) -> float:
+    """Return the share of a light's light on a sensor that a cover takes away."""
+    t_s, hidden_too = index / cell.fps, frozenset(one.name for one in cell.lights)
+    alone = hidden_too - {cell.lights[light].name}
+    falls = [
+        float(
+            (
+                c.light(cell.lights, cell.path, t_s, hidden=alone)
+                - c.light(cell.lights, cell.path, t_s, hidden=hidden_too)
+            ).sum()
+        )
+        for c in (cell.cameras[side], covered.cameras[side])
+    ]
+    return 1.0 - falls[1] / falls[0]
+
+
+def measure(pairs: Sequence[Shown], *, diameter: bool) -> Outcome:
     """Return what the product makes of the last pair, the others before it as its track."""
     target = pairs[0].target if diameter else without_diameter(pairs[0])
     setup, track = Setup(pairs[0].rig, target), None
@@ -293,7 +440,7 @@ def measure(pairs: Sequence[Composite], *, diameter: bool) -> Outcome:
     return Outcome(status=str(pose.status), why="", error=error, covariance=pose.covariance)
 
 
-def without_diameter(made: Composite) -> Target:
+def without_diameter(made: Shown) -> Target:
     """Return the target without the size of its lights."""
     return replace(made.target, diameter_m=None)
 
@@ -341,8 +488,8 @@ def groups(seeds: Sequence[int], hidden: Mapping[int, Hidden], outcomes: Mapping
     names = {
         f"{100 * a:.0f}-{min(100 * b, 100):.0f} % gone": by(lambda h, a=a, b=b: a <= max(h.shares) < b) for a, b in bins
     }
-    names |= {f"edge {kind}": by(lambda h, k=kind: h.edge == k) for kind in ("straight", "round", "hollow")}
-    names |= {f"{shade} cover": by(lambda h, k=shade: h.shade == k) for shade in ("dark", "grey", "textured")}
+    names |= {f"edge {k}": by(lambda h, k=k: h.edge == k) for k in sorted({h.edge for h in hidden.values()})}
+    names |= {f"{k} cover": by(lambda h, k=k: h.shade == k) for k in sorted({h.shade for h in hidden.values()})}
     names |= {"sharp": by(lambda h: h.soft_px < 0.8), "soft": by(lambda h: h.soft_px >= 0.8)}
     names |= {"one view": by(lambda h: min(h.shares) == 0.0), "both views": by(lambda h: min(h.shares) > 0.0)}
     names |= {"one light": by(lambda h: h.others == 0), "more lights": by(lambda h: h.others > 0)}
@@ -351,10 +498,34 @@ def groups(seeds: Sequence[int], hidden: Mapping[int, Hidden], outcomes: Mapping
     summary("Covered, by kind", rows(names))
 
 
+def claims(outcomes: Mapping[str, Mapping[int, Outcome]]) -> None:
+    """Print how much more is claimed of poses, and how many are given up, than without a look at outlines."""
+    rows = []
+    for name in ("covered", "control"):
+        before, now = outcomes[f"{name}, blind"], outcomes[name]
+        given = [s for s, o in before.items() if o.ok]
+        kept = [s for s in given if now[s].ok]
+        ratios = np.array([now[s].claimed_mm / before[s].claimed_mm for s in kept])
+        medians = [float(np.median([set_[s].claimed_mm for s in kept])) if kept else np.nan for set_ in (before, now)]
+        rows.append(
+            [
+                name,
+                len(given),
+                share(len(given) - len(kept), len(given)),
+                *medians,
+                100.0 * (medians[1] / medians[0] - 1.0),
+                share(int((ratios > 1.01).sum()), len(kept)),
+            ]
+        )
+    head = ["", "ok, blind", "% given up", "median claimed mm, blind", "now", "% more", "% that claim more"]
+    table("Against the same without a look at outlines", head, rows)
+
+
 def main() -> None:
     """Print outcomes of covered cases beside their controls."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=500)
+    parser.add_argument("--traced", action="store_true", help="simulated cells in place of composites")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seeds", type=int, nargs="+")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="only write the pictures of --seeds")
@@ -367,21 +538,19 @@ def main() -> None:
         return
     print(machine())
     warm_up()
-    hidden: dict[int, Hidden] = {}
-    outcomes: dict[str, dict[int, Outcome]] = {name: {} for name in ("covered", "control", "covered -", "control -")}
+    made: dict[int, Hidden] = {}
+    outcomes: dict[str, dict[int, Outcome]] = {name: {} for name in SETS}
     for seed in seeds:
-        covered, control, hidden[seed] = case(seed)
+        covered, control, made[seed] = traced_case(seed) if options.traced else case(seed)
         for name, pairs in (("covered", covered), ("control", control)):
             outcomes[name][seed] = measure(pairs, diameter=True)
             outcomes[f"{name} -"][seed] = measure(pairs, diameter=False)
-    rows = [
-        ("covered", list(outcomes["covered"].values())),
-        ("control", list(outcomes["control"].values())),
-        ("covered, no diameter in the target", list(outcomes["covered -"].values())),
-        ("control, no diameter in the target", list(outcomes["control -"].values())),
-    ]
+            with blind():
+                outcomes[f"{name}, blind"][seed] = measure(pairs, diameter=True)
+    rows = [(title, list(outcomes[name].values())) for name, title in SETS.items()]
     summary("Half-hidden lights", rows)
-    groups(seeds, hidden, outcomes["covered"])
+    claims(outcomes)
+    groups(seeds, made, outcomes["covered"])
     counted = Counter(reason(o.why) for o in outcomes["covered"].values() if not o.ok)
     before = Counter(reason(o.why) for o in outcomes["control"].values() if not o.ok)
     table(
@@ -389,9 +558,9 @@ def main() -> None:
         ["why", "covered", "controls"],
         [[w, n, before[w]] for w, n in (counted | before).most_common(12)],
     )
-    table("The worst beyond their claim", WORST_HEAD, worst_rows(hidden, outcomes))
+    table("The worst beyond their claim", WORST_HEAD, worst_rows(made, outcomes))
     if options.rows:
-        write_rows(options.rows, seeds, hidden, outcomes)
+        write_rows(options.rows, seeds, made, outcomes)
 
 
 WORST_HEAD = ["seed", "set", "mm", "claimed mm", "chi2", "gone left, right", "edge", "soft px", "cover", "others"]
@@ -399,7 +568,7 @@ WORST_HEAD = ["seed", "set", "mm", "claimed mm", "chi2", "gone left, right", "ed
 
 def worst_rows(hidden: Mapping[int, Hidden], outcomes: Mapping[str, Mapping[int, Outcome]]) -> list[list[object]]:
     """Return rows of the poses that mislead most."""
-    beyond = [(name, s, o) for name, mine in outcomes.items() for s, o in mine.items() if o.beyond]
+    beyond = [(name, s, o) for name in tuple(SETS)[:4] for s, o in outcomes[name].items() if o.beyond]
     rows = []
     for name, seed, o in sorted(beyond, key=lambda x: -x[2].chi2)[:40]:
         h = hidden[seed]

@@ -29,20 +29,37 @@ Cut = tuple[float, float]
 """Angle of the direction into the cover, and how far its edge stands behind the light's middle, in px."""
 
 
-def draw(uv: np.ndarray, heights: np.ndarray, cuts: dict[int, Cut], rng: np.random.Generator) -> np.ndarray:
-    """Return a picture of discs at uv (n, 2), each with what a dark straight edge leaves of it."""
+def draw(
+    uv: np.ndarray,
+    heights: np.ndarray,
+    cuts: dict[int, Cut],
+    rng: np.random.Generator,
+    *,
+    shade: float = 0.0,
+    radius: float = RADIUS_PX,
+    shapes: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return a picture of discs at uv (n, 2), each with what a straight edge leaves of it.
+
+    shade: grey levels of what has the edge above the background. shapes (n, 2, 2): px of a flat light's two radii.
+    """
     image = np.full((480, 640), 12.0)
-    half = 12
+    half = 20
     for i, (u, v) in enumerate(uv):
         x0, y0 = int(u) - half, int(v) - half
         at = (np.arange((2 * half + 1) * FINE) + 0.5) / FINE - 0.5
         x, y = np.meshgrid(at + x0 - u, at + y0 - v)
-        disc = np.clip((RADIUS_PX - np.hypot(x, y)) * FINE + 0.5, 0.0, 1.0)
+        within = 1.0 - np.hypot(x, y) / radius
+        if shapes is not None:
+            within = 1.0 - np.hypot(*np.einsum("ij,jkl", np.linalg.inv(shapes[i]), np.array([x, y])))
+        disc = heights[i] * np.clip(within * radius * FINE + 0.5, 0.0, 1.0)
         if i in cuts:
             angle, behind = cuts[i]
-            disc *= np.clip((behind - x * np.cos(angle) - y * np.sin(angle)) * FINE + 0.5, 0.0, 1.0)
-        soft = gaussian_filter(disc, BLUR_PX * FINE).reshape(2 * half + 1, FINE, 2 * half + 1, FINE).mean(axis=(1, 3))
-        image[y0 : y0 + 2 * half + 1, x0 : x0 + 2 * half + 1] += heights[i] * soft
+            seen = np.clip((behind - x * np.cos(angle) - y * np.sin(angle)) * FINE + 0.5, 0.0, 1.0)
+            disc = seen * disc + shade * (1.0 - seen)
+        soft = gaussian_filter(disc, BLUR_PX * FINE, mode="nearest")
+        soft = soft.reshape(2 * half + 1, FINE, 2 * half + 1, FINE).mean(axis=(1, 3))
+        image[y0 : y0 + 2 * half + 1, x0 : x0 + 2 * half + 1] += soft
     return np.clip(np.rint(image + rng.normal(0.0, 1.5, image.shape)), 0, 255).astype(np.uint8)
 
 
@@ -50,6 +67,8 @@ def measured(
     cuts: tuple[dict[int, Cut], dict[int, Cut]] = ({}, {}),
     *,
     heights: tuple[float, float, float] = (180.0, 180.0, 180.0),
+    shade: float = 0.0,
+    radius: float = RADIUS_PX,
     seed: int = 0,
     track: Track | None = None,
     t_s: float = 0.0,
@@ -57,7 +76,9 @@ def measured(
     """Return what is measured of the target at POSE under these covers."""
     rng = np.random.default_rng(seed)
     views = RIG.project(POSE.apply(XYZ))
-    images = [draw(uv, np.array(heights), cut, rng) for uv, cut in zip(views, cuts, strict=True)]
+    images = [
+        draw(uv, np.array(heights), cut, rng, shade=shade, radius=radius) for uv, cut in zip(views, cuts, strict=True)
+    ]
     return measure_pair(SETUP, *(Frame(image=i, t_s=t_s, sequence=0, source="drawn") for i in images), track)
 
 
@@ -154,3 +175,66 @@ def test_only_lights_of_the_target_that_touch_each_other_are_not_compared() -> N
     assert hidden.sizes(joint, overlaid=False).tolist() == size
     assert hidden.sizes(beside, overlaid=False).tolist() == [0.0, 0.0, size[2]]
     assert hidden.sizes(joint, overlaid=True).tolist() == [0.0, 0.0, size[2]]
+
+
+@pytest.mark.parametrize("light", [0, 1])
+def test_a_small_light_across_the_edge_of_something_is_as_uncertain_as_that_may_make_it(light: int) -> None:
+    cut = {light: (4.7, 0.75)}
+    found = measured((cut, cut), shade=20.0, radius=1.5)
+    assert found.pose.status is not PoseStatus.OK or mahalanobis2(found) < WITHIN
+
+
+def test_flat_lights_are_compared_as_seen_from_one_side() -> None:
+    rng = np.random.default_rng(0)
+    pose = RigidTransform.from_components([0.0, 0.0, 0.35], Rotation.from_rotvec([0.2, 0.8, 0.0]))
+    turning = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    rims = np.stack([np.cos(turning), np.sin(turning), np.zeros(40)], axis=1) * 0.004
+    images = []
+    for side, uv in enumerate(RIG.project(pose.apply(XYZ))):
+        uvs = [RIG.project(pose.apply(xyz + rims))[side] - at for xyz, at in zip(XYZ, uv, strict=True)]
+        shapes = np.array([np.linalg.lstsq(rims[:, :2] / 0.004, rim, rcond=None)[0].T for rim in uvs])
+        images.append(draw(uv, np.full(3, 180.0), {}, rng, shapes=shapes))
+    frames = tuple(Frame(image=image, t_s=0.0, sequence=0, source="drawn") for image in images)
+    with_diameter, without = (
+        measure_pair(Setup(RIG, spot_target(LIGHTS, diameter_m=diameter_m)), *frames) for diameter_m in (0.008, None)
+    )
+    assert with_diameter.pose.status is PoseStatus.OK
+    assert without.cause is Unseen.HALF_HIDDEN
+
+
+BEACON = Setup(RIG, spot_target({"A": (0.0, 0.0, 0.0)}))
+
+
+def beacon(cuts: tuple[dict[int, Cut], dict[int, Cut]], *, shade: float = 0.0, seed: int = 0) -> tuple[float, float]:
+    """Return the squared error of a beacon's position over its claim, and its claim in mm."""
+    rng = np.random.default_rng(seed)
+    views = RIG.project(POSE.translation[None])
+    images = [draw(uv, np.full(1, 180.0), cut, rng, shade=shade) for uv, cut in zip(views, cuts, strict=True)]
+    found = measure_pair(BEACON, *(Frame(image=i, t_s=0.0, sequence=0, source="drawn") for i in images))
+    T, C = found.pose.T_parent_target, found.pose.covariance
+    assert found.pose.status is PoseStatus.POSITION_ONLY and T is not None and C is not None
+    error = T[:3, 3] - POSE.translation
+    return float(error @ np.linalg.solve(C[:3, :3], error)), 1e3 * float(np.sqrt(np.trace(C[:3, :3])))
+
+
+@pytest.mark.parametrize(
+    ("cuts", "shade"),
+    [
+        (({0: (0.3, 1.0)}, {}), 0.0),
+        (({}, {0: (3.3, 1.5)}), 0.0),
+        (({0: (4.7, 1.5)}, {0: (4.7, 1.5)}), 20.0),
+    ],
+)
+def test_a_beacon_is_placed_as_surely_as_its_outlines_allow(
+    cuts: tuple[dict[int, Cut], dict[int, Cut]], shade: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    within = float(chi2.isf(1e-3, 3))
+    assert beacon(cuts, shade=shade)[0] < within
+    monkeypatch.setattr(hidden.kernels, "compare_lights", lambda *_: int(hidden.kernels.NO_DOUBT))
+    assert beacon(cuts, shade=shade)[0] > within
+
+
+def test_a_whole_beacon_claims_what_its_noise_leaves() -> None:
+    for seed in range(4):
+        off, claimed_mm = beacon(({}, {}), seed=seed)
+        assert off < chi2.isf(1e-3, 3) and claimed_mm < 0.2

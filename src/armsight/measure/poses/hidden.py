@@ -24,6 +24,8 @@ SHARES = (1.0, 0.5, 0.25)
 LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
+UNKNOWN = np.zeros((4, 4))
+"""A pose that tells nothing of how lights lean."""
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
 TOUCH_SIZES = 3.0
@@ -55,7 +57,9 @@ def solve_seen(
     """
     solved = solve_spots(setup, t_s, names, left, right)
     n = len(names)
-    if frames is None or n < 2 or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
+    if frames is None or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
+        return Seen(names, left, right, solved)
+    if n == 1 and setup.settings.colour is not None:  # outlines are of all colours together, its spot is of one
         return Seen(names, left, right, solved)
     verdict, out = compare(setup, solved, left, right, frames)
     if verdict == kernels.NO_DOUBT:
@@ -82,9 +86,12 @@ def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tup
         channels(frames[0]),
         channels(frames[1]),
         setup.settings.options,
+        setup.packed.k,
         setup.packed.R,
         setup.packed.t,
         solved.points.xyz_m,
+        UNKNOWN if solved.T is None else solved.T,
+        setup.model.lean,
         left.uv_px,
         left.covariance_px2,
         sizes(left, overlaid=setup.overlaid),
@@ -102,13 +109,13 @@ def widen(
     """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
 
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
-    light is nearly free, poses bend too much for slopes. None where the rotation is then not known any more.
+    light is nearly free, poses bend too much for slopes. None where the rotation or the place is not known then.
     """
     T, own = solved.T, solved.pose.covariance
     if T is None or own is None:
-        return solve_spots(
-            setup, t_s, names, *(_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
-        )
+        doubted = (_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
+        placed = solve_spots(setup, t_s, names, *doubted)
+        return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
     for side in range(2):
         for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):

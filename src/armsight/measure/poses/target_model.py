@@ -32,9 +32,9 @@ FACING = 0.9
 class TargetModel:
     """names; xyz_m (m, 3); distance_m (m, m); normal (3,) of the plane; radius_m of a flat light, 0 where not used.
 
-    limits (m + 1,): fit_limit of each number of spots. one_sided: the lights share a plane square to z, and are
-    seen from its -z side only (z points away from the camera, as w does in Pachidis 2005, eqs. 7-8, and as z of a
-    printed board does).
+    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots. one_sided: the lights
+    share a plane square to z, and are seen from its -z side only (z points away from the camera, as w does in Pachidis
+    2005, eqs. 7-8, and as z of a printed board does).
     """
 
     names: tuple[str, ...]
@@ -42,6 +42,7 @@ class TargetModel:
     distance_m: Array
     normal: Array
     radius_m: float
+    lean: Array
     one_sided: bool
     limits: Array
 
@@ -63,12 +64,14 @@ class TargetModel:
                 )
             normal, flat = axes[2], bool(spread[2] <= FLAT_SHARE * spread[0])
             one_sided = flat and bool(abs(normal[2]) >= FACING)
+        radius_m = 0.5 * target.diameter_m if target.diameter_m is not None and flat else 0.0
         return cls(
             names=target.names,
             xyz_m=frozen_array("xyz_m", X, (None, 3)),
             distance_m=frozen_array("distance_m", np.linalg.norm(X[:, None] - X[None], axis=2), (None, None)),
             normal=frozen_array("normal", normal, (3,)),
-            radius_m=0.5 * target.diameter_m if target.diameter_m is not None and flat else 0.0,
+            radius_m=radius_m,
+            lean=frozen_array("lean", radius_m * normal, (3,)),
             one_sided=one_sided,
             limits=frozen_array("limits", [fit_limit(n) for n in range(len(X) + 1)], (None,)),
         )
