@@ -621,6 +621,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "T_camera_target": poses(SEEN),
             "setup": choice("eye-in-hand"),
             "names": NAMES,
+            "camera_covariance": array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
         },
     ),
     "calibrate_mirrors": (
