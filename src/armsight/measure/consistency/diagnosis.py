@@ -14,9 +14,9 @@ from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import fdtri
 
-from armsight.measure.consistency.causes import Cause, causes_of, parameter_widths
+from armsight.measure.consistency.causes import TURNS, Cause, causes_of, parameter_widths
 from armsight.measure.consistency.evidence import Block, Evidence
 from armsight.measure.poses.setup import Setup
 from armsight.optics import RIG_PARAMETERS
@@ -24,7 +24,13 @@ from armsight.optics import RIG_PARAMETERS
 Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-5
-"""Chance at which the gain of one cause passes without a fault."""
+"""Chance at which the gain of one cause passes without a fault, the noise being known from the residuals alone."""
+
+QUOTABLE = 3.0
+"""Standard deviations from zero below which no number is told, nor a cause that has no other."""
+
+PLAIN = 5.0
+"""... and from which the length of a vector is told, else the number of it that stands out most."""
 
 LEAST_ODDS = log(100.0)
 """Evidence against a setup without fault below which nothing is said."""
@@ -71,6 +77,18 @@ CLEAR = 1e-9
 """Information of a direction, over the largest, below which it is none."""
 
 
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The noise's variance over the claimed one, and the degrees of freedom that it is known by.
+
+    Causes are held against the claims where residuals are smaller: spots that claim too much make the mean small, and
+    say nothing of those that claim too little.
+    """
+
+    scale2: float
+    dof: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Finding:
     """A cause with the estimate (k,) of its numbers, their covariance (k, k), and what it does to the poses (RMS).
@@ -92,22 +110,48 @@ class Finding:
 
     @property
     def size(self) -> float:
-        """The estimate as one number: itself, or the length of the vector; of mixed units the first kind's."""
-        part = self._part
-        return float(self.estimate[0]) if len(self.estimate) == 1 else float(np.linalg.norm(self.estimate[part]))
+        """The number that the finding rests on: itself, the length of a vector, or that of it which stands out most."""
+        return self._quoted[0]
 
     @property
     def std(self) -> float:
         """Standard deviation of size."""
-        part = self._part
+        return self._quoted[1]
+
+    @property
+    def label(self) -> str:
+        """Which of the cause's numbers size is; empty for the only one, and for a vector's length."""
+        return self._quoted[2]
+
+    @property
+    def unit(self) -> str:
+        """SI unit of size."""
+        return self.cause.unit if self.cause.key != "moved" or self._quoted[3] < TURNS else "m"
+
+    @property
+    def quotable(self) -> bool:
+        """Whether size is told from zero."""
+        return abs(self.size) >= QUOTABLE * self.std
+
+    @property
+    def _quoted(self) -> tuple[float, float, str, int]:
+        """Return size, standard deviation, label and the first number's place."""
+        if len(self.estimate) == 1:
+            return float(self.estimate[0]), float(np.sqrt(self.covariance[0, 0])), "", 0
+        starts = (0, TURNS) if self.cause.key == "moved" else (0,)
+        lengths = [self._length(slice(a, b)) for a, b in zip(starts, (*starts[1:], None), strict=True)]
+        i = int(np.argmax([length / std for length, std in lengths]))
+        if lengths[i][0] >= PLAIN * lengths[i][1]:
+            return *lengths[i], "", starts[i]
+        deviations = np.sqrt(np.diag(self.covariance))
+        j = int(np.argmax(np.abs(self.estimate) / deviations))
+        return float(self.estimate[j]), float(deviations[j]), self.cause.labels[j], j
+
+    def _length(self, part: slice) -> tuple[float, float]:
         along = self.estimate[part]
         length = float(np.linalg.norm(along))
         along = along / length if length > 0.0 else np.ones(len(along)) / sqrt(len(along))
-        return float(np.sqrt(along @ self.covariance[part, part] @ along))
-
-    @property
-    def _part(self) -> slice:
-        return slice(0, 3) if self.cause.key == "moved" else slice(None)
+        return length, float(np.sqrt(along @ self.covariance[part, part] @ along))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,10 +211,10 @@ def judge(
     scale2, noise_dof = noise_scale2(blocks, width)
     structured = max(whole.chi2 - scale2 * whole.dof, 0.0) / whole.dof
     scale2 += CURVED**2 * structured
-    prior = prior_root(evidence.setup, evidence.size)
-    found = [_explain(evidence, cause, whole, whole, prior, scale2, None) for cause in causes if not cause.from_change]
+    prior, noise = prior_root(evidence.setup, evidence.size), Noise(max(scale2, 1.0), noise_dof + PRIOR_DOF)
+    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in causes if not cause.from_change]
     if len(blocks) > 1:
-        found += [_changed(evidence, cause, whole, prior, scale2) for cause in causes if cause.from_change]
+        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
     ranked = sorted(found, key=lambda f: -f.evidence)
     significant = [f for f in ranked if f.significant]
     if refused > MOSTLY and not significant:
@@ -247,14 +291,14 @@ def _unexplained(blocks: list[Block], width: Array) -> tuple[float, float]:
 
 
 def _explain(
-    evidence: Evidence, cause: Cause, whole: Block, part: Block, prior: Array, scale2: float, since_s: float | None
+    evidence: Evidence, cause: Cause, whole: Block, part: Block, prior: Array, noise: Noise, since_s: float | None
 ) -> Finding:
     """Return the estimate of a cause that holds in part of the run; rig and target uncertain throughout.
 
     With u the unit normal numbers behind rig and target, a those of the cause (units of width, prior of 1), the cost
     (chi2 + 2 b'x + x'N x) / scale2 + u'u + a'a with x = L u + V a is minimised; u is eliminated.
     """
-    V, k = cause.scaled(), cause.V.shape[1]
+    V, k, scale2 = cause.scaled(), cause.V.shape[1], noise.scale2
     NV = part.information @ V / scale2  # (q, k)
     Huu = np.eye(prior.shape[1]) + prior.T @ whole.information @ prior / scale2
     Hau = NV.T @ prior
@@ -269,8 +313,9 @@ def _explain(
     odds = 0.5 * gain - 0.5 * float(np.log(np.maximum(values, 1.0)).sum())
     odds -= 0.0 if cause.unit else 0.5 * BENT * gain
     shapes = [V, *(W * cause.width for W in cause.same)]
-    free = int((values > 2.0).sum())
-    return Finding(
+    free = max(int((values > 2.0).sum()), 1)
+    least = free * fdtri(free, noise.dof, 1.0 - FALSE_ALARM)
+    out = Finding(
         cause=cause,
         estimate=cause.width * a,
         covariance=cause.width[:, None] * C * cause.width,
@@ -278,17 +323,18 @@ def _explain(
         evidence=odds,
         effect_m=max(_effect(evidence.shift_m2, W @ a, evidence.frames) for W in shapes),
         effect_rad=max(_effect(evidence.shift_rad2, W @ a, evidence.frames) for W in shapes),
-        significant=bool(gain > chdtri(max(free, 1), FALSE_ALARM) and odds > LEAST_ODDS),
+        significant=bool(gain > least and odds > LEAST_ODDS),
         second_moment=np.mean([W @ (np.outer(a, a) + C) @ W.T for W in shapes], axis=0),
         since_s=since_s,
     )
+    return out if out.quotable or not cause.unit else replace(out, significant=False)
 
 
-def _changed(evidence: Evidence, cause: Cause, whole: Block, prior: Array, scale2: float) -> Finding:
+def _changed(evidence: Evidence, cause: Cause, whole: Block, prior: Array, noise: Noise) -> Finding:
     """Return the cause from the moment at which it explains most; the choice of the moment is paid for."""
     blocks = evidence.blocks
     found = [
-        _explain(evidence, cause, whole, _total(blocks[i:], evidence.size), prior, scale2, blocks[i].start_s)
+        _explain(evidence, cause, whole, _total(blocks[i:], evidence.size), prior, noise, blocks[i].start_s)
         for i in range(1, len(blocks))
     ]
     best = max(found, key=lambda f: f.evidence)

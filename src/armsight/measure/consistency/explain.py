@@ -15,6 +15,10 @@ ONE_SIGNED = ("scale", "timing")
 """Causes of one number, whose sign means something."""
 
 
+AXES = {f"about_{a}_rad": f"about its {a} axis" for a in "xyz"} | {f"{a}_m": f"along {a}" for a in "xyz"}
+"""Which number of a vector is told, by its label."""
+
+
 def sentence(found: Consistency) -> str:
     """Return what the check says in one or two sentences; empty where there is nothing to say."""
     if not found.findings and found.verdict == "inconsistent":
@@ -49,13 +53,14 @@ def advice(found: Consistency) -> str:
 
 def _what(f: Finding) -> str:
     """Return the cause with its size: 'the target's scale against the baseline is off by 1.02 +- 0.03 %'."""
-    if not f.cause.unit:
+    if not (f.cause.unit and f.quotable):
         return f.cause.words
-    factor, sign = SHOWN[f.cause.unit]
+    factor, sign = SHOWN[f.unit]
     if f.cause.key == "distortion":
         factor, sign = 1.0, " in k1"
     value = f.size if f.cause.key in ONE_SIGNED else abs(f.size)
     size = _figures(factor * value, factor * f.std, sign)
+    size += f" {AXES[f.label]}" if f.label in AXES else ""
     if f.cause.key == "timing":
         later = "later" if f.size > 0.0 else "earlier"
         return (
