@@ -210,9 +210,7 @@ def power(runs: int, first: int) -> None:
         among = sum(any(name in right for name in k) for k in keys)
         weakest = min((o.quoted for o in told if o.check.findings), default=np.nan)
         firsts = Counter(k[0] if k else "-" for k in keys)
-        rows.append(
-            [fault, rate(done), f"{best} of {len(told)}", f"{among} of {len(told)}", weakest, dict(firsts)]
-        )
+        rows.append([fault, rate(done), f"{best} of {len(told)}", f"{among} of {len(told)}", weakest, dict(firsts)])
     header = ["fault", "told", "right cause first", "right cause named", "least quoted size / deviation", "first"]
     table("Faults, spots", header, rows)
 

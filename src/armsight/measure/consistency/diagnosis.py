@@ -60,6 +60,10 @@ claim in their worst direction."""
 VERY_NOISY = 3.0
 """... and from which it is no noise model's slip."""
 
+AS_CALIBRATED = 1.25
+"""Residuals of a board over those of the rig's calibration up to which they are the same: 1.00 on the calibration's own
+pictures, 0.9 to 1.2 on halves of them."""
+
 MOSTLY = 0.5
 """Share of refused frames from which the run as a whole is inconsistent."""
 
@@ -163,7 +167,8 @@ class Consistency:
     the claimed noise. claimed_m: RMS of the claimed standard deviation of a position (3-D). undetected: by cause, the
     largest
     effect (m, 3-D RMS) on the poses that the run could not have told. refused: share of the frames with enough lights
-    whose residuals cannot be noise, so that they gave no pose.
+    whose residuals cannot be noise, so that they gave no pose. residual_px: RMS of a board's points (2-D), beside that
+    which its rig was calibrated with; NaN of lights and where not known.
     """
 
     verdict: str
@@ -177,6 +182,8 @@ class Consistency:
     findings: tuple[Finding, ...] = ()
     equal: int = 0
     undetected: dict[str, float] = field(default_factory=dict)
+    residual_px: float = float("nan")
+    calibration_px: float = float("nan")
 
     @property
     def second_moment(self) -> Array | None:
@@ -185,6 +192,11 @@ class Consistency:
             return None
         odds = np.exp(np.array([f.evidence for f in self.findings]) - self.findings[0].evidence)
         return np.asarray(sum(p * f.second_moment for p, f in zip(odds / odds.sum(), self.findings, strict=True)))
+
+    @property
+    def as_calibrated(self) -> bool:
+        """Whether a board fits no worse than in the rig's calibration: what is left is print, flatness or lens."""
+        return self.residual_px <= AS_CALIBRATED * self.calibration_px
 
     @property
     def noise_factor(self) -> float:
@@ -220,24 +232,29 @@ def judge(
     if refused > MOSTLY and not significant:
         significant = [f for f in ranked if f.evidence > LIKELY_ODDS][:1]
     significant = [f for f in significant if f.cause.unit or f is significant[0]]  # "several" may be what others are
-    claimed_m = sqrt(evidence.claimed_m2 / evidence.frames)
-    claimed_rad = sqrt(evidence.claimed_rad2 / evidence.frames)
-    equal = sum(f.evidence >= significant[0].evidence - EQUAL_ODDS for f in significant)
-    return Consistency(
-        verdict="inconsistent"
-        if refused > MOSTLY
-        else _verdict(significant[:equal], claimed_m, claimed_rad, scale2, whole.chi2 / whole.dof),
+    out = Consistency(
+        verdict="ok",
         refused=refused,
         frames=evidence.frames,
         chi2_per_dof=whole.chi2 / whole.dof,
         noise_scale=sqrt(scale2),
         noise_dof=noise_dof,
-        claimed_m=claimed_m,
-        claimed_rad=claimed_rad,
+        claimed_m=sqrt(evidence.claimed_m2 / evidence.frames),
+        claimed_rad=sqrt(evidence.claimed_rad2 / evidence.frames),
         findings=tuple(significant),
-        equal=equal,
+        equal=sum(f.evidence >= significant[0].evidence - EQUAL_ODDS for f in significant),
         undetected=_undetected(evidence, found),
+        **_of_board(evidence),
     )
+    return replace(out, verdict="inconsistent" if refused > MOSTLY else _verdict(out))
+
+
+def _of_board(evidence: Evidence) -> dict[str, float]:
+    """Return the residuals of a board and of its rig's calibration, where both are known."""
+    known = evidence.setup.rig.rms_px
+    if known is None or not evidence.setup.target.is_board:
+        return {}
+    return {"residual_px": sqrt(evidence.residual_px2 / evidence.residuals), "calibration_px": known}
 
 
 def noise_scale2(blocks: list[Block], width: Array) -> tuple[float, float]:
@@ -345,13 +362,14 @@ def _effect(shift: Array, x: Array, frames: int) -> float:
     return sqrt(max(float(x @ shift @ x), 0.0) / frames)
 
 
-def _verdict(findings: list[Finding], claimed_m: float, claimed_rad: float, scale2: float, chi2: float) -> str:
-    """Return the verdict; chi2: per degree of freedom, which shows a fault that acts where the poses are sharp."""
-    worst = "doubtful" if scale2 > VERY_NOISY**2 or (findings and chi2 > UNMISTAKABLE) else "ok"
-    for found in findings:
-        by_m, by_rad = found.effect_m / claimed_m, found.effect_rad / claimed_rad
-        if (by_m > INCONSISTENT and found.effect_m > INCONSISTENT_M) or (
-            by_rad > INCONSISTENT and found.effect_rad > INCONSISTENT_RAD
+def _verdict(found: Consistency) -> str:
+    """Return the verdict; chi-square shows a fault that acts where the poses are sharp."""
+    noisy = found.noise_scale > VERY_NOISY and not found.as_calibrated
+    worst = "doubtful" if noisy or (found.findings and found.chi2_per_dof > UNMISTAKABLE) else "ok"
+    for f in found.findings[: found.equal]:
+        by_m, by_rad = f.effect_m / found.claimed_m, f.effect_rad / found.claimed_rad
+        if (by_m > INCONSISTENT and f.effect_m > INCONSISTENT_M) or (
+            by_rad > INCONSISTENT and f.effect_rad > INCONSISTENT_RAD
         ):
             return "inconsistent"
         if max(by_m, by_rad) > DOUBTFUL:

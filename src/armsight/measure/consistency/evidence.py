@@ -103,6 +103,7 @@ class Evidence:
 
     shift_m2, shift_rad2 (q, q): x' shift x is the sum over frames of the squared move of the position (rotation) that
     an error x of the parameters makes. claimed_m2, claimed_rad2: sums of the claimed variances.
+    residual_px2: sum of the squared 2-D residuals, of which there are so many.
     """
 
     setup: Setup
@@ -112,6 +113,8 @@ class Evidence:
     shift_rad2: Array = field(init=False)
     claimed_m2: float = 0.0
     claimed_rad2: float = 0.0
+    residual_px2: float = 0.0
+    residuals: int = 0
     frames: int = 0
     _per_block: int = 4
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
@@ -188,6 +191,8 @@ class Evidence:
         self.shift_rad2 += S[3:].T @ S[3:]
         self.claimed_m2 += frame.claimed[0]
         self.claimed_rad2 += frame.claimed[1]
+        self.residual_px2 += float((frame.residual_px**2).sum())
+        self.residuals += 2 * len(frame.lights)
         self.frames += 1
         if self.frames > FIRST_LOOK:
             self._weigh(seen)
