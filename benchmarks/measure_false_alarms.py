@@ -43,7 +43,7 @@ FPS = 30.0
 STRAY, STRAY_PX = 0.01, (0.1, 1.0)
 PIXEL_PX = 0.02
 SPREAD = 0.5
-CALIBRATIONS = 40
+CALIBRATIONS = 20
 MOTIONS = ("still", "slow", "moving", "from place to place")
 FAULTS = {
     "right camera turned by 0.1 deg": ("turned",),
@@ -236,7 +236,7 @@ def main() -> None:
     if asked.only in (None, "alarms"):
         false_alarms(asked.runs // fewer, asked.first)
     if asked.only in (None, "power"):
-        power(200 // fewer, asked.first)
+        power(asked.runs // 10 // fewer, asked.first)
     if asked.only in (None, "rendered"):
         rendered(60 // fewer)
 
