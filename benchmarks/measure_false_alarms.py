@@ -4,8 +4,7 @@ A run is a false alarm where its verdict is neither ok nor unchecked, or where i
 faults.py are drawn from projections written there and go through `measure_spots` and the run's check: 8 to 200 frames,
 3 to 5 lights, standing still, slowly or quickly moved or put from place to place, claimed noise of 0.02 to 0.3 px that
 differs from spot to spot by half as much again, true noise 0.6 to 1.4 times the claimed one, an error of the place in
-the pixel of up to 0.02 px; one in 100 spots is off by 0.1 to 1 px whatever it claims, as one in 150 of rendered ones
-before a bright room is. The rig is the true one, or one calibrated from its own simulated corners with the covariance
+the pixel of up to 0.02 px; one in 100 spots is off by 0.1 to 1 px whatever it claims. The rig is the true one, or one calibrated from its own simulated corners with the covariance
 that came with it. Then the same with a fault; and rendered pictures through all of `measure`. `--quick` takes a tenth.
 """
 
@@ -37,12 +36,11 @@ from bench import machine, table
 from faults import FLAT, LIGHTS, RIG, STD_M, World, calibrated, hand, log_uniform, project, world_of
 
 Array = NDArray[np.float64]
-Path_ = Callable[[float], RigidTransform]
 
 FPS = 30.0
-STRAY, STRAY_PX = 0.01, (0.1, 1.0)
+STRAY, STRAY_PX = 0.01, (0.1, 1.0)  # share of spots, and how far these are off
 PIXEL_PX = 0.02
-SPREAD = 0.5
+SPREAD = 0.5  # of the logarithm of the claims
 CALIBRATIONS = 20
 MOTIONS = ("still", "slow", "moving", "from place to place")
 FAULTS = {
@@ -62,7 +60,6 @@ class Outcome:
     rig: str
     frames: int
     check: Consistency
-    moment: float | None = None
 
     @property
     def alarm(self) -> bool:
@@ -82,7 +79,7 @@ def fresh(seed: int) -> Rig:
     return calibrated(1000 + seed, 12 + seed % 14)
 
 
-def path(rng: np.random.Generator, motion: str) -> Path_:
+def path(rng: np.random.Generator, motion: str) -> Callable[[float], RigidTransform]:
     at, jump = hand(rng), rng.uniform(0.0, 100.0, 400)
     speed = {"still": 0.0, "slow": 0.05, "moving": 1.0}.get(motion)
     if speed is None:
@@ -143,8 +140,7 @@ def spot_run(seed: int, fault: str = "") -> Outcome:
     elif fault:
         later = bent(world, rng)
     world = world if "during" in fault else later
-    # the calibrated pair's axes are those of the left camera, and only its own parts matter here
-    check, track, setup = None, None, Setup(rig, target)
+    setup, track = Setup(rig, target), None  # axes of the left camera or of the pair: residuals do not care
     check = RunCheck(setup)
     at, sigma, noise = path(rng, motion), log_uniform(rng, 0.02, 0.3), rng.uniform(0.6, 1.4)
     phase = rng.uniform(0.0, 2.0 * np.pi, (2, len(lights), 2))
@@ -161,7 +157,7 @@ def spot_run(seed: int, fault: str = "") -> Outcome:
             continue
         track = measured.track
         check.add(measured)
-    return Outcome(motion=motion, rig=kind, frames=frames, check=check.finish(), moment=since / FPS)
+    return Outcome(motion=motion, rig=kind, frames=frames, check=check.finish())
 
 
 def rendered_run(seed: int) -> Outcome:

@@ -244,9 +244,7 @@ def test_a_sentence_quotes_what_stands_out() -> None:
         since_s=0.1,
     )
     assert (found.size, found.std, found.unit, found.label) == (2.05e-3, std[5], "m", "z_m")
-    told = Consistency(
-        verdict="doubtful", frames=20, claimed_m=5e-4, claimed_rad=1e-3, findings=(found,), equal=1
-    )
+    told = Consistency(verdict="doubtful", frames=20, claimed_m=5e-4, claimed_rad=1e-3, findings=(found,), equal=1)
     assert "by 2.05 ± 0.33 mm along z" in sentence(told)
     output = consistency_output(told)
     assert (output.estimate, output.std, output.unit) == (2.05e-3, std[5], "m")

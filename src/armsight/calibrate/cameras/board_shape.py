@@ -53,9 +53,9 @@ class BoardShape:
         if self.noise_px**2 > (1.0 - TOLD) * self.rms_px**2:
             return []
         return [
-            f"the board's points are off by {1e3 * self.std_m:.2f} mm (print, flatness): {self.rms_px:.3f} px of residual, of "
-            f"which the detector makes {self.noise_px:.3f}. The deviations allow for it; glue the board on a flat plate, or "
-            "have it made on one"
+            f"the board's points are off by {1e3 * self.std_m:.2f} mm (print, flatness): {self.rms_px:.3f} px of residual, "
+            f"of which the detector makes {self.noise_px:.3f}. The deviations allow for it; glue the board on a flat "
+            "plate, or have it made on one"
         ]
 
 
@@ -99,8 +99,10 @@ def board_shape(observations: Observations, fit: Fit, covariance: NamedCovarianc
 
 
 def _slopes(observations: Observations, fit: Fit, free: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
-    """Return how gradients follow each coordinate of the points: shared (3 n, F), local (3 n, G, L), and the points' own
-    normal equations (3 n, 3 n) and (3 n,)."""
+    """Return how gradients follow each coordinate of the points: shared (3 n, F), local (3 n, G, L).
+
+    And the points' own normal equations (3 n, 3 n) and (3 n,).
+    """
     n, (G, L) = len(observations.X), fit.local.shape
     shared, local = np.empty((3 * n, len(free))), np.empty((3 * n, G, L))
     own, score = np.zeros((3 * n, 3 * n)), np.empty(3 * n)

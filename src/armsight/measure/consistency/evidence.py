@@ -34,9 +34,8 @@ STILL_PX = 1.0
 
 OUTLIER = 3.0
 """A frame whose chi-square is this many times the usual one counts less, by the square of what is beyond: a spot that is
-off by far more than it claims is no fault of rig or target. Of rendered pictures one spot in 200 is; four in 100 runs
-of 20 frames were blamed on a moved camera while frames up to 10 times the usual counted in full, and the first 12
-whatever they were."""
+off by far more than it claims is no fault of rig or target. One spot of 240 that was off by 0.54 px and claimed 0.037
+had a camera moved by 0.094 +- 0.053 degrees, over a true rig."""
 
 MEDIAN_OF = 51
 """Frames over whose median the usual chi-square is taken; it follows a lasting change after half of them."""
