@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.explain import advice, sentence
+from armsight.measure.poses.board_pose import pose_of_views
+from armsight.measure.poses.pipeline import Setup
 from armsight.records import BoardView, TargetKind, board_target
 
 SIZE = (1280, 720)
@@ -21,19 +27,19 @@ N_VIEWS = 12
 N_REPEATS = 40
 
 
-def pixels(k: np.ndarray, w: np.ndarray, t: np.ndarray) -> np.ndarray:
+def pixels(k: np.ndarray, w: np.ndarray, t: np.ndarray, points: np.ndarray = BOARD.xyz_m) -> np.ndarray:
     K = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
-    return cv2.projectPoints(BOARD.xyz_m, w, t, K, k[4:])[0].reshape(-1, 2)
+    return cv2.projectPoints(points, w, t, K, k[4:])[0].reshape(-1, 2)
 
 
-def world(p: np.ndarray) -> np.ndarray:
+def world(p: np.ndarray, points: np.ndarray = BOARD.xyz_m) -> np.ndarray:
     """Pixels (2, G, 54, 2) from left (8), right (8), T_left_right (t, w), boards (t, w each)."""
     S = cv2.Rodrigues(p[19:22])[0]
     out = []
     for pose in p[22:].reshape(-1, 6):
         t, w = pose[:3], pose[3:]
         right_w = cv2.Rodrigues(S.T @ cv2.Rodrigues(w)[0])[0]
-        out.append([pixels(p[:8], w, t), pixels(p[8:16], right_w, S.T @ (t - p[16:19]))])
+        out.append([pixels(p[:8], w, t, points), pixels(p[8:16], right_w, S.T @ (t - p[16:19]), points)])
     return np.array(out).swapaxes(0, 1)
 
 
@@ -125,3 +131,37 @@ def test_noise_that_the_detector_underrates_is_seen_in_the_residuals(truth: np.n
     honest = 10.0 * np.sqrt(np.diag(bound(truth)))
     assert found.std["left.fx"] == pytest.approx(honest[0], rel=0.15)
     assert found.std["right.tx"] == pytest.approx(honest[16], rel=0.15)
+
+
+def wavy(rng: np.random.Generator, std_m: float) -> np.ndarray:
+    """Where a printed, bent board's points are (54, 3): off by std_m, neighbours alike over half of the board."""
+    apart = np.linalg.norm(BOARD.xyz_m[:, None] - BOARD.xyz_m[None], axis=2)
+    root = np.linalg.cholesky(np.exp(-apart / (0.5 * apart.max())) + 1e-9 * np.eye(54))
+    return BOARD.xyz_m + std_m * root @ rng.normal(size=(54, 3))
+
+
+def test_a_board_that_is_off_widens_what_is_claimed(truth: np.ndarray) -> None:
+    """Print and bend of 0.15 mm, the same in every view: the intrinsics keep to their claims, and measure says why."""
+    rng, chi2 = np.random.default_rng(35), []
+    names = tuple(f"{side}.{name}" for side in ("left", "right") for name in INTRINSICS)
+    for _ in range(8):
+        points = wavy(rng, 1.5e-4)
+        seen = [views(uv + rng.normal(0.0, SIGMA_PX, uv.shape)) for uv in world(truth, points)]
+        found = calibrate_stereo(
+            *seen, BOARD, BoardOptions(folds=0, automatic_k3=False, fixed=frozenset({"skew", "k3"}))
+        )
+        e = np.concatenate([found.rig.left.intrinsics[PICK] - LEFT, found.rig.right.intrinsics[PICK] - RIGHT])
+        chi2.append(e @ np.linalg.solve(found.rig.covariance.block(names), e) / 16.0)
+    assert np.mean(chi2) < 2.0  # 9.4 with the board taken as exact
+    assert any("board's points are off by" in line for line in found.advice)
+
+    told = []
+    for rig in (found.rig, replace(found.rig, rms_px=SIGMA_PX)):
+        setup = Setup(rig, BOARD)
+        check = RunCheck(setup)
+        for left, right in zip(*seen, strict=True):
+            claimed = [replace(view, sigma_px=0.02) for view in (left, right)]
+            check.add(pose_of_views(setup, *claimed, float(len(told))))
+        told.append(check.finish())
+    assert told[0].verdict == "ok" and "board's print" in sentence(told[0]) and "calibrate" in advice(told[0])
+    assert told[1].verdict == "doubtful" and "board" not in sentence(told[1])

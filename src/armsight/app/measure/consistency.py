@@ -20,7 +20,7 @@ def consistency_output(found: Consistency) -> ConsistencyOutput:
         cause=first.cause.key if first else None,
         estimate=first.size if first and first.cause.unit else None,
         std=first.std if first and first.cause.unit else None,
-        unit=first.cause.unit if first else None,
+        unit=first.unit if first else None,
         effect_m=first.effect_m if first else None,
         effect_rad=first.effect_rad if first else None,
         since_s=first.since_s if first else None,
@@ -43,7 +43,7 @@ def _other(f: Finding, best: Finding) -> OtherCause:
         cause=f.cause.key,
         estimate=f.size if f.cause.unit else None,
         std=f.std if f.cause.unit else None,
-        unit=f.cause.unit,
+        unit=f.unit,
         effect_m=f.effect_m,
         log_odds=f.evidence - best.evidence,
     )

@@ -65,7 +65,7 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
 
     Views of one lens share the left one's intrinsics, and the right ones' are held at them.
     """
-    equations = _BoardEquations(observations)
+    equations = BoardEquations(observations)
     tied, pair = equations.tied, observations.n_cameras == 2
     k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
     names = names_of(observations.lenses)
@@ -86,7 +86,7 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _BoardEquations:
+class BoardEquations:
     """Residuals and normal equations of boards seen by one camera or two, and how its parameters move."""
 
     observations: Observations

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
@@ -81,7 +82,8 @@ def calibrate_camera(
     advice += refuse_other_lens(observations, robust_fit, options, 0, "the camera")
     out = left_out(robust_fit, options)
     residual, seen = residuals_px(robust_fit.observations, robust_fit.fit), robust_fit.observations.weight > 0.0
-    covariance = required(robust_fit)
+    shape = board_shape(robust_fit.observations, robust_fit.fit, required(robust_fit))
+    covariance = shape.covariance
     return CameraCalibration(
         camera=camera_of(bundle_of(robust_fit.fit, 1).k[0], observations.sizes[0], options.lens),
         covariance=covariance,
@@ -95,7 +97,7 @@ def calibrate_camera(
         residual_px=residual[seen],
         used=robust_fit.observations,
         T_camera_board=poses_of_boards(robust_fit.observations, robust_fit.fit),
-        advice=(*advice, *on_tilt, *doubts(covariance, robust_fit), *robust_fit.notes),
+        advice=(*advice, *on_tilt, *shape.advice, *doubts(covariance, robust_fit), *robust_fit.notes),
     )
 
 

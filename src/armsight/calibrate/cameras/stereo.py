@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
@@ -161,7 +162,8 @@ def judged(
     used, state = robust_fit.observations, bundle_of(robust_fit.fit, 2)
     _refuse_swapped(state.side_pose)
     residual, seen = residuals_px(used, robust_fit.fit), used.weight > 0.0
-    covariance = of_one_lens(required(robust_fit)) if used.one_lens else required(robust_fit)
+    shape = board_shape(used, robust_fit.fit, required(robust_fit))
+    covariance = of_one_lens(shape.covariance) if used.one_lens else shape.covariance
     overall = rms(residual, seen)
     rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall, lenses=used.lenses)
     out = left_out(robust_fit, options)
@@ -181,7 +183,7 @@ def judged(
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
         T_left_board=poses_of_boards(used, robust_fit.fit),
-        advice=(*advice, *doubts(covariance, robust_fit), *robust_fit.notes),
+        advice=(*advice, *shape.advice, *doubts(covariance, robust_fit), *robust_fit.notes),
     )
 
 

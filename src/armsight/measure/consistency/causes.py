@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 LEFT, RIGHT = 0, 10  # where each camera's intrinsics begin among RIG_PARAMETERS: fx, fy, cx, cy, skew, k1 ...
 K1 = 5
+TURNS = 3  # numbers of a turn, before those of a place in "moved"
 PLACE, TURN, TARGET = 20, 23, 26  # right.tx ..., right.rx ..., the target's own
 
 SCALE_WIDTH = 0.02

@@ -9,14 +9,11 @@ import numpy as np
 from armsight.errors import Unseen
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.diagnosis import Consistency, judge
-from armsight.measure.consistency.evidence import Evidence, frame_of
+from armsight.measure.consistency.evidence import FIRST_LOOK, Evidence, frame_of
 from armsight.measure.consistency.refit import refit
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
 from armsight.records import PoseStatus, TargetPose
-
-FIRST_LOOK = 8
-"""Frames after which the sums are judged for the first time."""
 
 NEXT_LOOK = 1.5
 """... and each next time after so many times more."""

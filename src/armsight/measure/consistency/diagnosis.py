@@ -14,9 +14,9 @@ from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import fdtri
 
-from armsight.measure.consistency.causes import Cause, causes_of, parameter_widths
+from armsight.measure.consistency.causes import TURNS, Cause, causes_of, parameter_widths
 from armsight.measure.consistency.evidence import Block, Evidence
 from armsight.measure.poses.setup import Setup
 from armsight.optics import RIG_PARAMETERS
@@ -24,7 +24,13 @@ from armsight.optics import RIG_PARAMETERS
 Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-5
-"""Chance at which the gain of one cause passes without a fault."""
+"""Chance at which the gain of one cause passes without a fault, the noise being known from the residuals alone."""
+
+QUOTABLE = 3.0
+"""Standard deviations from zero below which no number is told, nor a cause that has no other."""
+
+PLAIN = 5.0
+"""... and from which the length of a vector is told, else the number of it that stands out most."""
 
 LEAST_ODDS = log(100.0)
 """Evidence against a setup without fault below which nothing is said."""
@@ -54,6 +60,10 @@ claim in their worst direction."""
 VERY_NOISY = 3.0
 """... and from which it is no noise model's slip."""
 
+AS_CALIBRATED = 1.25
+"""Residuals of a board over those of the rig's calibration up to which they are the same: 1.00 on a calibration's own
+pictures (opencv_stereo), 1.07 and 1.14 where one half of them was calibrated with and the other measured."""
+
 MOSTLY = 0.5
 """Share of refused frames from which the run as a whole is inconsistent."""
 
@@ -69,6 +79,18 @@ leaves (measured with single lights 0.5 to 3 mm off: 0.05 to 1 %)."""
 
 CLEAR = 1e-9
 """Information of a direction, over the largest, below which it is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The noise's variance over the claimed one, and the degrees of freedom that it is known by.
+
+    Causes are held against the claims where residuals are smaller: spots that claim too much make the mean small, and
+    say nothing of those that claim too little.
+    """
+
+    scale2: float
+    dof: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,22 +114,48 @@ class Finding:
 
     @property
     def size(self) -> float:
-        """The estimate as one number: itself, or the length of the vector; of mixed units the first kind's."""
-        part = self._part
-        return float(self.estimate[0]) if len(self.estimate) == 1 else float(np.linalg.norm(self.estimate[part]))
+        """The number that the finding rests on: itself, the length of a vector, or that of it which stands out most."""
+        return self._quoted[0]
 
     @property
     def std(self) -> float:
         """Standard deviation of size."""
-        part = self._part
+        return self._quoted[1]
+
+    @property
+    def label(self) -> str:
+        """Which of the cause's numbers size is; empty for the only one, and for a vector's length."""
+        return self._quoted[2]
+
+    @property
+    def unit(self) -> str:
+        """SI unit of size."""
+        return self.cause.unit if self.cause.key != "moved" or self._quoted[3] < TURNS else "m"
+
+    @property
+    def quotable(self) -> bool:
+        """Whether size is told from zero."""
+        return abs(self.size) >= QUOTABLE * self.std
+
+    @property
+    def _quoted(self) -> tuple[float, float, str, int]:
+        """Return size, standard deviation, label and the first number's place."""
+        if len(self.estimate) == 1:
+            return float(self.estimate[0]), float(np.sqrt(self.covariance[0, 0])), "", 0
+        starts = (0, TURNS) if self.cause.key == "moved" else (0,)
+        lengths = [self._length(slice(a, b)) for a, b in zip(starts, (*starts[1:], None), strict=True)]
+        i = int(np.argmax([length / std for length, std in lengths]))
+        if lengths[i][0] >= PLAIN * lengths[i][1]:
+            return *lengths[i], "", starts[i]
+        deviations = np.sqrt(np.diag(self.covariance))
+        j = int(np.argmax(np.abs(self.estimate) / deviations))
+        return float(self.estimate[j]), float(deviations[j]), self.cause.labels[j], j
+
+    def _length(self, part: slice) -> tuple[float, float]:
         along = self.estimate[part]
         length = float(np.linalg.norm(along))
         along = along / length if length > 0.0 else np.ones(len(along)) / sqrt(len(along))
-        return float(np.sqrt(along @ self.covariance[part, part] @ along))
-
-    @property
-    def _part(self) -> slice:
-        return slice(0, 3) if self.cause.key == "moved" else slice(None)
+        return length, float(np.sqrt(along @ self.covariance[part, part] @ along))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,7 +167,8 @@ class Consistency:
     the claimed noise. claimed_m: RMS of the claimed standard deviation of a position (3-D). undetected: by cause, the
     largest
     effect (m, 3-D RMS) on the poses that the run could not have told. refused: share of the frames with enough lights
-    whose residuals cannot be noise, so that they gave no pose.
+    whose residuals cannot be noise, so that they gave no pose. residual_px: RMS of a board's points (2-D), beside that
+    which its rig was calibrated with; NaN of lights and where not known.
     """
 
     verdict: str
@@ -133,6 +182,8 @@ class Consistency:
     findings: tuple[Finding, ...] = ()
     equal: int = 0
     undetected: dict[str, float] = field(default_factory=dict)
+    residual_px: float = float("nan")
+    calibration_px: float = float("nan")
 
     @property
     def second_moment(self) -> Array | None:
@@ -141,6 +192,11 @@ class Consistency:
             return None
         odds = np.exp(np.array([f.evidence for f in self.findings]) - self.findings[0].evidence)
         return np.asarray(sum(p * f.second_moment for p, f in zip(odds / odds.sum(), self.findings, strict=True)))
+
+    @property
+    def as_calibrated(self) -> bool:
+        """Whether a board fits no worse than in the rig's calibration: what is left is print, flatness or lens."""
+        return self.residual_px <= AS_CALIBRATED * self.calibration_px
 
     @property
     def noise_factor(self) -> float:
@@ -167,33 +223,38 @@ def judge(
     scale2, noise_dof = noise_scale2(blocks, width)
     structured = max(whole.chi2 - scale2 * whole.dof, 0.0) / whole.dof
     scale2 += CURVED**2 * structured
-    prior = prior_root(evidence.setup, evidence.size)
-    found = [_explain(evidence, cause, whole, whole, prior, scale2, None) for cause in causes if not cause.from_change]
+    prior, noise = prior_root(evidence.setup, evidence.size), Noise(max(scale2, 1.0), noise_dof + PRIOR_DOF)
+    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in causes if not cause.from_change]
     if len(blocks) > 1:
-        found += [_changed(evidence, cause, whole, prior, scale2) for cause in causes if cause.from_change]
+        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
     ranked = sorted(found, key=lambda f: -f.evidence)
     significant = [f for f in ranked if f.significant]
     if refused > MOSTLY and not significant:
         significant = [f for f in ranked if f.evidence > LIKELY_ODDS][:1]
     significant = [f for f in significant if f.cause.unit or f is significant[0]]  # "several" may be what others are
-    claimed_m = sqrt(evidence.claimed_m2 / evidence.frames)
-    claimed_rad = sqrt(evidence.claimed_rad2 / evidence.frames)
-    equal = sum(f.evidence >= significant[0].evidence - EQUAL_ODDS for f in significant)
-    return Consistency(
-        verdict="inconsistent"
-        if refused > MOSTLY
-        else _verdict(significant[:equal], claimed_m, claimed_rad, scale2, whole.chi2 / whole.dof),
+    out = Consistency(
+        verdict="ok",
         refused=refused,
         frames=evidence.frames,
         chi2_per_dof=whole.chi2 / whole.dof,
         noise_scale=sqrt(scale2),
         noise_dof=noise_dof,
-        claimed_m=claimed_m,
-        claimed_rad=claimed_rad,
+        claimed_m=sqrt(evidence.claimed_m2 / evidence.frames),
+        claimed_rad=sqrt(evidence.claimed_rad2 / evidence.frames),
         findings=tuple(significant),
-        equal=equal,
+        equal=sum(f.evidence >= significant[0].evidence - EQUAL_ODDS for f in significant),
         undetected=_undetected(evidence, found),
+        **_of_board(evidence),
     )
+    return replace(out, verdict="inconsistent" if refused > MOSTLY else _verdict(out))
+
+
+def _of_board(evidence: Evidence) -> dict[str, float]:
+    """Return the residuals of a board and of its rig's calibration, where both are known."""
+    known = evidence.setup.rig.rms_px
+    if known is None or not evidence.setup.target.is_board:
+        return {}
+    return {"residual_px": sqrt(evidence.residual_px2 / evidence.residuals), "calibration_px": known}
 
 
 def noise_scale2(blocks: list[Block], width: Array) -> tuple[float, float]:
@@ -247,14 +308,14 @@ def _unexplained(blocks: list[Block], width: Array) -> tuple[float, float]:
 
 
 def _explain(
-    evidence: Evidence, cause: Cause, whole: Block, part: Block, prior: Array, scale2: float, since_s: float | None
+    evidence: Evidence, cause: Cause, whole: Block, part: Block, prior: Array, noise: Noise, since_s: float | None
 ) -> Finding:
     """Return the estimate of a cause that holds in part of the run; rig and target uncertain throughout.
 
     With u the unit normal numbers behind rig and target, a those of the cause (units of width, prior of 1), the cost
     (chi2 + 2 b'x + x'N x) / scale2 + u'u + a'a with x = L u + V a is minimised; u is eliminated.
     """
-    V, k = cause.scaled(), cause.V.shape[1]
+    V, k, scale2 = cause.scaled(), cause.V.shape[1], noise.scale2
     NV = part.information @ V / scale2  # (q, k)
     Huu = np.eye(prior.shape[1]) + prior.T @ whole.information @ prior / scale2
     Hau = NV.T @ prior
@@ -269,8 +330,9 @@ def _explain(
     odds = 0.5 * gain - 0.5 * float(np.log(np.maximum(values, 1.0)).sum())
     odds -= 0.0 if cause.unit else 0.5 * BENT * gain
     shapes = [V, *(W * cause.width for W in cause.same)]
-    free = int((values > 2.0).sum())
-    return Finding(
+    free = max(int((values > 2.0).sum()), 1)
+    least = free * fdtri(free, noise.dof, 1.0 - FALSE_ALARM)
+    out = Finding(
         cause=cause,
         estimate=cause.width * a,
         covariance=cause.width[:, None] * C * cause.width,
@@ -278,17 +340,18 @@ def _explain(
         evidence=odds,
         effect_m=max(_effect(evidence.shift_m2, W @ a, evidence.frames) for W in shapes),
         effect_rad=max(_effect(evidence.shift_rad2, W @ a, evidence.frames) for W in shapes),
-        significant=bool(gain > chdtri(max(free, 1), FALSE_ALARM) and odds > LEAST_ODDS),
+        significant=bool(gain > least and odds > LEAST_ODDS),
         second_moment=np.mean([W @ (np.outer(a, a) + C) @ W.T for W in shapes], axis=0),
         since_s=since_s,
     )
+    return out if out.quotable or not cause.unit else replace(out, significant=False)
 
 
-def _changed(evidence: Evidence, cause: Cause, whole: Block, prior: Array, scale2: float) -> Finding:
+def _changed(evidence: Evidence, cause: Cause, whole: Block, prior: Array, noise: Noise) -> Finding:
     """Return the cause from the moment at which it explains most; the choice of the moment is paid for."""
     blocks = evidence.blocks
     found = [
-        _explain(evidence, cause, whole, _total(blocks[i:], evidence.size), prior, scale2, blocks[i].start_s)
+        _explain(evidence, cause, whole, _total(blocks[i:], evidence.size), prior, noise, blocks[i].start_s)
         for i in range(1, len(blocks))
     ]
     best = max(found, key=lambda f: f.evidence)
@@ -299,13 +362,14 @@ def _effect(shift: Array, x: Array, frames: int) -> float:
     return sqrt(max(float(x @ shift @ x), 0.0) / frames)
 
 
-def _verdict(findings: list[Finding], claimed_m: float, claimed_rad: float, scale2: float, chi2: float) -> str:
-    """Return the verdict; chi2: per degree of freedom, which shows a fault that acts where the poses are sharp."""
-    worst = "doubtful" if scale2 > VERY_NOISY**2 or (findings and chi2 > UNMISTAKABLE) else "ok"
-    for found in findings:
-        by_m, by_rad = found.effect_m / claimed_m, found.effect_rad / claimed_rad
-        if (by_m > INCONSISTENT and found.effect_m > INCONSISTENT_M) or (
-            by_rad > INCONSISTENT and found.effect_rad > INCONSISTENT_RAD
+def _verdict(found: Consistency) -> str:
+    """Return the verdict; chi-square shows a fault that acts where the poses are sharp."""
+    noisy = found.noise_scale > VERY_NOISY and not found.as_calibrated
+    worst = "doubtful" if noisy or (found.findings and found.chi2_per_dof > UNMISTAKABLE) else "ok"
+    for f in found.findings[: found.equal]:
+        by_m, by_rad = f.effect_m / found.claimed_m, f.effect_rad / found.claimed_rad
+        if (by_m > INCONSISTENT and f.effect_m > INCONSISTENT_M) or (
+            by_rad > INCONSISTENT and f.effect_rad > INCONSISTENT_RAD
         ):
             return "inconsistent"
         if max(by_m, by_rad) > DOUBTFUL:

@@ -11,8 +11,14 @@ from armsight.units import DEG, MM
 SHOWN = {"1": (100.0, " %"), "m": (1.0 / MM, " mm"), "rad": (1.0 / DEG, "°"), "s": (1e3, " ms")}
 """How people read each unit: factor and sign."""
 
+FLAT_BOARD = "For less, glue the board on a flat plate and measure its print with a calliper"
+
 ONE_SIGNED = ("scale", "timing")
 """Causes of one number, whose sign means something."""
+
+
+AXES = {f"about_{a}_rad": f"about its {a} axis" for a in "xyz"} | {f"{a}_m": f"along {a}" for a in "xyz"}
+"""Which number of a vector is told, by its label."""
 
 
 def sentence(found: Consistency) -> str:
@@ -32,6 +38,8 @@ def sentence(found: Consistency) -> str:
 
 def advice(found: Consistency) -> str:
     """Return what to do about it; empty where there is nothing to do."""
+    if found.as_calibrated and found.noise_scale > VERY_NOISY and not found.findings:
+        return f"{FLAT_BOARD}, then {RECALIBRATE}."
     if found.verdict in ("ok", "unchecked"):
         return ""
     if not found.findings:
@@ -49,13 +57,14 @@ def advice(found: Consistency) -> str:
 
 def _what(f: Finding) -> str:
     """Return the cause with its size: 'the target's scale against the baseline is off by 1.02 +- 0.03 %'."""
-    if not f.cause.unit:
+    if not (f.cause.unit and f.quotable):
         return f.cause.words
-    factor, sign = SHOWN[f.cause.unit]
+    factor, sign = SHOWN[f.unit]
     if f.cause.key == "distortion":
         factor, sign = 1.0, " in k1"
     value = f.size if f.cause.key in ONE_SIGNED else abs(f.size)
     size = _figures(factor * value, factor * f.std, sign)
+    size += f" {AXES[f.label]}" if f.label in AXES else ""
     if f.cause.key == "timing":
         later = "later" if f.size > 0.0 else "earlier"
         return (
@@ -89,6 +98,12 @@ def _plain(value: float) -> str:
 def _noise(found: Consistency) -> str:
     if found.verdict == "unchecked" or found.noise_scale < NOISY:
         return ""
+    if found.as_calibrated:
+        return (
+            f"The residuals, {found.residual_px:.3f} px, are those that the rig was calibrated with "
+            f"({found.calibration_px:.3f} px) and {found.noise_scale:.1f} times the noise of the points found: "
+            "the board's print and flatness or the lenses, not this recording; the poses' standard deviations are widened by it."
+        )
     text = f"The residuals are {found.noise_scale:.1f} times the spots' noise, without a pattern"
     much = ": more than a camera's noise explains" if found.noise_scale > VERY_NOISY else ""
     return f"{text}{much}; the poses' standard deviations are widened by it."

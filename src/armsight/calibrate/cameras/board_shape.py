@@ -1,0 +1,143 @@
+"""How far the board's own points are off, and what that adds to the doubt about the cameras.
+
+Print and flatness are the same in every view: more views do not average them away, and residuals taken as independent
+noise make a calibration surer than it is. The points' errors u (3 n numbers) are a Gaussian process over the board with
+one variance and one length, both by restricted likelihood (Harville 1977) beside the detector's noise; what the fit,
+which takes the board as exact, has made of them is T u with T from the normal equations, and T cov(u) T' joins the
+covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from armsight.calibrate.cameras.bundle_adjustment import BoardEquations, bundle_of, problem_of
+from armsight.calibrate.cameras.observations import Observations
+from armsight.fitting import Fit
+from armsight.fitting.normal import NormalEquations
+from armsight.records import NamedCovariance
+
+Array = NDArray[np.float64]
+
+LENGTHS = (0.0, 0.15, 1.0)
+"""Shares of the board's diagonal over which its errors go together: a printer's jitter, waves of paper, a bend."""
+RATIOS = np.geomspace(1e-4, 1e6, 81)
+"""Variance of the points as the views see it, over the detector's: all that is looked through."""
+BY_CHANCE = 1e-3
+"""The board is taken as it is said to be where noise looks as much unlike it this often."""
+STEP_M = 1e-6
+"""Step of the differences by the points' places: a thousandth of a pixel."""
+CLEAR = 1e-9
+"""Information of a direction, over the largest, below which it is none: where the board stands, and its size."""
+TOLD = 0.25
+"""Share of the residuals' variance that the board must make for it to be told."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardShape:
+    """covariance of the free parameters, with the board's share; std_m: of each coordinate of its points, 0 where none
+    shows; noise_px: RMS 2-D residual that the detector leaves, beside rms_px with the board in it."""
+
+    covariance: NamedCovariance
+    std_m: float = 0.0
+    noise_px: float = 0.0
+    rms_px: float = 0.0
+
+    @property
+    def advice(self) -> list[str]:
+        """What to do about the board, where it makes much of the residuals."""
+        if self.noise_px**2 > (1.0 - TOLD) * self.rms_px**2:
+            return []
+        return [
+            f"the board's points are off by {1e3 * self.std_m:.2f} mm (print, flatness): {self.rms_px:.3f} px of residual, "
+            f"of which the detector makes {self.noise_px:.3f}. The deviations allow for it; glue the board on a flat "
+            "plate, or have it made on one"
+        ]
+
+
+def board_shape(observations: Observations, fit: Fit, covariance: NamedCovariance) -> BoardShape:
+    """Return what the residuals say of the board; covariance: of the fit, its board taken as exact."""
+    n, names = len(observations.X), covariance.names
+    fixed = frozenset(fit.names) - frozenset(names)
+    problem = problem_of(observations, bundle_of(fit, observations.n_cameras), fixed)
+    free = np.array([fit.names.index(name) for name in names], dtype=np.intp)
+    normal = NormalEquations.build(problem, problem.evaluate(fit.shared, fit.local), fit.shared, free)
+    S, Ci = normal.reduced_system(), np.linalg.inv(normal.C)
+    shared, local, own, score = _slopes(observations, fit, free)
+    reduced = shared - np.einsum("gfl,glk,pgk->pf", normal.W, Ci, local)  # (3 n, F)
+    T = -np.linalg.solve(S, reduced.T)  # (F, 3 n)
+    N = own + reduced @ T - np.einsum("pgl,glk,qgk->pq", local, Ci, local)  # (3 n, 3 n)
+    best, likelihood = (0.0, 0.0, np.zeros((3 * n, 3 * n))), 0.0
+    plain = _profile(fit, np.zeros(0), np.zeros(0), 0.0)[0]
+    for length in LENGTHS:
+        K = _kernel(observations.X, length)
+        root = np.linalg.cholesky(K + 1e-9 * np.eye(len(K)))
+        values, vectors = np.linalg.eigh(root.T @ N @ root)
+        clear = values > CLEAR * values[-1]
+        z2 = (vectors[:, clear].T @ (root.T @ score)) ** 2 / values[clear]
+        each = [(*_profile(fit, values[clear], z2, ratio / values[-1]), ratio / values[-1]) for ratio in RATIOS]
+        found, noise2, ratio = max(each)
+        if found - plain > likelihood:
+            likelihood, best = found - plain, (noise2, ratio, K)
+    if 2.0 * likelihood < chdtri(1.0, BY_CHANCE):
+        return BoardShape(covariance=covariance)
+    noise2, ratio, K = best
+    matrix = noise2 / fit.scale**2 * covariance.matrix + noise2 * ratio * T @ K @ T.T
+    residual, seen = fit.residuals, observations.weight > 0.0
+    G, C, _ = observations.weight.shape
+    px2 = (residual.reshape(G, C, n, 2)[seen] ** 2).sum(axis=1) / observations.weight[seen] ** 2
+    return BoardShape(
+        covariance=NamedCovariance(names=names, matrix=0.5 * (matrix + matrix.T)),
+        std_m=float(np.sqrt(noise2 * ratio)),
+        noise_px=float(np.sqrt(2.0 * noise2 / np.mean(observations.weight[seen] ** 2))),
+        rms_px=float(np.sqrt(px2.mean())),
+    )
+
+
+def _slopes(observations: Observations, fit: Fit, free: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
+    """Return how gradients follow each coordinate of the points: shared (3 n, F), local (3 n, G, L).
+
+    And the points' own normal equations (3 n, 3 n) and (3 n,).
+    """
+    n, (G, L) = len(observations.X), fit.local.shape
+    shared, local = np.empty((3 * n, len(free))), np.empty((3 * n, G, L))
+    own, score = np.zeros((3 * n, 3 * n)), np.empty(3 * n)
+    for i in range(n):
+        one = replace(
+            observations,
+            X=observations.X[[i]],
+            uv=np.ascontiguousarray(observations.uv[:, :, [i]]),
+            weight=np.ascontiguousarray(observations.weight[:, :, [i]]),
+        )
+        at = [
+            BoardEquations(replace(one, X=one.X + step)).evaluate(fit.shared, fit.local)
+            for step in (np.zeros(3), *(STEP_M * np.eye(3)))
+        ]
+        here = at[0].condensed
+        J = np.stack([(e.residuals - at[0].residuals).ravel() / STEP_M for e in at[1:]])  # (3, R)
+        part = slice(3 * i, 3 * i + 3)
+        own[part, part], score[part] = J @ J.T, J @ at[0].residuals.ravel()
+        for a, e in enumerate(at[1:]):
+            shared[3 * i + a] = (e.condensed.b - here.b)[free] / STEP_M
+            local[3 * i + a] = (e.condensed.c - here.c) / STEP_M
+    return shared, local, own, score
+
+
+def _kernel(X: Array, length: float) -> Array:
+    """Return the points' correlations (3 n, 3 n): alike along each axis, none between axes."""
+    if length == 0.0:
+        return np.eye(3 * len(X))
+    reach = length * float(np.linalg.norm(np.ptp(X, axis=0)))
+    apart = np.linalg.norm(X[:, None] - X[None], axis=2)
+    return np.kron(np.exp(-apart / reach), np.eye(3))
+
+
+def _profile(fit: Fit, values: Array, z2: Array, ratio: float) -> tuple[float, float]:
+    """Return log likelihood and the noise's variance that it is largest at, for a ratio of the points' to it."""
+    grown = 1.0 + values * ratio
+    noise2 = (2.0 * fit.cost - float((z2 - z2 / grown).sum())) / fit.dof
+    return -0.5 * float(np.log(grown).sum()) - 0.5 * fit.dof * float(np.log(noise2)), noise2
