@@ -33,6 +33,7 @@ from armsight.cli.options import (
     Seed,
     Strict,
     Threshold,
+    quantity,
 )
 from armsight.cli.path import path
 from armsight.cli.play import play
@@ -292,7 +293,7 @@ def simulate(
 def doctor(
     rig: Annotated[Path | None, typer.Option(help="Tell what this rig can tell apart at distances.")] = None,
     depth: Annotated[
-        list[float] | None, typer.Option(min=1e-6, help="Distance in m for the rig's table; may be repeated.")
+        list[float] | None, typer.Option(help="Distance for the rig's table; may be repeated.", **quantity("m", 1e-6))
     ] = None,
     sigma: Annotated[
         float | None, typer.Option(min=1e-6, help="Standard deviation of a spot's centre in px. [default: 0.1]")
