@@ -68,7 +68,7 @@ def _fitted(shape: Array, eye: Array, up: Array) -> tuple[Array, Array, float]:
     right /= np.linalg.norm(right)
     above = np.cross(right, ahead)
     corners = 0.5 * shape * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # (8, 3)
-    least, most = 0.0, distance / float(np.linalg.norm(shape))  # the box stays before the eye
+    least, most = 0.0, 1.3 * distance / float(np.linalg.norm(shape))  # the box stays before the eye
     center, wide = np.zeros(3), SIDE
     for _ in range(30):
         scale = 0.5 * (least + most)
