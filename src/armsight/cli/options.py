@@ -16,7 +16,10 @@ SRC = (
     "a folder of images, a quoted 'pattern*.png', a video, a recording.mcap, bag:FILE:/topic, or camera:0, "
     "camera:aravis:NAME"
 )
-BOARD = "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles: or charuco:8x5:0.04:0.03:DICT_4X4_50"
+BOARD = (
+    "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles:, "
+    "charuco:8x5:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3 or a file: target.yaml, Kalibr's aprilgrid.yaml"
+)
 KNOWN_ARM = "arm.yaml, .urdf or a known arm's name such as ur5e"
 
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
