@@ -38,6 +38,7 @@ from armsight.cli.options import (
 from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record
+from armsight.cli.report import report
 from armsight.cli.reproduce import reproduce
 from armsight.cli.result_folders import (
     ARM,
@@ -79,6 +80,7 @@ app.command()(identify)
 app.command()(keeps_results(*VERIFIED)(with_live(verify)))
 app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
 app.command()(join)
+app.command()(report)
 app.command()(keeps_results("compare.json", "report.html")(compare))
 app.command()(serve)
 app.command()(twin)

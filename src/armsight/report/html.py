@@ -8,6 +8,7 @@ import gzip
 import html
 import math
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -209,6 +210,18 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]], *, numbers: S
 def bullets(items: Sequence[str]) -> str:
     """Return a list of plain text."""
     return "<ul>" + "".join(f"<li>{text(item)}</li>" for item in items) + "</ul>"
+
+
+def add_recordings(page: Page, files: Sequence[str]) -> None:
+    """Tell how to look through recordings, picture by picture, on this machine."""
+    ways = [(f"{file}: rerun {shlex.quote(file)}", "or drop it on Foxglove's window (Ctrl-O there)") for file in files]
+    if ways:
+        page.add(
+            "Look through the recording",
+            "Pictures, spots and poses on one time line, to go through back and forth. Both programs read the file as "
+            "it is, where they are installed; nothing leaves this machine.",
+            bullets([", ".join(way) for way in ways]),
+        )
 
 
 def in_degrees(sentence: str) -> str:

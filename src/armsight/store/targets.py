@@ -178,6 +178,10 @@ def aprilgrid(columns: int, rows: int, tag_m: float, spacing: float) -> Target:
     return board_target(TargetKind.APRILGRID, columns, rows, pitch_m, marker_m=tag_m, dictionary=TAG_FAMILY)
 
 
+def _spacing(board: Target) -> float:
+    return round(board.pitch_m / board.marker_m - 1.0, SPACING_DIGITS)
+
+
 def _of_kalibr(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
     """Return Kalibr's description of an AprilGrid as target.yaml's structure; BadFile for its other targets."""
     if content["target_type"] != "aprilgrid":
@@ -272,13 +276,8 @@ def target_mapping(target: Target) -> dict[str, Any]:
     out: dict[str, Any] = {"kind": target.kind.value}
     if target.is_board:
         if target.kind is TargetKind.APRILGRID:
-            spacing = round(target.pitch_m / target.marker_m - 1.0, SPACING_DIGITS)
-            return out | {
-                "columns": target.columns,
-                "rows": target.rows,
-                "tag_m": target.marker_m,
-                "spacing": spacing,
-            }
+            size = {"columns": target.columns, "rows": target.rows, "tag_m": target.marker_m}
+            return out | size | {"spacing": _spacing(target)}
         squares = target.kind in (TargetKind.CHECKERBOARD, TargetKind.CHARUCO)
         out |= {"columns": target.columns, "rows": target.rows, "square_m" if squares else "pitch_m": target.pitch_m}
         if target.kind is TargetKind.CHARUCO:
@@ -383,8 +382,7 @@ def _charuco_of(text: str, columns: int, rows: int, square_m: float) -> Target:
 def board_text(board: Target) -> str:
     """Return a board in the form parse_board reads."""
     if board.kind is TargetKind.APRILGRID:
-        spacing = round(board.pitch_m / board.marker_m - 1.0, SPACING_DIGITS)
-        return f"aprilgrid:{board.columns}x{board.rows}:{board.marker_m!r}:{spacing!r}"
+        return f"aprilgrid:{board.columns}x{board.rows}:{board.marker_m!r}:{_spacing(board)!r}"
     text = f"{board.kind.value}:{board.columns}x{board.rows}:{board.pitch_m!r}"
     return f"{text}:{board.marker_m!r}:{board.dictionary}" if board.kind is TargetKind.CHARUCO else text
 
