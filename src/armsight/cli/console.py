@@ -57,7 +57,7 @@ def console(
         from armsight.server.waiting import waiting_page
 
         page = stack.enter_context(waiting_page(bind, port, texts.TITLE, secure=tls_cert is not None))
-        page.step(texts.STARTING["load"])
+        page.step(texts.OPENING["load"])
 
         from armsight.server.web_server import ServeOptions, check_options
 
@@ -86,7 +86,7 @@ def _without_robot(
     with one_console(folder):
         made = Console.of_folder(folder)
         try:
-            page.step(texts.STARTING["measure"])
+            page.step(texts.OPENING["measure"])
             _tell_refusal(face, made.begin(changed))
             server = FastAPI()
             add_console(server, made)
@@ -119,7 +119,7 @@ def serve_cell(
         if not changed:
             prepare_simulated(robot, folder)
         face.say(f"{robot} is being opened")
-        page.step(texts.STARTING["robot"].format(robot=robot))
+        page.step(texts.OPENING["robot"].format(robot=robot))
         cell = stack.enter_context(open_robot_cell(robot, folder))
         if cancelled():
             raise Cancelled("stopped before the page was served")
@@ -128,7 +128,7 @@ def serve_cell(
             face.say(f"Note: {cell.service.outside}.")
         made = Console.of_folder(folder, cell)
         try:
-            page.step(texts.STARTING["measure"])
+            page.step(texts.OPENING["measure"])
             _tell_refusal(face, made.begin(changed, robot=robot))
             server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)

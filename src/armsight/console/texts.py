@@ -80,7 +80,7 @@ COMPLEX_HELP = (
     "Left view (L): rings, blue lines. Right view (R): diamonds, pink lines. Squares: bright spots of neither."
 )
 VIEW_MARKS = {"left": "L", "right": "R"}
-STARTING = {
+OPENING = {
     "load": "The program is being loaded. After an update this takes a minute once.",
     "robot": "The robot {robot} is being opened.",
     "measure": "The cameras are being opened, and measuring begins.",
