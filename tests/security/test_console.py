@@ -28,7 +28,8 @@ from armsight.server.auth import COOKIE, Authenticator
 from armsight.server.connections import Connections
 from armsight.server.gate import Gate
 from armsight.server.serving import background
-from armsight.server.web_server import ServeOptions, listening, web_server
+from armsight.server.waiting import listening
+from armsight.server.web_server import ServeOptions, web_server
 from armsight.store.tokens import add_token, read_tokens
 
 WAIT_S = 20.0

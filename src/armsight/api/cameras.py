@@ -171,7 +171,7 @@ def calibrate_camera(
         uint8 arrays (h, w) or (h, w, 3), paths, or a folder; ten or more, the board tilted differently in each.
     board
         'checkerboard:9x6:0.025' (inner corners, side of a square in m), 'circles:CxR:PITCH', 'acircles:CxR:PITCH',
-        'charuco:CxR:SQUARE:MARKER:DICTIONARY', or a Target.
+        'charuco:CxR:SQUARE:MARKER:DICTIONARY', 'aprilgrid:CxR:TAG:SPACING', a file (Kalibr's too), or a Target.
     options
         What is held fixed, the kind of lens, and how outliers are rejected.
     detector

@@ -23,6 +23,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.tracks import PoseTrack
+from armsight.app.kinematics import load_arm
 from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
@@ -197,6 +198,11 @@ class Given:
 def _as_bytes(value: Any) -> Any:
     """Return a mask of truth values as an image."""
     return value.astype(np.uint8) * 255 if getattr(value, "dtype", None) == np.bool_ else value
+
+
+def as_arm(name: str, value: ArmLike) -> Arm:
+    """Return an arm, the arm of a file, or the one known by that name. Raises UsageError, BadFile."""
+    return value if isinstance(value, Arm) else load_arm(as_text(name, value, Arm))
 
 
 def as_text(name: str, value: object, *more: type) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from armsight.api.arrays import Array, Poses, as_poses, as_rotations
 from armsight.api.checks import speaks_python
+from armsight.api.given import ArmLike, as_arm
 from armsight.api.results import Result, Row, error_figure, pose_rows
 from armsight.app.calibrate.arm import arm_output, in_view, world_of, world_output
 from armsight.calibrate.arm import (
@@ -99,7 +100,7 @@ class ArmResult(Result):
 
 @speaks_python
 def calibrate_arm(
-    nominal: Arm,
+    nominal: ArmLike,
     q: ArrayLike,
     xyz_m: ArrayLike,
     *,
@@ -115,7 +116,7 @@ def calibrate_arm(
     Parameters
     ----------
     nominal
-        The arm as its data sheet says.
+        The arm as its data sheet says: an Arm, its file, or a known arm's name.
     q
         (m, n) joint readings in rad and m.
     xyz_m
@@ -146,19 +147,19 @@ def calibrate_arm(
     >>> armsight.calibrate_arm(arm, q, arm.fk(q)[:, :3, 3] + noise).gain
     False
     """
-    require_kind("nominal", nominal, Arm, cure="Give an Arm: read_arm(path), or presets.ur10()")
+    model = as_arm("nominal", nominal)
     require_kind("scale", scale, bool)
     for name, value in (("tolerance_m", tolerance_m), ("tolerance_rad", tolerance_rad)):
         require_number(name, value)
-    points = _points(nominal, q, xyz_m, rotation, point)
+    points = _points(model, q, xyz_m, rotation, point)
     held = None
     if holdout is not None:
         require_kind("holdout", holdout, tuple, cure="Give (q, xyz_m)")
         if len(holdout) != 2:
             raise UsageError(f"holdout has {len(holdout)} entries", cure="Give (q, xyz_m)")
-        held = _points(nominal, *holdout)
+        held = _points(model, *holdout)
     tolerance = Tolerance(length_m=tolerance_m, angle_rad=tolerance_rad)
-    done = solve_arm(nominal, points, holdout=held, tolerance=tolerance, scale=scale)
+    done = solve_arm(model, points, holdout=held, tolerance=tolerance, scale=scale)
     return ArmResult(detail=done, points=points)
 
 
@@ -214,13 +215,15 @@ class RobotWorldResult(Result):
         return error_figure(self.title, np.abs(self.detail.residual_m))
 
 
-def calibrate_robot_world(arm: Arm, q: ArrayLike, xyz_m: ArrayLike, *, point: Sequence[str] = ()) -> RobotWorldResult:
+def calibrate_robot_world(
+    arm: ArmLike, q: ArrayLike, xyz_m: ArrayLike, *, point: Sequence[str] = ()
+) -> RobotWorldResult:
     """Return where a rig stands to the arm's base, from points on the tool that it observed.
 
     Parameters
     ----------
     arm
-        Its tool is the beacon.
+        As calibrate_arm takes it; its tool is the beacon.
     q
         (m, n) joint readings in rad and m.
     xyz_m
@@ -238,8 +241,8 @@ def calibrate_robot_world(arm: Arm, q: ArrayLike, xyz_m: ArrayLike, *, point: Se
     >>> arm = armsight.presets.ur10()
     >>> q = np.random.default_rng(2).uniform(-1.5, 1.5, (20, 6))
     >>> seen = arm.fk(q)[:, :3, 3] - [0.0, 0.0, 1.0]
-    >>> armsight.calibrate_robot_world(arm, q, seen).T_base_rig[:3, 3].round(6).tolist()
+    >>> armsight.calibrate_robot_world("ur10", q, seen).T_base_rig[:3, 3].round(6).tolist()
     [0.0, 0.0, 1.0]
     """
-    require_kind("arm", arm, Arm, cure="Give an Arm: read_arm(path), or presets.ur10()")
-    return RobotWorldResult(detail=calibrate_world(arm, _points(arm, q, xyz_m, None, point)))
+    model = as_arm("arm", arm)
+    return RobotWorldResult(detail=calibrate_world(model, _points(model, q, xyz_m, None, point)))

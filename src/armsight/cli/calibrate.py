@@ -10,7 +10,7 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import BOARD, SRC, AsJson, Bits, Board, Every, Limit, Strict, Workers
+from armsight.cli.options import BOARD, SRC, AsJson, Bits, Board, Every, Limit, Strict, Workers, quantity
 from armsight.cli.tables import camera_tables, noise_tables, stereo_tables, zoom_rig_tables, zoom_tables
 from armsight.errors import UsageError
 
@@ -58,9 +58,11 @@ def camera(
     ] = None,
     pupil: Annotated[
         float | None,
-        typer.Option(metavar="M", help="With --zoom: where the centre of projection stands along the axis, m forward."),
+        typer.Option(
+            help="With --zoom: where the centre of projection stands along the axis, forward.", **quantity("m")
+        ),
     ] = None,
-    pupil_std: Annotated[float, typer.Option(metavar="M", min=0.0, help="Its standard deviation, m.")] = 0.0,
+    pupil_std: Annotated[float, typer.Option(help="Its standard deviation.", **quantity("m", 0.0))] = 0.0,
     set_zoom: Annotated[bool, typer.Option("--set-zoom", help="Set the live camera SRC to --zoom first.")] = False,
     every: Every = 1,
     frames: Limit = None,

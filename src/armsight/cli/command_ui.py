@@ -21,7 +21,7 @@ from unicodedata import category
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.table import Table
 
 from armsight._files import readable
@@ -213,33 +213,34 @@ class Bar:
 
     def _draw(self, label: str, done: float, total: float) -> None:
         if self._bar is None:
-            name, speed = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[rate]}")
-            columns = (name, BarColumn(), MofNCompleteColumn(), speed, TimeRemainingColumn())
+            name, pace = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[pace]}")
+            columns = (name, BarColumn(), MofNCompleteColumn(), pace)
             self._bar = Progress(*columns, console=self._console)
-            self._task = self._bar.add_task(label, total=total or None, rate="")
+            self._task = self._bar.add_task(label, total=total or None, pace="")
             self._bar.start()
         if self._task is not None:
-            rate = self._rate(done)
-            self._bar.update(
-                self._task, description=label, completed=done, total=total or None, rate=f"{rate:.1f}/s" if rate else ""
-            )
+            pace = self._pace(done, total)
+            self._bar.update(self._task, description=label, completed=done, total=total or None, pace=pace)
 
     def _line(self, label: str, done: float, total: float) -> None:
         now_s = time.monotonic()
-        finished = total > 0 and done >= total
+        finished = 0 < total <= done
         if now_s - self._told_s < LINE_EVERY_S and not finished and label == self._label:
             return
         self._label, self._told_s = label, now_s
         if not done:
             self._console.print(f"{label} ...", soft_wrap=True)
             return
+        count = f"{done:.0f} of {total:.0f}" if total else f"{done:.0f}"
+        told = [f"{label} {count}", self._pace(done, total)]
+        self._console.print(", ".join(filter(None, told)), soft_wrap=True)
+
+    def _pace(self, done: float, total: float) -> str:
         rate = self._rate(done)
-        text = f"{label} {done:.0f}" + (f" of {total:.0f}" if total else "")
-        if rate:
-            text += f", {rate:.1f} a second"
-        if rate and total and not finished:
-            text += f", {time_left((total - done) / rate)} left"
-        self._console.print(text, soft_wrap=True)
+        if not rate:
+            return ""
+        left = f", {time_left((total - done) / rate)} left" if done < total else ""
+        return f"{rate:.1f} a second{left}"
 
     def _rate(self, done: float) -> float:
         if self._first is None:

@@ -33,10 +33,12 @@ from armsight.cli.options import (
     Seed,
     Strict,
     Threshold,
+    quantity,
 )
 from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record
+from armsight.cli.report import report
 from armsight.cli.reproduce import reproduce
 from armsight.cli.result_folders import (
     ARM,
@@ -78,6 +80,7 @@ app.command()(identify)
 app.command()(keeps_results(*VERIFIED)(with_live(verify)))
 app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
 app.command()(join)
+app.command()(report)
 app.command()(keeps_results("compare.json", "report.html")(compare))
 app.command()(serve)
 app.command()(twin)
@@ -292,7 +295,7 @@ def simulate(
 def doctor(
     rig: Annotated[Path | None, typer.Option(help="Tell what this rig can tell apart at distances.")] = None,
     depth: Annotated[
-        list[float] | None, typer.Option(min=1e-6, help="Distance in m for the rig's table; may be repeated.")
+        list[float] | None, typer.Option(help="Distance for the rig's table; may be repeated.", **quantity("m", 1e-6))
     ] = None,
     sigma: Annotated[
         float | None, typer.Option(min=1e-6, help="Standard deviation of a spot's centre in px. [default: 0.1]")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson
+from armsight.cli.options import AsJson, quantity
 from armsight.cli.tables import figure
 from armsight.units import DEG, MM
 
@@ -21,7 +21,7 @@ def compare(
     ] = None,
     distance: Annotated[
         float | None,
-        typer.Option(min=0.01, metavar="M", help="Distance at which rigs are compared. [default: 8 baselines]"),
+        typer.Option(help="Distance at which rigs are compared. [default: 8 baselines]", **quantity("m", 0.01)),
     ] = None,
     json: AsJson = False,
 ) -> None:

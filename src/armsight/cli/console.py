@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC
 
 if TYPE_CHECKING:
+    from armsight.server.waiting import WaitingPage
     from armsight.server.web_server import ServeOptions
 
 PORT = 8080
@@ -50,7 +52,13 @@ def console(
     What is given here is kept in FOLDER/cell.yaml, as the page Settings shows it. A simulated robot brings its cell
     along where the folder holds none.
     """
-    with CommandUI(as_json=False, until_stopped=True) as face:
+    with CommandUI(as_json=False, until_stopped=True) as face, contextlib.ExitStack() as stack:
+        from armsight.console import texts
+        from armsight.server.waiting import waiting_page
+
+        page = stack.enter_context(waiting_page(bind, port, texts.TITLE, secure=tls_cert is not None))
+        page.step(texts.OPENING["load"])
+
         from armsight.server.web_server import ServeOptions, check_options
 
         at = {"bind": bind, "port": port, "stop_port": stop_port}
@@ -59,53 +67,59 @@ def console(
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
         if robot is None:
-            _without_robot(face, folder, changed, options)
+            _without_robot(face, folder, changed, options, page)
         else:
-            serve_cell(face, robot, folder, changed, options)
+            serve_cell(face, robot, folder, changed, options, page)
 
 
-def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
+def _without_robot(
+    face: CommandUI, folder: Path, changed: dict[str, Any], options: ServeOptions, page: WaitingPage
+) -> None:
     from fastapi import FastAPI
 
     from armsight.app.operator.one_console import one_console
+    from armsight.console import texts
     from armsight.console.application import add_console
     from armsight.console.state import Console
     from armsight.server.serving import serve_pages
-    from armsight.server.web_server import listening
 
-    with listening(options.bind, options.port) as listener, one_console(folder):
+    with one_console(folder):
         made = Console.of_folder(folder)
         try:
+            page.step(texts.OPENING["measure"])
             _tell_refusal(face, made.begin(changed))
             server = FastAPI()
             add_console(server, made)
-            serve_pages(server, options, listener, ready=lambda url: _say(face, url))
+            serve_pages(server, options, page.listener, ready=partial(_say, face, page=page))
         finally:
             made.close()
 
 
-def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
+def serve_cell(
+    face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions, page: WaitingPage
+) -> None:
     """Serve a robot with its pages, and with the interface for programs beside them, until Ctrl-C.
 
-    changed: entries of the cell's file. Raises what its files, the robot, the address and the disk refuse.
+    changed: entries of the cell's file. page: told what is done until the pages are there. Raises what its files, the
+    robot, the address and the disk refuse.
     """
     from armsight.app.operator.one_console import one_console
     from armsight.app.operator.robot_cell import open_robot_cell, prepare_simulated
+    from armsight.console import texts
     from armsight.console.application import add_console
     from armsight.console.state import Console
     from armsight.errors import Cancelled
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
     from armsight.server.serving import serve_pages
-    from armsight.server.web_server import listening
 
     cancelled = face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
-        listener = stack.enter_context(listening(options.bind, options.port))
         stack.enter_context(one_console(folder))
         if not changed:
             prepare_simulated(robot, folder)
         face.say(f"{robot} is being opened")
+        page.step(texts.OPENING["robot"].format(robot=robot))
         cell = stack.enter_context(open_robot_cell(robot, folder))
         if cancelled():
             raise Cancelled("stopped before the page was served")
@@ -114,10 +128,12 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
             face.say(f"Note: {cell.service.outside}.")
         made = Console.of_folder(folder, cell)
         try:
+            page.step(texts.OPENING["measure"])
             _tell_refusal(face, made.begin(changed, robot=robot))
             server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)
-            serve_pages(server, options, listener, ready=lambda url: _say(face, url), service=cell.service)
+            told = partial(_say, face, page=page)
+            serve_pages(server, options, page.listener, ready=told, service=cell.service)
         finally:
             made.close()
 
@@ -127,5 +143,6 @@ def _tell_refusal(face: CommandUI, refusal: str) -> None:
         face.say(f"Nothing is measured yet, the page Settings mends it: {refusal}")
 
 
-def _say(face: CommandUI, url: str) -> None:
+def _say(face: CommandUI, url: str, *, page: WaitingPage) -> None:
+    page.close()  # from here the server answers
     face.say(f"Open {url} in a browser; stop with Ctrl-C")

@@ -21,6 +21,7 @@ PANELS: Mapping[str, str] = {
     "kinematics": "Arms and files",
     "convert": "Arms and files",
     "join": "Arms and files",
+    "report": "Measure",
 }
 """Command -> panel; what is not named moves a robot or talks to one."""
 ROBOTS = "Robots"
@@ -63,6 +64,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight compare measured-monday measured-friday -o compared",
         "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
     ),
+    "report": ("armsight report measured --pdf", "armsight report rig.report.html --pdf -o rig.pdf"),
     "join": ("armsight join --measured poses.csv --joints joints.csv --arm arm.yaml --as points -o points.csv",),
     "teach": (
         f"armsight teach --robot sim:pachidis2005-circle {RIG} --handeye handeye.yaml -o taught",

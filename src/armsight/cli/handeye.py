@@ -9,7 +9,7 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import BOARD, SRC, AsJson, Bits, Strict, Workers
+from armsight.cli.options import BOARD, SRC, AsJson, Bits, Quantity, Strict, Workers, quantity
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
@@ -91,9 +91,11 @@ def _setup(name: str) -> Setup:
 def tooltip(
     poses: Annotated[Path, typer.Option(help="poses.csv of the target (or flange) while the tool pivots on a point.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="tip.yaml to write.")],
-    point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m, if it was measured.")] = None,
+    point: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="The point, m or with units (200mm), if it was measured.")
+    ] = None,
     point_sigma: Annotated[
-        float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
+        float, typer.Option(help="Standard deviation of one coordinate of the measured point.", **quantity("m", 1e-9))
     ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
@@ -121,17 +123,18 @@ def pivot(
     out: Annotated[Path, typer.Option("-o", "--out", help="tip.yaml to write.")],
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
     goal: Annotated[
-        float, typer.Option(min=1e-6, help="Stop where the tip is known so well (m, one standard deviation).")
+        float, typer.Option(help="Stop where the tip is known so well (one standard deviation).", **quantity("m", 1e-6))
     ] = 1e-4,
-    point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m in rig axes, if measured.")] = None,
+    point: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="The point in rig axes, m or with units (200mm), if measured.")
+    ] = None,
     point_sigma: Annotated[
-        float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
+        float, typer.Option(help="Standard deviation of one coordinate of the measured point.", **quantity("m", 1e-9))
     ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
     camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
-    """Find a tool's tip while you pivot it before the cameras; tells its standard deviation until it is small
-    enough."""
+    """Find a tool's tip while you pivot it before the cameras; ends when it is known well enough."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.pivot import PivotJob, run_pivot
 
@@ -203,7 +206,7 @@ def _point(text: str | None) -> tuple[float, float, float] | None:
     if text is None:
         return None
     try:
-        x, y, z = (float(cell) for cell in text.split(","))
+        x, y, z = (Quantity("m")(cell) for cell in text.split(","))
     except ValueError:
         raise UsageError(f"the point {text!r} is not X,Y,Z", cure="Write for instance 0.2,1.25,0.08, in m") from None
     return x, y, z

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from armsight.errors import UsageError
+from armsight.units import read_value
 
 SRC = (
     "a folder of images, a quoted 'pattern*.png', a video, a recording.mcap, bag:FILE:/topic, or camera:0, "
     "camera:aravis:NAME"
 )
-BOARD = "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles: or charuco:8x5:0.04:0.03:DICT_4X4_50"
+BOARD = (
+    "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles:, "
+    "charuco:8x5:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3 or a file: target.yaml, Kalibr's aprilgrid.yaml"
+)
 KNOWN_ARM = "arm.yaml, .urdf or a known arm's name such as ur5e"
 
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
@@ -46,6 +51,44 @@ Tip: TypeAlias = Annotated[
 Base: TypeAlias = Annotated[
     str | None, typer.Option("--base", metavar="LINK", help="Of a URDF: the arm's base link. [default: the root]")
 ]
+
+
+MOST = {"m": 20.0, "m/s": 20.0, "rad or m": 2.0 * math.pi}
+"""Largest number without a unit: cells are metres wide, joints turn once. What is beyond was meant in mm or degrees."""
+UNITS_OF = {"m": ("m", "mm"), "m/s": ("m/s", "mm/s"), "rad or m": ("rad", "deg", "m", "mm")}
+
+
+class Quantity:
+    """Reads an option in a unit, SI where none is written behind it; refuses what another was meant by."""
+
+    def __init__(self, unit: str, least: float = -math.inf) -> None:
+        self._unit, self._least = unit, least
+        self.__name__ = unit
+
+    def __call__(self, given: str | float) -> float:
+        """Return the number in SI; a default is one already. Raises typer.BadParameter, with the ways to write it."""
+        text = str(given)
+        units = UNITS_OF[self._unit]
+        try:
+            value, unit = read_value(text)
+        except ValueError:
+            raise typer.BadParameter(
+                f"{text!r} is no number of {self._unit}; its units are {', '.join(units)}"
+            ) from None
+        if unit and unit not in units:
+            raise typer.BadParameter(f"{text!r} is not in {' or '.join(units)}")
+        if not unit and abs(value) > MOST[self._unit]:
+            raise typer.BadParameter(
+                f"{text} {self._unit} cannot be meant: write {' or '.join(text + unit for unit in units)}"
+            )
+        if not value >= self._least:
+            raise typer.BadParameter(f"{text} is less than {self._least:g} {self._unit}")
+        return value
+
+
+def quantity(unit: str, least: float = -math.inf) -> dict[str, Any]:
+    """Return what an option is given that takes a length (m), a speed (m/s) or a joint's way (rad or m)."""
+    return {"parser": Quantity(unit, least), "metavar": "|".join(UNITS_OF[unit]).upper()}
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.kinematics import ArmFile
-from armsight.cli.options import KNOWN_ARM, AsJson
+from armsight.cli.options import KNOWN_ARM, AsJson, quantity
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -236,8 +236,8 @@ def from_picks(
     out: Out,
     view: Annotated[str, typer.Option(help="The view that the picks are of: left or right.")] = "left",
     world: Annotated[Path | None, typer.Option(help="world.yaml. [default: the path is in the rig's axes]")] = None,
-    near: Annotated[float | None, typer.Option(help="Nearest depth, m. [default: 3 baselines]")] = None,
-    far: Annotated[float | None, typer.Option(help="Furthest depth, m. [default: 300 baselines]")] = None,
+    near: Annotated[float | None, typer.Option(help="Nearest depth. [default: 3 baselines]", **quantity("m"))] = None,
+    far: Annotated[float | None, typer.Option(help="Furthest depth. [default: 300 baselines]", **quantity("m"))] = None,
     step: Annotated[float, typer.Option("--step-px", help="Between points on an edge, px.")] = 10.0,
     patch: Annotated[int, typer.Option("--patch-px", help="Side of a patch, px.")] = 15,
     pick_std: Annotated[float, typer.Option("--pick-std-px", help="Standard deviation of a pick, px.")] = 0.5,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder
+from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder, quantity
 from armsight.cli.robot import RobotName
 from armsight.cli.servo import ARM, CAMERAS, DRAW_EVERY_S, LINE_EVERY_S
 from armsight.cli.tables import figure
@@ -46,17 +46,21 @@ def play(
         typer.Option(help="none, sine:AMPLITUDE:WAVELENGTH or zigzag:AMPLITUDE:WAVELENGTH, m.", rich_help_panel=WAY),
     ] = "none",
     path_speed: Annotated[
-        float, typer.Option(help="Speed along the path where it says none, m/s.", rich_help_panel=WAY)
+        float, typer.Option(help="Speed along the path where it says none.", rich_help_panel=WAY, **quantity("m/s"))
     ] = 0.01,
     blend: Annotated[
-        float, typer.Option(help="Length over which corners are rounded, m.", rich_help_panel=WAY)
+        float, typer.Option(help="Length over which corners are rounded.", rich_help_panel=WAY, **quantity("m"))
     ] = 0.003,
     approach_speed: Annotated[
-        float, typer.Option(help="Speed of the way to the path's start, m/s.", rich_help_panel=WAY)
+        float, typer.Option(help="Speed of the way to the path's start.", rich_help_panel=WAY, **quantity("m/s"))
     ] = 0.02,
     retract: Annotated[
         float,
-        typer.Option(help="The start is neared from so far before it along the tool's axis, m.", rich_help_panel=WAY),
+        typer.Option(
+            help="The start is neared from so far before it along the tool's axis.",
+            rich_help_panel=WAY,
+            **quantity("m"),
+        ),
     ] = 0.05,
     keep_rotation: Annotated[
         bool, typer.Option("--keep-rotation", help="The tool keeps the rotation it has.", rich_help_panel=WAY)
@@ -83,7 +87,9 @@ def play(
     exposure: Annotated[float | None, typer.Option(help="Exposure, s.", rich_help_panel=CAMERAS)] = None,
     stop_at: Annotated[
         float,
-        typer.Option(help="Stop where the tip is seen so far from where it was told, m.", rich_help_panel=CAMERAS),
+        typer.Option(
+            help="Stop where the tip is seen so far from where it was told.", rich_help_panel=CAMERAS, **quantity("m")
+        ),
     ] = 0.01,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
     json: AsJson = False,

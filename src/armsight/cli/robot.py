@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM, AsJson
+from armsight.cli.options import KNOWN_ARM, AsJson, quantity
 from armsight.errors import UsageError
 
 robot = typer.Typer(name="robot", help="Test the link to a robot, and move one of its joints.", no_args_is_help=True)
@@ -54,7 +54,7 @@ def test(
 def jog(
     robot: RobotName,
     joint: Annotated[int | None, typer.Option(help="Which joint, from 1.")] = None,
-    by: Annotated[float | None, typer.Option(help="How far, in rad or m.")] = None,
+    by: Annotated[float | None, typer.Option(help="How far.", **quantity("rad or m"))] = None,
     hand: Annotated[
         str | None,
         typer.Option("--with", metavar="keyboard|gamepad", help="Move by hand, while a key or the enable is held."),

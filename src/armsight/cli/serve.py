@@ -102,7 +102,9 @@ def serve(
 def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions, own: dict[str, object]) -> None:
     """Serve programs and the operator's pages with one loop, one right to drive, and the same tokens."""
     from armsight.cli.console import serve_cell
+    from armsight.console import texts
     from armsight.errors import UsageError
+    from armsight.server.waiting import waiting_page
     from armsight.server.web_server import check_options
 
     given = [f"--{name}" for name, value in own.items() if value is not None]
@@ -113,7 +115,8 @@ def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions
             cure=f"Name the files in {folder}/cell.yaml, or on the page Settings: they count from the next start on",
         )
     check_options(options)
-    serve_cell(face, robot, folder, {}, options)
+    with waiting_page(options.bind, options.port, texts.TITLE, secure=options.tls_cert is not None) as page:
+        serve_cell(face, robot, folder, {}, options, page)
 
 
 def _add_token(face: CommandUI, tokens: Path | None, text: str) -> None:

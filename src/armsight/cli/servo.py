@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder
+from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder, quantity
 from armsight.cli.robot import RobotName
 from armsight.cli.tables import figure
 from armsight.units import DEG, MM, MS
@@ -29,7 +29,9 @@ def servo(
     target: Annotated[Path, typer.Option(help="target.yaml of the lights that are followed.")],
     handeye: Annotated[Path, typer.Option(help="handeye.yaml: where the cameras are, on the flange or on the base.")],
     out: OutFolder,
-    distance: Annotated[float, typer.Option(help="How far along that axis the target is wanted, m.")] = 0.6,
+    distance: Annotated[
+        float, typer.Option(help="How far along that axis the target is wanted.", **quantity("m"))
+    ] = 0.6,
     at: Annotated[str, typer.Option(help="Whose axis the target is wanted on: camera or tool.")] = "camera",
     gain: Annotated[
         float | None, typer.Option(help="Gain in 1/s. [default: the largest without overshoot at the measured delay]")
@@ -85,7 +87,7 @@ def servo(
             rich_help_panel=SIMULATED,
         ),
     ] = None,
-    hand_speed: Annotated[float, typer.Option(help="How fast, m/s.", rich_help_panel=SIMULATED)] = 0.05,
+    hand_speed: Annotated[float, typer.Option(help="How fast.", rich_help_panel=SIMULATED, **quantity("m/s"))] = 0.05,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
     json: AsJson = False,
 ) -> None:

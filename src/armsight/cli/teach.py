@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder
+from armsight.cli.options import KNOWN_ARM, AsJson, OutFolder, quantity
 from armsight.cli.servo import ARM, CAMERAS, SIMULATED, ServoLine, servo_tables
 from armsight.errors import UsageError
 from armsight.units import MM
@@ -47,7 +47,8 @@ def teach(
     every: Annotated[int, typer.Option(help="Frames per pose of the path.")] = 1,
     mean: Annotated[bool, typer.Option("--mean", help="A pose is the mean of its frames, not the last one.")] = False,
     path_speed: Annotated[
-        float | None, typer.Option(help="Speed to be run at, m/s, written into the path. [default: left open]")
+        float | None,
+        typer.Option(help="Speed to be run at, written into the path. [default: left open]", **quantity("m/s")),
     ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Record nothing until the space key.")] = False,
     seconds: Annotated[float | None, typer.Option(help="End after so long. [default: Ctrl-C]")] = None,
@@ -65,7 +66,7 @@ def teach(
     ] = 0.03,
     exposure: Annotated[float | None, typer.Option(help="Exposure, s.", rich_help_panel=CAMERAS)] = None,
     distance: Annotated[
-        float, typer.Option(help="How far along that axis the target is kept, m.", rich_help_panel=ARM)
+        float, typer.Option(help="How far along that axis the target is kept.", rich_help_panel=ARM, **quantity("m"))
     ] = 0.6,
     at: Annotated[str, typer.Option(help="Whose axis: camera or tool.", rich_help_panel=ARM)] = "camera",
     gain: Annotated[float | None, typer.Option(help="Gain in 1/s. [default: as servo]", rich_help_panel=ARM)] = None,
@@ -84,7 +85,7 @@ def teach(
         str | None,
         typer.Option(help="How the target is led: still, circle, trapezium, random.", rich_help_panel=SIMULATED),
     ] = None,
-    hand_speed: Annotated[float, typer.Option(help="How fast, m/s.", rich_help_panel=SIMULATED)] = 0.05,
+    hand_speed: Annotated[float, typer.Option(help="How fast.", rich_help_panel=SIMULATED, **quantity("m/s"))] = 0.05,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
     json: AsJson = False,
 ) -> None:

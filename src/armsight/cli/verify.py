@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM, AsJson, Base, OutFolder, Tip
+from armsight.cli.options import KNOWN_ARM, AsJson, Base, OutFolder, Tip, quantity
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
@@ -53,18 +53,21 @@ def verify(
     band: Annotated[
         float | None,
         typer.Option(
-            metavar="M",
             help="For rows with a column arrival: the limit band that the arm settles into. [default: the pose "
             "repeatability of the same pose]",
+            **quantity("m"),
         ),
     ] = None,
     plan: Annotated[
         bool, typer.Option("--plan", help="Instead of verifying, plan the test of ISO 9283 for --arm.")
     ] = False,
     side: Annotated[
-        float | None, typer.Option(metavar="M", help="With --plan: the cube's side. [default: the largest that fits]")
+        float | None,
+        typer.Option(help="With --plan: the cube's side. [default: the largest that fits]", **quantity("m")),
     ] = None,
-    speed: Annotated[float | None, typer.Option(metavar="M/S", help="With --plan: the speed along the paths.")] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="With --plan: the speed along the paths.", **quantity("m/s"))
+    ] = None,
     tip: Tip = None,
     base: Base = None,
     json: AsJson = False,

@@ -88,7 +88,10 @@ MASTERING_OPTIONS: dict[str, tuple[Any, Any]] = {
         Annotated[
             str | None,
             _option(
-                "--around", panel=MASTERING, metavar="Q1,..,QN", help="Propose poses about these joints, rad or m."
+                "--around",
+                panel=MASTERING,
+                metavar="Q1,..,QN",
+                help="Propose poses about these joints, rad or m (or 90deg).",
             ),
         ],
         None,

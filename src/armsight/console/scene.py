@@ -1,4 +1,4 @@
-"""The cell in three dimensions: arm, cameras, target, where it was, and a path."""
+"""The cell in three dimensions: arm, cameras, target, where both were, and a path."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ SCENE_PX = 420
 SCENE_HZ = 8
 """Drawings a second: more would slow a tablet's other work, of which the enable is the first."""
 TRACK = 600
-"""Points of the track shown."""
+"""Points of each track shown."""
+APART_M = 5e-4
+"""The arm's tool has gone on where it is so far from its track's end: an arm at rest draws no more."""
 LIGHT_M, SMALL_M = 0.008, 0.03
 """Radius of a light; size of a target below which the names of its lights would hide it."""
 BONE_M, JOINT_M = 0.03, 0.042
@@ -49,7 +51,9 @@ COLOURS = {
     "arm": "#8a97a3",
     "joint": "#46515c",
     "uncertainty": "#E69F00",
+    "robot": "#14181c",
 }
+RGB_ROBOT = [int(COLOURS["robot"][k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
 FIT_COLOURS = ("#0072B2", "#7a4fb5", "#00775a", "#8a5a00", "#a0306e", "#14181c")
 """Of joints' sweeps and axes; each has its number beside it."""
 POINT = "place-"
@@ -79,6 +83,7 @@ class Scene:
             self._arm = None  # where the arm stands before these cameras is not known yet
         self._T_scene_rig = UPRIGHT if placed is None else placed
         self._track: list[tuple[list[float], float]] = []
+        self._robot_track: list[list[float]] = []
         self.scale = 0.0
         made = ui.scene(height=SCENE_PX, grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked, fps=SCENE_HZ)
         with made.classes("w-full") as self._scene:
@@ -87,12 +92,18 @@ class Scene:
             self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
             self._cloud = self._scene.point_cloud([[0, 0, 0]], [[0, 0.6, 0.45]], point_size=0.006)
+            self._robot_cloud = self._scene.point_cloud([[0, 0, 0]], [RGB_ROBOT], point_size=0.005)
             self._path = self._scene.group()
             self._ellipsoid = self._scene.sphere(radius=1.0).material(COLOURS["uncertainty"], opacity=0.45)
         self._target.visible(False)
         self._ellipsoid.visible(False)
         self._look_on()
         self._show_arm(anew=True)
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether an arm is drawn, with where its tool was."""
+        return self._arm is not None
 
     def show(self, view: LiveView | None) -> None:
         """Put arm, carried cameras and target where they are; hide the target where it is not seen."""
@@ -109,10 +120,12 @@ class Scene:
         self._track = [*self._track[-TRACK:], (T_scene_target.translation.tolist(), std_m)]
 
     def show_track(self) -> tuple[float, float] | None:
-        """Draw the places where the target was, coloured by their standard deviation; return its least and greatest.
+        """Draw where the arm's tool was, and the target, coloured by its standard deviation; return these' ends.
 
         In m, the norm of those of x, y and z; None where nothing was seen, or no standard deviation is known.
         """
+        if self._robot_track:
+            self._robot_cloud.set_points(self._robot_track, [RGB_ROBOT] * len(self._robot_track))
         if not self._track:
             return None
         std_m = np.array([std for _, std in self._track])
@@ -187,6 +200,8 @@ class Scene:
         for (bone, joint), (begin, end) in zip(self._bones, pairwise(points), strict=True):
             _stretch(bone, begin, end)
             joint.move(*end.tolist())
+        if not self._robot_track or np.linalg.norm(points[-1] - self._robot_track[-1]) > APART_M:
+            self._robot_track = [*self._robot_track[-TRACK:], points[-1].tolist()]
         if self._console.cell.cameras == "carried":
             placed = rig_pose(self._console.folder, self._console.cell, self._arm, q)
             self._T_scene_rig = self._T_scene_rig if placed is None else placed

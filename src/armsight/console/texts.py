@@ -80,10 +80,18 @@ COMPLEX_HELP = (
     "Left view (L): rings, blue lines. Right view (R): diamonds, pink lines. Squares: bright spots of neither."
 )
 VIEW_MARKS = {"left": "L", "right": "R"}
+OPENING = {
+    "load": "The program is being loaded. After an update this takes a minute once.",
+    "robot": "The robot {robot} is being opened.",
+    "measure": "The cameras are being opened, and measuring begins.",
+}
+"""What is done before there are pages."""
 SCENE = "Cameras and target"
 SCENE_HELP = "Drag to turn the scene, wheel to come nearer."
 ELLIPSOID = "Ellipsoid: 1 σ of the position, drawn {scale:,.0f} times as large."
 TRACK = "Track: blue where known best (± {least:.3f} mm), orange where worst (± {most:.3f} mm)."
+ROBOT_TRACK = "Black: where the arm's tool was."
+TEACH_SCENE = f"Violet: the taught path. Blue to orange: where the target was measured. {ROBOT_TRACK}"
 POSE = "Where the target is"
 CURVES = "The last minute"
 AXES = ("x", "y", "z", "rx", "ry", "rz")

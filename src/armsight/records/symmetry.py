@@ -34,10 +34,10 @@ def symmetries(board: Target) -> tuple[Index, ...]:
     """Return the renumberings that leave the print unchanged, the identity first.
 
     A checkerboard's colours count: a 9x6 board (inner corners) has only the identity, an 8x6 one may be
-    half a turn off without a trace. ChArUco markers have names and lights are no print: only the identity.
+    half a turn off without a trace. Markers and tags have names and lights are no print: only the identity.
     """
     identity = np.arange(len(board.names), dtype=np.intp)
-    if board.kind in (TargetKind.CHARUCO, TargetKind.SPOTS):
+    if board.kind in (TargetKind.CHARUCO, TargetKind.APRILGRID, TargetKind.SPOTS):
         return (identity,)
     turns = grid_turns(board)
     if board.kind is TargetKind.CHECKERBOARD:

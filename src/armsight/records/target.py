@@ -23,6 +23,7 @@ class TargetKind(StrEnum):
     CIRCLES = "circles"
     ACIRCLES = "acircles"
     CHARUCO = "charuco"
+    APRILGRID = "aprilgrid"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,7 +55,8 @@ class Target(Saveable):
 
     names: of the points. xyz_m: (n, 3). For boards the points run row by row, the pattern in the plane
     z = 0, x along the columns, y along the rows, origin at the first point; columns and rows count inner
-    corners or circles. diameter_m: of a flat round light, where known. colour: of a beacon, where it is
+    corners or circles, of ChArUco boards squares, of AprilGrids tags. diameter_m: of a flat round light, where known.
+    colour: of a beacon, where it is
     found by colour. A beacon is a target with one spot. model_known is False where the spots' arrangement has not
     been measured: then names give only their labels, xyz_m is zeros, and the frame follows
     Pachidis eqs. (7)-(8). covariance: (3 n, 3 n) m^2 of the measured positions in the order of names, x y z each; None
@@ -155,10 +157,12 @@ def board_target(
     For ACIRCLES pitch_m is the distance between neighbours of one row's half step: point (row r, column c)
     is at x = (2 c + r mod 2) pitch, y = r pitch, as in OpenCV's asymmetric grid. For CHARUCO columns and
     rows count squares, as OpenCV does, and the points are the (columns-1) x (rows-1) inner corners.
+    For APRILGRID they count tags, pitch_m from tag to tag and marker_m wide, and the points are the tags' corners as
+    Kalibr numbers them: row by row from the lower left one of tag 0, y up.
     Raises Inconsistent for sizes that no board has.
     """
     if kind is TargetKind.SPOTS:
-        raise Inconsistent("a board is a checkerboard, circles, acircles or charuco")
+        raise Inconsistent("a board is a checkerboard, circles, acircles, charuco or aprilgrid")
     if columns < 2 or rows < 2 or not pitch_m > 0.0:
         raise Inconsistent(
             f"a board of {columns}x{rows} points {pitch_m} m apart cannot be",
@@ -166,9 +170,14 @@ def board_target(
         )
     check_metres(pitch_m, PITCH_M, "the board's points are apart by")
     n_columns, n_rows = (columns - 1, rows - 1) if kind is TargetKind.CHARUCO else (columns, rows)
+    if kind is TargetKind.APRILGRID:
+        n_columns, n_rows = 2 * columns, 2 * rows
     r, c = np.mgrid[0:n_rows, 0:n_columns]
-    x = 2 * c + r % 2 if kind is TargetKind.ACIRCLES else c
-    xyz = np.stack([x * pitch_m, r * pitch_m, np.zeros(r.shape)], axis=-1).reshape(-1, 3)
+    x = (2 * c + r % 2 if kind is TargetKind.ACIRCLES else c) * pitch_m
+    y = r * pitch_m
+    if kind is TargetKind.APRILGRID:
+        x, y = (k // 2 * pitch_m + k % 2 * marker_m for k in (c, r))
+    xyz = np.stack([x, y, np.zeros(r.shape)], axis=-1).reshape(-1, 3)
     return Target(
         kind=kind,
         names=tuple(f"r{i}c{j}" for i in range(n_rows) for j in range(n_columns)),

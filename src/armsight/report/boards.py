@@ -85,7 +85,6 @@ def boards_figure(views: BoardViews) -> Figure:
         data.append(line(pyramid(camera, T, CAMERA_SHARE * away), text(name), stroke, hoverinfo="name"))
     shape = layout(
         scene=scene_axes("base" if "base" in views.parent else "rig"),
-        margin={"l": 0, "r": 0, "t": 28, "b": 0},
         uirevision=1,
     )
     if len(views.cameras) > LISTED:

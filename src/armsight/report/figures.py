@@ -76,6 +76,7 @@ def axis(title: str = "", **more: Any) -> dict[str, Any]:
         "zerolinecolor": "#c9d3dc",
         "linecolor": "#c9d3dc",
         "showline": True,
+        "exponentformat": "power",
         "ticks": "outside",
         "ticklen": 3,
         "tickcolor": "#c9d3dc",

@@ -204,7 +204,7 @@ def scene_figure(result: HandEye) -> Figure:
         data.append(_dots(name, poses, colour))
         data += _axes(poses, AXIS_SHARE * size)
     scene = {"aspectmode": "data", **{f"{k}axis": {"title": {"text": f"{k}, m"}} for k in "xyz"}}
-    return Figure(data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}), height_px=560)
+    return Figure(data=data, layout=layout(scene=scene), height_px=560)
 
 
 def residual_figure(result: HandEye) -> Figure:
@@ -264,8 +264,8 @@ def turning_figure(result: HandEye) -> Figure:
                 "line": {"width": 5, "color": (INK, ORANGE, GREY)[k - 1]},
             }
         )
-    scene = {"aspectmode": "cube", **{f"{k}axis": {"title": {"text": f"about {k}, °"}} for k in "xyz"}}
-    return Figure(data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}), height_px=460)
+    scene = {"aspectmode": "data", **{f"{k}axis": {"title": {"text": f"about {k}, °"}} for k in "xyz"}}
+    return Figure(data=data, layout=layout(scene=scene), height_px=460)
 
 
 def _axes_told() -> str:

@@ -8,6 +8,7 @@ import gzip
 import html
 import math
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -42,10 +43,13 @@ section>p{margin:0 0 10px;color:var(--soft);max-width:85ch}
 .cards span{color:var(--soft);font-size:13px}
 .cards small{display:block;color:var(--soft);font-size:12px}
 .scroll{overflow-x:auto}
+.more{box-shadow:inset -14px 0 12px -14px var(--soft)}
+.more::before{content:"scroll sideways \2192";display:block;position:sticky;left:0;text-align:right;font-size:12px;
+color:var(--blue)}
 table{border-collapse:collapse;width:100%;font-size:14px;font-variant-numeric:tabular-nums}
 th,td{padding:6px 10px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top;overflow-wrap:break-word}
 th{color:var(--soft);font-weight:600;font-size:13px;overflow-wrap:normal}
-td.n,th.n{text-align:right;white-space:nowrap}
+td.n,th.n{text-align:right}td.n{white-space:nowrap}
 td.n~td:last-child:not(.n){min-width:24ch}
 tr:last-child td{border-bottom:0}
 .plot{width:100%}
@@ -65,7 +69,7 @@ td:last-child:not(.n){min-width:20ch}th:first-child,td:first-child{min-width:11c
 @media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
 table{font-size:11px}th{font-size:11px}th,td{padding:3px 5px}
 td.n~td:last-child:not(.n){min-width:12ch}
-.scroll{overflow:visible}tr{break-inside:avoid}
+.scroll{overflow:visible;box-shadow:none}.more::before{display:none}tr{break-inside:avoid}
 section{border:0;border-top:1px solid var(--line);border-radius:0;padding:12px 0}.modebar{display:none!important}}
 """
 
@@ -85,15 +89,18 @@ return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStre
 Promise.all([unpack('figures'),unpack('plotly')]).then(([source,code])=>{
 const dressed=()=>JSON.parse(dark.matches?source.replace(/#[0-9a-f]{6}|rgba\\([^)]*\\)/g,c=>DARK[c]||c):source);
 const away=f=>{const s=f.layout.scene,p=document.getElementById(f.id);if(!s)return;
-const k=Math.max(1,p.clientHeight/p.clientWidth),c=s.camera=s.camera||{};c.eye=c.eye||{x:1.25,y:1.25,z:1.25};
-for(const n of 'xyz')c.eye[n]*=k};
+p.style.height=Math.min(p.clientHeight,Math.max(p.clientWidth,300))+'px';
+const k=Math.max(1,(s.wide+0.35)*p.clientHeight/p.clientWidth),c=s.camera;if(!s.wide)return;
+for(const n of 'xyz')c.eye[n]=c.center[n]+k*(c.eye[n]-c.center[n])};
 const draw=()=>{for(const f of dressed()){away(f);
 Plotly.react(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'});
 if(f.layout.scene){const p=document.getElementById(f.id);p.removeAllListeners('plotly_restyle');
 p.on('plotly_restyle',()=>Plotly.relayout(p,{'scene.aspectmode':'data','scene.xaxis.autorange':true,
 'scene.yaxis.autorange':true,'scene.zaxis.autorange':true}))}}};
+const cue=()=>{for(const s of document.querySelectorAll('.scroll'))s.classList.toggle('more',
+s.scrollWidth>s.clientWidth+1)};
 const fit=()=>{for(const f of dressed()){Plotly.Plots.resize(f.id)}};
-(0,eval)(code);draw();dark.addEventListener('change',draw);
+(0,eval)(code);draw();cue();addEventListener('resize',cue);dark.addEventListener('change',draw);
 addEventListener('beforeprint',fit);addEventListener('afterprint',fit);document.documentElement.dataset.drawn='yes'});
 """
 
@@ -109,8 +116,8 @@ def _base64(packed: bytes) -> str:
 
 
 def text(value: object) -> str:
-    """Return value as HTML text, safe in elements and in quoted attributes."""
-    return html.escape(str(value), quote=True)
+    """Return value as HTML text, safe in elements and in quoted attributes, with the sign that a page has for +-."""
+    return html.escape(re.sub(r"\+- ?(?=\d)", "± ", str(value)), quote=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +159,8 @@ class Page:
         """Take a figure; return its place in the page."""
         name = f"figure{len(self._figures) + 1}"
         shape = dict(figure.layout)
+        if "scene" in shape:
+            shape["margin"] = {"l": 0, "r": 0, "t": 28, "b": 0}  # its axes stand inside
         if shape.get("scene", {}).get("aspectmode") == "data":
             shape["scene"] = fitted_scene(shape["scene"], figure.data)
         self._figures.append({"id": name, "data": figure.data, "layout": shape})
@@ -203,16 +212,32 @@ def bullets(items: Sequence[str]) -> str:
     return "<ul>" + "".join(f"<li>{text(item)}</li>" for item in items) + "</ul>"
 
 
+def add_recordings(page: Page, files: Sequence[str]) -> None:
+    """Tell how to look through recordings, picture by picture, on this machine."""
+    ways = [(f"{file}: rerun {shlex.quote(file)}", "or drop it on Foxglove's window (Ctrl-O there)") for file in files]
+    if ways:
+        page.add(
+            "Look through the recording",
+            "Pictures, spots and poses on one time line, to go through back and forth. Both programs read the file as "
+            "it is, where they are installed; nothing leaves this machine.",
+            bullets([", ".join(way) for way in ways]),
+        )
+
+
 def in_degrees(sentence: str) -> str:
     """Return a sentence of the command line with the signs that a page has everywhere."""
-    return re.sub(r"(?<=\d) deg\b", "°", sentence).replace("+-", "±")
+    return re.sub(r"(?<=\d) deg\b", "°", sentence)
+
+
+NOTHING = 1e-9
+"""Below this no figure of a page says anything, in mm, degrees or px: 64-bit numbers are no finer, light less so."""
 
 
 def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
     """Return a number for people with so many significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):
         return "–"
-    if value == 0.0:
+    if abs(value) < NOTHING:
         shown = "0"
     elif 1e-4 <= abs(value) < 1e7:
         decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
@@ -222,11 +247,15 @@ def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
     return f"{shown}{unit}" if unit == "°" else f"{shown} {unit}".strip()
 
 
+MOST_DECIMALS = 7
+"""A figure with more is not read: 0.00000000 ms."""
+
+
 def with_deviation(value: float, std: float | None) -> tuple[str, str]:
     """Return a value and its standard deviation, both to the standard deviation's second digit."""
     if std is None or not math.isfinite(std) or std <= 0.0:
         return figure_of(value, digits=7), "–"
     decimals = max(0, 1 - math.floor(math.log10(std)))
-    if decimals > 9:
-        return f"{value:.3e}", f"{std:.1e}"
+    if decimals > MOST_DECIMALS:
+        return figure_of(value, digits=4), f"{std:.1e}"
     return f"{value:.{decimals}f}", f"{std:.{decimals}f}"

@@ -43,7 +43,12 @@ def identify_report(
     page = _head(result, len(sweeps), rig)
     if result.notes:
         page.add("What to know", "", bullets(result.notes))
-    page.add("Table", "Denavit-Hartenberg parameters with standard deviations.", _table(result))
+    page.add(
+        "Table",
+        "Denavit-Hartenberg parameters, ± one standard deviation. All readings of a joint together tell them, so that "
+        "they may be known far more closely than one reading is.",
+        _table(result),
+    )
     if nominal is not None:
         page.add("Beside the nominal arm", f"Identified, and {nominal.name}.", _beside(result, nominal))
     page.add(
@@ -74,16 +79,18 @@ def _head(result: Identification, readings: int, rig: Rig | None) -> Page:
         verdict=Verdict(
             level="good" if sure else "warn",
             word="Types decided" if sure else "A type is not decided",
-            sentence=_sentence(result),
+            sentence=_sentence(result, rig),
         ),
         cards=_cards(result, rig),
     )
 
 
-def _sentence(result: Identification) -> str:
+def _sentence(result: Identification, rig: Rig | None) -> str:
     worst = max(joint.residual_rms_m for joint in result.joints)
     lost = sum(len(joint.discarded) for joint in result.joints)
-    text = f"The readings agree with the arm to {worst / MM:.3g} mm RMS on the worst joint"
+    text = f"One reading is off the arm found by {worst / MM:.3g} mm RMS on the worst joint"
+    text += f" ({result.sigma:.2g} px in the images, most of it in depth)" if rig is not None else ""
+    text += "; the table is of all readings, and closer"
     text += f"; {lost} reading{'s were' if lost > 1 else ' was'} discarded." if lost else "."
     open_ = [str(number) for number, joint in enumerate(result.joints, 1) if not joint.decided]
     return text + (f" Whether joint {' and joint '.join(open_)} turns or slides is not sure." if open_ else "")

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, ORANGE, RED, Figure, axis, layout, place, thinned
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, table
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ def live_report(
     page.add("Errors over time", COURSE, page.plot(live_course(series, summary)))
     if summary["doubts"]:
         page.add("What to know", "", bullets(summary["doubts"]))
+    add_recordings(page, [PurePath(summary["recording"]).name] if summary["recording"] else [])
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())

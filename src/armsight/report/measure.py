@@ -14,7 +14,7 @@ from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.frames import sample_figure
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
@@ -381,6 +381,7 @@ def _add_inputs(page: Page, run: MeasureRun) -> None:
     if target.diameter_m is not None:
         rows.insert(5, ["diameter of a light", figure_of(target.diameter_m / MM, "mm")])
     assumed = [f"<p>Assumed:</p>{bullets(list(run.assumptions))}"] if run.assumptions else []
+    add_recordings(page, run.recordings)
     page.add("What went in", "", table(["", ""], rows), *assumed)
 
 

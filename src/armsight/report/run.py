@@ -43,7 +43,7 @@ class MeasureRun:
     facts: more lines for the table of inputs. error: why the run ended early. consistency: what the check of the
     residuals says, as measure.json holds it; empty where there was none, or verdict, sentence and advice alone. timed:
     whether the times of the frames are known and not assumed. stills: whether they are single shots, with no track.
-    T_parent_rig: where the cameras are in the parent frame.
+    T_parent_rig: where the cameras are in the parent frame. recordings: files that the frames are in, as given.
     """
 
     poses: Sequence[TargetPose]
@@ -64,6 +64,7 @@ class MeasureRun:
     T_parent_rig: RigidTransform | None = None
     timed: bool = True
     stills: bool = False
+    recordings: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poses", tuple(self.poses))

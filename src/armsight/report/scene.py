@@ -46,7 +46,7 @@ def scene_axes(parent: str) -> dict[str, Any]:
     """Return axes in mm fitted to the data: seen from behind the cameras in rig axes, else with z up."""
     scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
     scene["aspectmode"] = "data"
-    behind = {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}, "center": {"y": 0.1}}
+    behind = {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}
     above = {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.1, "y": -1.3, "z": 0.75}}
     return {**scene, "camera": behind if parent == "rig" else above}
 
@@ -74,7 +74,7 @@ def scene_figure(run: MeasureRun) -> Figure | None:
     data.append(line(axes / MM, "its axes", {"color": GREEN, "width": 4}))
     ends = {"mode": "text", "text": ["x", "y", "z"], "showlegend": False}
     data.append(line(tips / MM, "axes' names", {}, **ends))
-    shape = layout(scene=scene_axes(run.parent), margin={"l": 0, "r": 0, "t": 28, "b": 0}, uirevision=1)
+    shape = layout(scene=scene_axes(run.parent), uirevision=1)
     return Figure(data=data, layout=shape, height_px=460)
 
 

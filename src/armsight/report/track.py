@@ -66,9 +66,7 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
         depth_m = run.rig.baseline_m / 3.0
         data += [{**camera_line(run.rig, side, run.T_parent_rig, depth_m=depth_m), **hidden} for side in SIDES]
     scene = scene_axes(run.parent)
-    return Figure(
-        data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}, uirevision=1), height_px=520
-    )
+    return Figure(data=data, layout=layout(scene=scene, uirevision=1), height_px=520)
 
 
 def _is_far(run: MeasureRun, xyz: Array) -> bool:

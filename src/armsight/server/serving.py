@@ -16,7 +16,8 @@ from armsight.server.auth import Authenticator
 from armsight.server.connections import Connections
 from armsight.server.gate import Gate
 from armsight.server.stop_line import stop_line
-from armsight.server.web_server import ServeOptions, check_options, listening, web_server
+from armsight.server.waiting import listening
+from armsight.server.web_server import ServeOptions, check_options, web_server
 
 
 def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], None]) -> None:

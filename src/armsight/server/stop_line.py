@@ -33,7 +33,8 @@ from armsight.server.auth import Authenticator, Denied, Identity, address_of, ca
 from armsight.server.connections import LINE, Connections
 from armsight.server.limited import age_of, known_as
 from armsight.server.session import Session
-from armsight.server.web_server import ServeOptions, listening, web_server
+from armsight.server.waiting import listening
+from armsight.server.web_server import ServeOptions, web_server
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import logging
 import socket
 import ssl
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +13,7 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from armsight.drivers.remote import protocol as say
-from armsight.errors import BadFile, DeviceFailed, UsageError
+from armsight.errors import BadFile, UsageError
 from armsight.server.auth import is_loopback
 from armsight.server.connections import HEAD_BYTES, Connections, Door
 from armsight.server.limited import LimitedHttp, LimitedWebSocket
@@ -26,9 +24,6 @@ PORT = 8765
 
 PING_S = 5.0
 """A client whose machine is gone without a word is noticed within twice this; the robot is held long before."""
-
-BACKLOG = 128
-"""Connections that wait to be taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,22 +112,6 @@ class _Server(uvicorn.Server):
         """Begin to listen."""
         doors: list[socket.socket] = [Door(one, self._connections) for one in sockets or ()]
         await super().startup(doors)
-
-
-@contextlib.contextmanager
-def listening(bind: str, port: int) -> Iterator[socket.socket]:
-    """Hold the listening socket while the block runs. Raises DeviceFailed where the address cannot be had."""
-    try:
-        family, *_, where = socket.getaddrinfo(bind, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.create_server((str(where[0]), int(where[1])), family=family, backlog=BACKLOG)
-    except (OSError, OverflowError) as error:
-        raise DeviceFailed(
-            f"cannot listen at {bind}, port {port}: {error}",
-            consequence="Nothing is served",
-            cure="Choose another port with --port, or an address of this machine with --bind",
-        ) from error
-    with listener:
-        yield listener
 
 
 class _ComingsAndGoingsAreNoError(logging.Filter):

@@ -28,6 +28,7 @@ from armsight.store.schema import (
     validated,
     write_document,
 )
+from armsight.store.yamls import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -39,12 +40,17 @@ MAX_BOARD = 200
 NEGATIVE = 1e-9
 """Negative variance over the largest one that is the rounding of a covariance without information in some direction."""
 
+TAG_FAMILY = "DICT_APRILTAG_36h11"
+SPACING_DIGITS = 12
+"""Of the ratio that Kalibr calls tagSpacing, when it is told from the lengths again."""
+
 COLOURS: Mapping[str, Colour] = {"red": RED, "green": GREEN, "blue": BLUE}
 
 BOARD_FORMS = (
     "checkerboard:COLUMNSxROWS:SQUARE_M (inner corners, e.g. checkerboard:9x6:0.025), circles:CxR:PITCH_M, "
-    "acircles:CxR:PITCH_M or charuco:CxR:SQUARE_M:MARKER_M:DICTIONARY (squares, e.g. "
-    "charuco:8x5:0.04:0.03:DICT_4X4_50)"
+    "acircles:CxR:PITCH_M, charuco:CxR:SQUARE_M:MARKER_M:DICTIONARY (squares, e.g. "
+    "charuco:8x5:0.04:0.03:DICT_4X4_50), aprilgrid:CxR:TAG_M:SPACING (tags, and Kalibr's ratio, e.g. "
+    "aprilgrid:6x6:0.088:0.3), or a board's target.yaml, or Kalibr's"
 )
 
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=LARGEST)]
@@ -101,6 +107,17 @@ class CharucoModel(Origin):
     dictionary: str
 
 
+class AprilGridModel(Origin):
+    """Kalibr's AprilGrid; columns and rows count tags, spacing is the gap between them over their side."""
+
+    format: Literal["armsight/target"] = "armsight/target"
+    kind: Literal["aprilgrid"]
+    columns: Side
+    rows: Side
+    tag_m: Positive
+    spacing: Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1.0)]
+
+
 class CirclesModel(Origin):
     """A grid of circles, straight or staggered."""
 
@@ -112,10 +129,11 @@ class CirclesModel(Origin):
     diameter_m: Positive | None = None
 
 
-_MODELS: Mapping[str, type[LitModel | SquaresModel | CharucoModel | CirclesModel]] = {
+_MODELS: Mapping[str, type[LitModel | SquaresModel | CharucoModel | AprilGridModel | CirclesModel]] = {
     "spots": LitModel,
     "checkerboard": SquaresModel,
     "charuco": CharucoModel,
+    "aprilgrid": AprilGridModel,
     "circles": CirclesModel,
     "acircles": CirclesModel,
 }
@@ -123,6 +141,8 @@ _MODELS: Mapping[str, type[LitModel | SquaresModel | CharucoModel | CirclesModel
 
 def target_from_mapping(content: Mapping[str, Any], where: str = "target") -> Target:
     """Return the target that target.yaml's structure describes; BadFile, with the key, where it cannot be."""
+    if "target_type" in content:
+        content = _of_kalibr(content, where)
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in _MODELS:
         raise BadFile(
@@ -146,8 +166,36 @@ def target_from_mapping(content: Mapping[str, Any], where: str = "target") -> Ta
                 marker_m=model.marker_m,
                 dictionary=model.dictionary,
             )
+        if isinstance(model, AprilGridModel):
+            return aprilgrid(model.columns, model.rows, model.tag_m, model.spacing)
         board = board_target(TargetKind(model.kind), model.columns, model.rows, model.pitch_m)
         return replace(board, diameter_m=model.diameter_m)
+
+
+def aprilgrid(columns: int, rows: int, tag_m: float, spacing: float) -> Target:
+    """Return Kalibr's AprilGrid of columns x rows tags; spacing: the gap between them over their side."""
+    pitch_m = tag_m * (1.0 + spacing)
+    return board_target(TargetKind.APRILGRID, columns, rows, pitch_m, marker_m=tag_m, dictionary=TAG_FAMILY)
+
+
+def _spacing(board: Target) -> float:
+    return round(board.pitch_m / board.marker_m - 1.0, SPACING_DIGITS)
+
+
+def _of_kalibr(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """Return Kalibr's description of an AprilGrid as target.yaml's structure; BadFile for its other targets."""
+    if content["target_type"] != "aprilgrid":
+        raise BadFile(
+            f"{where}: a target of Kalibr's of type {str(content['target_type'])[:40]!r}",
+            consequence="It is not read",
+            cure="Kalibr's aprilgrid is; say others as checkerboard:9x6:0.025 or circles:7x11:0.02",
+        )
+    known = {"tagCols": "columns", "tagRows": "rows", "tagSize": "tag_m", "tagSpacing": "spacing"}
+    other = {key: value for key, value in content.items() if key not in (*known, "target_type", "codeOffset")}
+    named_ = {ours: content[theirs] for theirs, ours in known.items() if theirs in content}
+    if content.get("codeOffset", 0) != 0:
+        raise BadFile(f"{where}: codeOffset {content['codeOffset']!r}", cure="Only tags that begin at 0 are known")
+    return {"kind": "aprilgrid", **named_, **other}
 
 
 def _lit(model: LitModel, where: str) -> Target:
@@ -227,6 +275,9 @@ def target_mapping(target: Target) -> dict[str, Any]:
     """Return the target as target.yaml's structure, without format, version and origin."""
     out: dict[str, Any] = {"kind": target.kind.value}
     if target.is_board:
+        if target.kind is TargetKind.APRILGRID:
+            size = {"columns": target.columns, "rows": target.rows, "tag_m": target.marker_m}
+            return out | size | {"spacing": _spacing(target)}
         squares = target.kind in (TargetKind.CHECKERBOARD, TargetKind.CHARUCO)
         out |= {"columns": target.columns, "rows": target.rows, "square_m" if squares else "pitch_m": target.pitch_m}
         if target.kind is TargetKind.CHARUCO:
@@ -261,8 +312,11 @@ def _colour_value(colour: Colour) -> str | dict[str, Any]:
 
 
 def read_target(path: Path) -> Target:
-    """Return the target in a target.yaml; BadFile where it is none."""
-    return target_from_mapping(read_document(path, TARGET_FORMAT), str(path))
+    """Return the target in a target.yaml, or in Kalibr's aprilgrid.yaml; BadFile where it is none."""
+    content = read_yaml(path)
+    if "target_type" not in content:  # Kalibr's has no format
+        content = read_document(path, TARGET_FORMAT)
+    return target_from_mapping(content, str(path))
 
 
 def write_target(
@@ -276,32 +330,59 @@ def write_target(
     write_document(path, TARGET_FORMAT, {**target_mapping(target), "std_m": std_m}, inputs)
 
 
+PARTS: Mapping[str, int] = {"checkerboard": 2, "circles": 2, "acircles": 2, "charuco": 4, "aprilgrid": 3}
+"""Kinds of boards -> how many parts follow the name."""
+
+
 def parse_board(text: str) -> Target:
-    """Return the board that one of BOARD_FORMS describes; UsageError, with the forms, where none does."""
+    """Return the board that one of BOARD_FORMS describes; UsageError, with the forms, where none does, BadFile."""
+    if text.endswith((".yaml", ".yml")):
+        board = read_target(Path(text))
+        if not board.is_board:
+            raise _wrong_board(text, "it describes lights")
+        return board
     kind, _, rest = text.partition(":")
-    if kind not in ("checkerboard", "circles", "acircles", "charuco"):
+    if kind not in PARTS:
         raise _wrong_board(text, f"no kind of board is called {kind!r}")
     parts = rest.split(":")
-    wanted = 4 if kind == "charuco" else 2
-    if len(parts) != wanted:
-        raise _wrong_board(text, f"{kind} takes {wanted} parts after its name, not {len(parts) if rest else 0}")
+    if len(parts) != PARTS[kind]:
+        raise _wrong_board(text, f"{kind} takes {PARTS[kind]} parts after its name, not {len(parts) if rest else 0}")
     size = re.fullmatch(r"([0-9]{1,4})[xX]([0-9]{1,4})", parts[0])
     if size is None or not all(2 <= int(n) <= MAX_BOARD for n in size.groups()):
         raise _wrong_board(text, f"the size {parts[0]!r} is not COLUMNSxROWS with 2 to {MAX_BOARD} each")
     columns, rows = (int(n) for n in size.groups())
     pitch_m = _length_m(text, parts[1])
-    if kind != "charuco":
-        return board_target(TargetKind(kind), columns, rows, pitch_m)
-    marker_m = _length_m(text, parts[2])
-    if not marker_m < pitch_m:
-        raise _wrong_board(text, f"markers of {marker_m} m do not fit into squares of {pitch_m} m")
-    if not re.fullmatch(r"[A-Za-z0-9_]{1,40}", parts[3]):
-        raise _wrong_board(text, f"{parts[3]!r} is not the name of a dictionary such as DICT_4X4_50")
-    return board_target(TargetKind.CHARUCO, columns, rows, pitch_m, marker_m=marker_m, dictionary=parts[3])
+    if kind == "aprilgrid":
+        return _aprilgrid_of(text, columns, rows, pitch_m)
+    return (
+        _charuco_of(text, columns, rows, pitch_m)
+        if kind == "charuco"
+        else board_target(TargetKind(kind), columns, rows, pitch_m)
+    )
+
+
+def _aprilgrid_of(text: str, columns: int, rows: int, tag_m: float) -> Target:
+    part = text.split(":")[3]
+    spacing = _length_m(text, part)
+    if not spacing <= 1.0:
+        raise _wrong_board(text, f"a gap of {part} times a tag's side is none of Kalibr's, 1 at most")
+    return aprilgrid(columns, rows, tag_m, spacing)
+
+
+def _charuco_of(text: str, columns: int, rows: int, square_m: float) -> Target:
+    marker, dictionary = text.split(":")[3:]
+    marker_m = _length_m(text, marker)
+    if not marker_m < square_m:
+        raise _wrong_board(text, f"markers of {marker_m} m do not fit into squares of {square_m} m")
+    if not re.fullmatch(r"[A-Za-z0-9_]{1,40}", dictionary):
+        raise _wrong_board(text, f"{dictionary!r} is not the name of a dictionary such as DICT_4X4_50")
+    return board_target(TargetKind.CHARUCO, columns, rows, square_m, marker_m=marker_m, dictionary=dictionary)
 
 
 def board_text(board: Target) -> str:
     """Return a board in the form parse_board reads."""
+    if board.kind is TargetKind.APRILGRID:
+        return f"aprilgrid:{board.columns}x{board.rows}:{board.marker_m!r}:{_spacing(board)!r}"
     text = f"{board.kind.value}:{board.columns}x{board.rows}:{board.pitch_m!r}"
     return f"{text}:{board.marker_m!r}:{board.dictionary}" if board.kind is TargetKind.CHARUCO else text
 

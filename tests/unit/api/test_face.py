@@ -137,6 +137,19 @@ def test_an_arm_solves_its_own_kinematics() -> None:
         _ = arm.ik(far)[0]
 
 
+def test_an_arm_is_taken_as_a_record_by_its_name_and_as_a_file(tmp_path: Path) -> None:
+    arm = armsight.presets.ur10()
+    q = np.random.default_rng(2).uniform(-1.5, 1.5, (20, 6))
+    seen = arm.fk(q)[:, :3, 3] - [0.0, 0.0, 1.0]
+    for one in (arm, "ur10", arm.save(tmp_path / "arm.yaml")):
+        assert armsight.calibrate_robot_world(one, q, seen).T_base_rig[2, 3] == pytest.approx(1.0)
+        assert not armsight.calibrate_arm(one, q, seen).gain
+    with pytest.raises(armsight.UsageError, match="known by name"):
+        armsight.calibrate_arm("ur99", q, seen)
+    with pytest.raises(armsight.UsageError, match="of type ndarray"):
+        armsight.calibrate_robot_world(q, q, seen)  # type: ignore[arg-type]
+
+
 NAN_POSE = np.full((4, 4), np.nan)
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 GREY = np.zeros((240, 320), np.uint8)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from armsight import errors
 from armsight.app.schemas.base import Output, PoseOutput, PoseStd
 from armsight.cli.command_ui import Bar, CommandUI, time_left
 from armsight.cli.commands import app
+from armsight.cli.options import Quantity
 from armsight.cli.tables import parameter, pose_rows
 
 HEAVY = ("numba", "cv2", "plotly", "scipy", "pydantic", "numpy")
@@ -184,3 +186,37 @@ def test_labels_are_of_the_unit_that_is_shown_and_poses_have_their_rotation() ->
     std = PoseStd(x_m=1e-4, y_m=1e-4, z_m=1e-4, rx_rad=1e-3, ry_rad=1e-3, rz_rad=1e-3)
     rows = {name: value for name, value, _ in pose_rows(pose, std)}
     assert float(rows["x, mm"]) == 100.0 and float(rows["rotation vector z, deg"]) == 90.0
+
+
+def test_a_bar_on_a_terminal_tells_the_time_left_in_words_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = iter([0.0, 0.0, 1000.0])
+    with Path(os.devnull).open("w") as sink:
+        console = Console(file=sink, force_terminal=True, width=120, record=True)
+        bar = Bar("measuring", console, threading.Event())
+        monkeypatch.setattr("armsight.cli.command_ui.time", SimpleNamespace(monotonic=lambda: next(now_s)))
+        bar.update(1, 73, "")
+        bar.update(2, 73, "")
+        bar.close()
+    assert "about 19.7 h left" in console.export_text()
+
+
+@pytest.mark.parametrize(
+    ("unit", "text", "value"),
+    [
+        ("m", "600mm", 0.6),
+        ("m", "-0.01", -0.01),
+        ("m/s", "20 mm/s", 0.02),
+        ("rad or m", "180deg", np.pi),
+        ("m", "30m", 30),
+    ],
+)
+def test_a_quantity_may_carry_its_unit(unit: str, text: str, value: float) -> None:
+    assert Quantity(unit)(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"), [("m", "600"), ("m", "30deg"), ("rad or m", "90"), ("m", "nan"), ("m", "1e-9")]
+)
+def test_a_quantity_in_another_unit_is_refused(unit: str, text: str) -> None:
+    with pytest.raises(typer.BadParameter):
+        Quantity(unit, least=1e-6)(text)

@@ -15,7 +15,7 @@ from armsight.clock import ManualClock
 from armsight.console.layout import level_of
 from armsight.console.state import Console
 from armsight.errors import BadFile
-from armsight.server.web_server import listening
+from armsight.server.waiting import listening
 from armsight.store.cell_file import CellFile, write_cell
 
 SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)

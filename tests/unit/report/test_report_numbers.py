@@ -1,6 +1,7 @@
 """What the pages show: standard deviations of angles, thinned curves and bands, numbers for people, JSON."""
 
 import json
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.boards import chosen_views
 from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
-from armsight.report.html import figure_of, with_deviation
+from armsight.report.html import Page, Verdict, figure_of, with_deviation
 from armsight.report.series import NEIGHBOURS, PARABOLA, Series, scatter_of, series_of
+from armsight.report.space import fitted_scene
 
 STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
 
@@ -92,10 +94,11 @@ def test_numbers_for_people():
     assert figure_of(0.02, "°", digits=2) == "0.020°"
     assert figure_of(None) == figure_of(float("nan")) == "–"
     assert figure_of(3.2e-7) == "3.20e-07"
+    assert figure_of(4.5e-14, "mm") == "0 mm"
     assert with_deviation(533.47509, 0.4123) == ("533.48", "0.41")
     assert with_deviation(1234.5, 23.0) == ("1234", "23")
     assert with_deviation(0.1, None) == ("0.1000000", "–")
-    assert with_deviation(0.5, 1e-14) == ("5.000e-01", "1.0e-14")
+    assert with_deviation(0.5, 1e-14) == ("0.5000", "1.0e-14")
 
 
 def test_json_cannot_leave_its_script():
@@ -142,3 +145,31 @@ def test_boards_shown_are_the_worst_the_best_and_some_between():
 
 def test_the_parabola_is_savitzkys_and_golays():
     np.testing.assert_allclose(PARABOLA, savgol_coeffs(NEIGHBOURS, 2), atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(1.0, 1.0, 1.0), (1.0, 0.01, 0.01), (0.01, 0.01, 1.0), (1.0, 0.6, 0.1)])
+@pytest.mark.parametrize("camera", [{}, {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}])
+def test_a_view_in_space_holds_all_that_it_shows_and_is_filled_by_it(shape, camera):
+    ends = np.array([[0.0, 0.0, 0.0], shape])
+    trace = dict(zip("xyz", ends.T, strict=True), type="scatter3d")
+    scene = fitted_scene({"aspectmode": "data", "camera": camera}, [trace])
+    size = np.array([scene["aspectratio"][k] for k in "xyz"])
+    eye, up, centre = (np.array([scene["camera"][name][k] for k in "xyz"]) for name in ("eye", "up", "center"))
+    # a pinhole of 45 degrees from the eye to the centre, as WebGL draws it
+    ahead = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
+    corners = size * np.array([(i, j, k) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)]) - eye
+    depth = corners @ ahead * np.tan(np.pi / 8)
+    x, y = corners @ right / depth, corners @ np.cross(right, ahead) / depth
+    assert y.min() > -0.8 and y.max() < 0.95 and np.abs(x).max() < 1.35 and (depth > 0.0).all()
+    assert np.ptp(y) > 1.6 or np.ptp(x) > 2.4 or np.linalg.norm(size) > np.linalg.norm(eye - centre)
+    assert scene["wide"] == pytest.approx(np.abs(x).max())
+
+
+def test_what_is_wider_than_the_page_says_so_and_plus_or_minus_has_its_sign():
+    page = Page(
+        title="1 +- 2", subtitle="", verdict=Verdict(level="good", word="", sentence="off by 2 +-0.1 mm"), cards=()
+    )
+    shown = page.html(created=datetime(2026, 1, 1))
+    assert "off by 2 ± 0.1 mm" in shown and "+-" not in shown.split("</main>")[0]
+    assert "scroll sideways" in shown and "toggle('more'" in shown

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -34,7 +33,7 @@ from armsight.store import read_rig, read_world
 from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, read_value
 
 Array = NDArray[np.float64]
 
@@ -204,11 +203,11 @@ def read_limits(text: str) -> Array:
         rows = read_yaml(Path(text)).get("limits")
         refusal: ArmsightError = BadFile(f"{text}: no list 'limits' of [lower, upper] in rad or m")
     else:
-        rows = [[_with_unit(value) for value in part.split(":")] for part in text.split(",")]
-        stated = all(value.strip()[-1:].isalpha() for part in text.split(",") for value in part.split(":"))
+        rows = [part.split(":") for part in text.split(",")]
         refusal = UsageError(f"the limits {text!r} are not lo:hi,lo:hi", cure="Write for instance --limits=0:3.1,-1:1")
+        stated = all(value.strip()[-1:].isalpha() for row in rows for value in row)
     try:
-        limits = np.array(cast(Any, rows), dtype=float)
+        limits = np.array([[read_value(str(value))[0] for value in row] for row in cast(Any, rows)])
     except (TypeError, ValueError):
         raise refusal from None
     if limits.ndim != 2 or limits.shape[1] != 2:
@@ -220,14 +219,6 @@ def read_limits(text: str) -> Array:
             cure="Give radians, or a unit with every value: --limits=-28deg:298deg,0mm:500mm (deg, rad, mm, m)",
         )
     return limits
-
-
-def _with_unit(value: str) -> str:
-    """Return a value in rad or m; ValueError follows from what is no number."""
-    match = re.fullmatch(r"\s*([-+0-9.eE]+?)(deg|rad|mm|m)\s*", value)
-    if match is None:
-        return value
-    return repr(float(match[1]) * {"deg": DEG, "rad": 1.0, "mm": MM, "m": 1.0}[match[2]])
 
 
 def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, PairSource]:

@@ -35,7 +35,7 @@ class About:
     """What a report says beside the measurement: more lines on its inputs, and the true pose per pair where known.
 
     assumed_fps: frames a second that were assumed, where nothing tells the frames' times. stills: whether the frames
-    are single shots, which have no track and no seconds.
+    are single shots, which have no track and no seconds. recordings: files that the frames are in.
     """
 
     title: str = "Measurement"
@@ -44,6 +44,7 @@ class About:
     truth: Sequence[RigidTransform] | None = None
     assumed_fps: float | None = None
     stills: bool = False
+    recordings: Sequence[str] = ()
 
 
 class Collector:
@@ -88,6 +89,7 @@ class Collector:
             T_parent_rig=self._T_parent_rig,
             title=about.title,
             facts=about.facts,
+            recordings=about.recordings,
             assumptions=about.assumptions,
             error=summary.error or "",
             consistency={} if summary.consistency is None else summary.consistency.to_dict(),

@@ -21,6 +21,7 @@ from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import FrameTime, MeasureOutput
 from armsight.app.sources.bags import read_motion
+from armsight.app.sources.frames import recordings_in
 from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
@@ -170,6 +171,7 @@ def _report(
         subtitle=f"{len(moved)} poses over {moved[-1].pose.t_s - moved[0].pose.t_s:.1f} s, from "
         f"{figures.n_views.left} left and {figures.n_views.right} right views, each at its own time",
         facts=facts,
+        recordings=recordings_in(job.left, job.right),
         consistency=_doubts(figures.note, summary),
     )
 

@@ -24,7 +24,7 @@ from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frame_times import frame_times
-from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
+from armsight.app.sources.frames import is_recording, open_pairs, open_source, recordings_in, require_size
 from armsight.drivers import (
     AUTOMATIC,
     CameraSettings,
@@ -136,11 +136,11 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     pairs, overlaid = _pairs(job, rig, target, times.times_s)
     setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
-    facts += [("place of the rig", str(job.world))] if job.world else []
-    facts += zoom_facts(zoomed)
+    facts += ([("place of the rig", str(job.world))] if job.world else []) + zoom_facts(zoomed)
     facts += [("time of the frames", times.told)] if times.told and not job.stills else []
     zero_ns = origin_ns(job.left or job.image)
     facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
+    fps, recorded = None if job.stills else times.assumed_fps, recordings_in(job.left, job.right, job.image)
     summary, _ = run(
         setup,
         pairs,
@@ -148,7 +148,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
         world=world,
         limit=job.limit,
         progress=progress or Silent(),
-        about=About(facts=facts, assumed_fps=None if job.stills else times.assumed_fps, stills=job.stills),
+        about=About(facts=facts, assumed_fps=fps, stills=job.stills, recordings=recorded),
         stills=job.stills,
     )
     return with_zoom(summary, zoomed, job.out)

@@ -42,6 +42,12 @@ SOURCE = re.compile(r"(.+\.mcap)(?::([\w-]+))?", re.IGNORECASE | re.DOTALL)
 """REC.mcap or REC.mcap:CAMERA."""
 
 
+def recordings_in(*sources: str | None) -> tuple[str, ...]:
+    """Return the recordings that sources name, each once."""
+    found = [SOURCE.fullmatch(source) for source in sources if source]
+    return tuple(dict.fromkeys(match[1] for match in found if match))
+
+
 def is_recording(text: str) -> bool:
     """Tell whether a source's text names a recording."""
     return SOURCE.fullmatch(text) is not None

@@ -24,6 +24,7 @@ from armsight.store import read_rig, read_world, write_text
 from armsight.store.schema import pose_mapping
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
+from armsight.units import read_value
 from armsight.verify import Align
 from armsight.verify.mastering import CANDIDATES, SPAN_M, Mastering, Proposal, check_mastering, propose
 from armsight.verify.model import Mounts
@@ -144,11 +145,11 @@ def _middle(job: MasteringJob, arm: Arm) -> Array:
     if job.around is None:
         raise UsageError(
             "where the poses shall be is not said",
-            cure="Give --around q1,...,qn (rad or m), a pose in the middle of what the cameras see; or --measured with "
-            "the poses measured",
+            cure="Give --around q1,...,qn (rad or m, or as 90deg), a pose in the middle of what the cameras see; or "
+            "--measured with the poses measured",
         )
     try:
-        q = np.array([float(part) for part in job.around.split(",")])
+        q = np.array([read_value(part)[0] for part in job.around.split(",")])
     except ValueError:
         raise UsageError(f"--around {job.around} is not q1,...,qn", cure="Write numbers with commas") from None
     if not (np.isfinite(job.span_rad) and 0.0 < job.span_rad <= np.pi):

@@ -72,7 +72,7 @@ def _measuring(console: Console, *, watching: bool) -> None:
 
     def slow() -> None:
         if scene is not None:
-            set_text(legend, _legend(scene.scale, scene.show_track()))
+            set_text(legend, _legend(scene.scale, scene.show_track(), arm=scene.has_arm))
         _draw(curves, list(console.history))
 
     ui.timer(TICK_S, tick)
@@ -100,14 +100,14 @@ def _lost_camera(console: Console) -> None:
     ui.timer(TICK_S, tick)
 
 
-def _legend(scale: float, range_m: tuple[float, float] | None) -> str:
-    """Return what the scene's ellipsoid and track say, in words."""
+def _legend(scale: float, range_m: tuple[float, float] | None, *, arm: bool) -> str:
+    """Return what the scene's ellipsoid and tracks say, in words; arm: one is drawn."""
     parts = [texts.SCENE_HELP]
     if scale > 0.0:
         parts.append(texts.ELLIPSOID.format(scale=scale))
     if range_m is not None:
         parts.append(texts.TRACK.format(least=1e3 * range_m[0], most=1e3 * range_m[1]))
-    return " ".join(parts)
+    return " ".join([*parts, *([texts.ROBOT_TRACK] if arm else [])])
 
 
 def _picture(side: str) -> Refresh:

@@ -24,6 +24,8 @@ from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM
 
+SLOW_S = 0.5
+"""Time between two drawings of the tracks."""
 LISTED = 100
 """Rows of a path that a page lists."""
 
@@ -46,6 +48,7 @@ def teach_page(console: Console) -> None:
                 _Recording(recorder, desk, path, said)
         with card(texts.SCENE):
             path.scene = _scene(console, path)
+            text_of("p", texts.TEACH_SCENE, testid="scene-legend").classes("hint")
     _Play(console, desk)
     path.show()
     jog_card(robot)
@@ -63,6 +66,7 @@ def _scene(console: Console, path: _Path) -> Scene | None:
         made.show(shown.view if shown is not None and console.current else None)
 
     ui.timer(TICK_S, tick)
+    ui.timer(SLOW_S, made.show_track)
     return made
 
 

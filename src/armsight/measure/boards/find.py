@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent, UsageError
+from armsight.measure.boards.aprilgrid import find_aprilgrid
 from armsight.measure.boards.charuco import find_charuco
 from armsight.measure.boards.checkerboard import find_checkerboard
 from armsight.measure.boards.circles import find_circles
@@ -28,10 +29,10 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
     """Return the board's points in an image, uint8 (h, w) grey or (h, w, 3) BGR, to sub-pixel precision.
 
     Points are numbered as in board.xyz_m: x along the columns, y to the right hand of it as the camera sees the
-    printed side. A checkerboard begins at a black square where its colours tell; a circle grid with one
-    bigger dot begins there; where the print leaves a choice, x points to the image's right (see same_way_up for
-    pairs). detector: one of DETECTORS. Raises BadImage, saying why: dark, white, blurred, another size,
-    mirrored, not there; Inconsistent where the target is not a board; UsageError for an unknown detector.
+    printed side, of an AprilGrid to the left as Kalibr has it. A checkerboard begins at a black square where its
+    colours tell; a circle grid with one bigger dot begins there; where the print leaves a choice, x points right in it
+    (see same_way_up for pairs). detector: one of DETECTORS. Raises BadImage, saying why: dark, white, blurred, another
+    size, mirrored, not there; Inconsistent where the target is not a board; UsageError for an unknown detector.
     """
     if detector not in DETECTORS:
         raise UsageError(f"no detector is called {detector!r}; there are {', '.join(DETECTORS)}")
@@ -42,6 +43,8 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
         return find_checkerboard(grey, board, source, detector)
     if board.kind is TargetKind.CHARUCO:
         return find_charuco(grey, board, source)
+    if board.kind is TargetKind.APRILGRID:
+        return find_aprilgrid(grey, board, source)
     if board.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES):
         return find_circles(grey, board, source)
     raise Inconsistent(f"a target of kind {board.kind.value} is not a printed board", cure="Give a board")

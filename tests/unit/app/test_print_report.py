@@ -1,0 +1,88 @@
+"""Reports as PDF: printed by a browser where there is one, refused with a cure where not."""
+
+from __future__ import annotations
+
+import shutil
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from armsight.app.print_report import BROWSERS, print_report
+from armsight.app.sources.frames import recordings_in
+from armsight.cli.commands import app
+from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
+from armsight.report.figures import Figure, layout, points_in_space
+from armsight.report.html import Page, Verdict, add_recordings
+
+
+@pytest.fixture
+def report(tmp_path: Path) -> Path:
+    page = Page(
+        title="Title", subtitle="", verdict=Verdict(level="good", word="Good", sentence="It is good."), cards=()
+    )
+    cube = points_in_space("cube", np.random.default_rng(1).uniform(size=(20, 3)), {"size": 4})
+    page.add("Space", "", page.plot(Figure(data=[cube], layout=layout(scene={"aspectmode": "data"}))))
+    (tmp_path / "report.html").write_text(page.html(created=datetime(2026, 1, 1)), encoding="utf-8")
+    return tmp_path / "report.html"
+
+
+def browser(folder: Path, script: str) -> str:
+    path = folder / "browser"
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+@pytest.mark.skipif(not any(map(shutil.which, BROWSERS)), reason="no browser that prints")
+def test_a_browser_prints_it_with_its_plot(report: Path) -> None:
+    done = CliRunner().invoke(app, ["report", str(report.parent), "--pdf"])
+    assert done.exit_code == 0, done.output
+    pdf = report.with_suffix(".pdf").read_bytes()
+    assert pdf.startswith(b"%PDF") and b"/Subtype /Image" in pdf  # the view in space, drawn by WebGL
+    assert b"/Title (Title)" in pdf
+
+
+def test_without_a_browser_it_is_refused_with_a_cure(report: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(DeviceNotFound, match="ARMSIGHT_BROWSER") as refused:
+        print_report(report)
+    assert refused.value.cure
+    monkeypatch.setenv("ARMSIGHT_BROWSER", "no-such-browser")
+    with pytest.raises(DeviceNotFound, match="no-such-browser is not here"):
+        print_report(report)
+
+
+@pytest.mark.parametrize("script", ["echo no display >&2; exit 1", "exit 0"])
+def test_a_browser_that_does_not_print_is_told(
+    report: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str
+) -> None:
+    monkeypatch.setenv("ARMSIGHT_BROWSER", browser(tmp_path, script))
+    with pytest.raises(DeviceFailed, match=r"no display|wrote no PDF"):
+        print_report(report)
+    assert not report.with_suffix(".pdf").exists()
+
+
+def test_only_reports_are_printed_as_pdf_only(report: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMSIGHT_BROWSER", browser(tmp_path, "exit 0"))
+    other = tmp_path / "other.html"
+    other.write_text("<!doctype html><script src=https://example.org/x.js></script>")
+    refusals: list[tuple[type[ArmsightError], Path, Path | None]] = [
+        (BadFile, other, None),
+        (UsageError, report, tmp_path / "report.png"),
+    ]
+    for kind, page, out in refusals:
+        with pytest.raises(kind):
+            print_report(page, out)
+    assert CliRunner().invoke(app, ["report", str(report)]).exit_code == 2
+
+
+def test_a_report_tells_how_to_look_through_its_recording() -> None:
+    files = recordings_in("my run.mcap:left", "my run.mcap:right", "camera:0", None, "other.mcap")
+    assert files == ("my run.mcap", "other.mcap")
+    page = Page(title="", subtitle="", verdict=Verdict(level="good", word="", sentence=""), cards=())
+    add_recordings(page, files)
+    shown = page.html(created=datetime(2026, 1, 1))
+    assert "rerun &#x27;my run.mcap&#x27;" in shown and "rerun other.mcap" in shown and "Foxglove" in shown

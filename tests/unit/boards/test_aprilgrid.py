@@ -1,0 +1,134 @@
+"""Kalibr's AprilGrid, drawn here by its own description (codes of the family, two cells of border, squares at the
+corners, tag 0 at the lower left, y up) and traced through a lens; nothing of OpenCV's markers or of armsight draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import BadFile, BadImage, UsageError
+from armsight.measure.boards import find_board
+from armsight.records import Target, TargetKind
+from armsight.records.symmetry import symmetries
+from armsight.store.targets import board_text, parse_board, read_target, target_from_mapping, target_mapping
+
+CODES = (
+    *(0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC),
+    *(0x056A5D085, 0x10652E1D4, 0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5),
+)
+"""Of 36h11, the first twelve: 36 bits row by row from the upper left, 1 is white."""
+COLUMNS, ROWS, TAG_M, SPACING = 4, 3, 0.04, 0.3
+KALIBR = f"target_type: 'aprilgrid'\ntagCols: {COLUMNS}\ntagRows: {ROWS}\ntagSize: {TAG_M}\ntagSpacing: {SPACING}\n"
+WIDTH, HEIGHT, FOCAL, OVER = 640, 480, 560.0, 4
+
+
+def ink(x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
+    """Return the reflectance at places on the sheet, in tags' sides, y up."""
+    pitch, cells = 1.0 + SPACING, 6 + 2 * border
+    column, row = np.floor(x / pitch).astype(int), np.floor(y / pitch).astype(int)
+    s, t = x - column * pitch, y - row * pitch
+    on_tag = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS) & (s < 1.0) & (t < 1.0)
+    # from the left and from the top of a tag
+    i, j = np.floor(s * cells).astype(int) - border, np.floor((1.0 - t) * cells).astype(int) - border
+    code = np.array(CODES)[np.clip(row * COLUMNS + column, 0, len(CODES) - 1)]
+    bit = (code >> np.clip(35 - (6 * j + i), 0, 35)) & 1
+    white = (i >= 0) & (i < 6) & (j >= 0) & (j < 6) & (bit == 1)
+    square = (s >= 1.0) & (t >= 1.0) & (column >= -1) & (column < COLUMNS) & (row >= -1) & (row < ROWS)
+    return np.where((on_tag & ~white) | square, 0.06, 0.86)
+
+
+def picture(turn: tuple[float, float, float], t_m: tuple[float, float, float], *, border: int = 2, k1: float = -0.2):
+    """Return a picture of the board and where its corners are in it, in the order of Kalibr's grid (n, 2)."""
+    y_up = Rotation.from_euler("x", 180, degrees=True)  # the board's z points to the camera
+    R = (Rotation.from_rotvec(turn) * y_up).as_matrix()
+    at = [k // 2 * TAG_M * (1.0 + SPACING) + k % 2 * TAG_M for k in range(2 * max(COLUMNS, ROWS))]
+    board = np.array([(at[c], at[r], 0.0) for r in range(2 * ROWS) for c in range(2 * COLUMNS)])
+    t = np.array(t_m) - R @ board.mean(axis=0)
+    seen = board @ R.T + t
+    flat = seen[:, :2] / seen[:, 2:]
+    truth = flat * (1.0 + k1 * (flat**2).sum(axis=1))[:, None] * FOCAL + [WIDTH / 2, HEIGHT / 2]
+    v, u = ((np.arange(OVER * n) + 0.5) / OVER - 0.5 for n in (HEIGHT, WIDTH))
+    bent = np.stack(np.meshgrid((u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL), axis=-1)
+    ray = bent.copy()
+    for _ in range(20):
+        ray = bent / (1.0 + k1 * (ray**2).sum(axis=-1))[..., None]
+    d = np.concatenate([ray, np.ones((*ray.shape[:2], 1))], axis=-1) @ R
+    o = -R.T @ t
+    xy = o[:2] - d[..., :2] * (o[2] / d[..., 2])[..., None]
+    fine = ink(xy[..., 0] / TAG_M, xy[..., 1] / TAG_M, border).reshape(HEIGHT, OVER, WIDTH, OVER).mean(axis=(1, 3))
+    smear = np.exp(-0.5 * (np.arange(-3, 4) / 0.7) ** 2)
+    for axis in (0, 1):
+        fine = np.apply_along_axis(
+            lambda row: np.convolve(np.pad(row, 3, "edge"), smear / smear.sum(), "valid"), axis, fine
+        )
+    noisy = 220.0 * fine + np.random.default_rng(3).normal(0.0, 2.0, fine.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8), truth
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Target:
+    path = tmp_path_factory.mktemp("kalibr") / "aprilgrid.yaml"
+    path.write_text(KALIBR)
+    return read_target(path)
+
+
+@pytest.mark.parametrize(
+    ("turn", "t_m", "border"),
+    [
+        ((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2),
+        ((-0.4, 0.1, 2.0), (0.01, 0.0, 0.35), 2),
+        ((0.1, 0.5, -0.3), (0.0, 0.01, 0.5), 2),
+        ((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 1),
+    ],
+)
+def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border: int) -> None:
+    image, truth = picture(turn, t_m, border=border)
+    seen = find_board(image, board)
+    assert len(seen) == 4 * COLUMNS * ROWS
+    error = seen.uv_px - truth[seen.index]
+    # edges along the rows are drawn to 1/8 px: four samples a pixel
+    assert np.sqrt(np.mean(error**2)) < 0.02 and np.abs(error).max() < 0.12
+    assert seen.sigma_px < 0.05
+
+
+def test_it_may_be_seen_in_part_but_not_mirrored_and_other_tags_are_none(board: Target) -> None:
+    image, truth = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30))
+    part = image.copy()
+    part[:, 330:] = 190
+    seen = find_board(part, board)
+    assert 8 <= len(seen) <= 30
+    assert np.abs(seen.uv_px - truth[seen.index]).max() < 0.15
+    with pytest.raises(BadImage, match="mirrored"):
+        find_board(np.ascontiguousarray(image[:, ::-1]), board)
+    with pytest.raises(BadImage, match="0 tags"):
+        find_board(np.full_like(image, 90) + (np.arange(WIDTH) % 64).astype(np.uint8), board)
+
+
+def test_its_file_is_kalibrs_and_so_is_its_order(board: Target) -> None:
+    assert board.kind is TargetKind.APRILGRID and len(board.names) == 4 * COLUMNS * ROWS
+    pitch = TAG_M * (1.0 + SPACING)
+    expected = [(0.0, 0.0), (TAG_M, 0.0), (pitch, 0.0), (pitch + TAG_M, 0.0)]
+    np.testing.assert_allclose(board.xyz_m[:4, :2], expected)
+    np.testing.assert_allclose(board.xyz_m[2 * COLUMNS, :2], (0.0, TAG_M))
+    assert len(symmetries(board)) == 1
+    text = board_text(board)
+    assert text == "aprilgrid:4x3:0.04:0.3"
+    for again in (parse_board(text), target_from_mapping(target_mapping(board))):
+        np.testing.assert_array_equal(again.xyz_m, board.xyz_m)
+
+
+@pytest.mark.parametrize("wrong", [("'aprilgrid'", "'checkerboard'"), ("tagSize", "tagsize"), ("0.3", "3")])
+def test_files_that_are_not_of_an_aprilgrid_are_refused(tmp_path: Path, wrong: tuple[str, str]) -> None:
+    path = tmp_path / "other.yaml"
+    path.write_text(KALIBR.replace(*wrong))
+    with pytest.raises(BadFile):
+        parse_board(str(path))
+
+
+@pytest.mark.parametrize("text", ["aprilgrid:6x6:0.088", "aprilgrid:6x6:0.088:30", "aprilgrid:6:0.088:0.3"])
+def test_words_that_are_no_aprilgrid_are_refused(text: str) -> None:
+    with pytest.raises(UsageError, match=r"aprilgrid:6x6:0.088:0.3"):
+        parse_board(text)
