@@ -13,11 +13,11 @@ from typing import IO, Any, cast
 
 import armsight
 from armsight.app.kinematics import load_arm
+from armsight.app.robot.beside import run_beside
 from armsight.clock import SystemClock
 from armsight.drivers import load
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.kinematics import in_convention
-from armsight.priority import control_first
 from armsight.store.arm_file import arm_mapping
 
 TWINS = "armsight.twins"
@@ -46,13 +46,12 @@ def run_twin(
     with _made(name, port, connect, arm, cycle_s) as twin:
         tell(twin.address)
 
-        def goes_on() -> bool:
+        def tell_messages() -> None:
             while twin.messages:
                 warn(f"{name} twin: {twin.messages.pop(0)}")
-            return on()
 
-        control_first()
-        twin.run(goes_on)
+        run_beside(lambda: twin.run(on), tell_messages)
+        tell_messages()
 
 
 @contextmanager
