@@ -65,7 +65,7 @@ def shell(folder: Path, command: str, **environment: str) -> subprocess.Complete
         (f"armsight {FK} 2> /dev/full", 0),
         (f"armsight {FK} <&- >&- 2>&-", 0),
         (f"armsight {FK} -o /dev/full", 2),
-        (f"armsight {FK} -o - > /dev/full", 4),
+        ("armsight kinematics fk --arm ur10 --joints joints.csv -o - > /dev/full", 4),
         ("mkdir gone && cd gone && rmdir ../gone && armsight kinematics fk --arm ur10 --joints q.csv -o poses.csv", 4),
         (f"armsight {FK} -o $(printf 'x%.0s' $(seq 300)).csv", 2),
         (f"mkfifo pipe && armsight {FK} --joints pipe", 3),
