@@ -175,7 +175,7 @@ class RobotDriver:
                 ran_s = time.monotonic()
             held = state.guard == "holding" and time.monotonic() - ran_s < HELD_S
             if state.guard != "running" and not held and state.cycle > begun.cycle + BEGUN_CYCLES:
-                if self._lapsed(state) and time.monotonic() - ran_s < LAPSED_S:
+                if state.guard == "disabled" and self._lapsed(state) and time.monotonic() - ran_s < LAPSED_S:
                     begun = self._do(say.JointGoalMessage, q=goal.tolist())
                     continue
                 raise DeviceFailed(
@@ -231,8 +231,8 @@ class RobotDriver:
             time.sleep(POLL_S)
 
     def _lapsed(self, state: RemoteState) -> bool:
-        """Tell whether only late heartbeats keep the robot from moving."""
-        return self._heart.enables and state.guard == "disabled" and state.robot == "ready"
+        """Tell whether late heartbeats alone may keep the robot from moving: by now one may have been in time."""
+        return self._heart.enables and state.guard != "stopped" and state.robot == "ready"
 
 
 def connect(url: str, *, token: str | None = None, ca_file: str | PathLike[str] | None = None) -> RobotConnection:
