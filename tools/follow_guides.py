@@ -22,7 +22,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import cycle
@@ -91,7 +91,8 @@ NOT_HERE: Mapping[str, str] = {
 """Part of a command -> what it needs that is not here."""
 
 KEYS: Mapping[str, str] = {"--with keyboard": "y\nqqq...x", "--wait": "y\n........ "}
-"""Part of a command -> the keys that its reader presses, one a second."""
+"""Part of a command -> the keys that its reader presses, one a second, once it has asked."""
+QUESTION = b"[y/N]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +218,8 @@ class Reader:
             text = recipe(text.split()[1])
         live = LIVE.search(step.text) is not None
         after = self.folder.with_suffix(".place")
-        with self.typed(text) as keyboard:
+        begins = self.log.stat().st_size if self.log.exists() else 0
+        with self.typed(text, lambda: QUESTION in self.log.read_bytes()[begins:]) as keyboard:
             running = self.begin(step, f"set -euo pipefail\n{text}\npwd > {after}", keyboard)
             try:
                 code = _end_of(running, LIVE_S if live else LIMIT_S, interrupt=live)
@@ -238,7 +240,7 @@ class Reader:
         begins = self.log.stat().st_size if self.log.exists() else 0
         running = self.begin(step, f"exec {text}", subprocess.DEVNULL)
         self.services.append((step, running))
-        return trouble or self.asked(running, begins)
+        return "; ".join(filter(None, (trouble, self.asked(running, begins))))  # what follows needs it in any case
 
     def asked(self, running: subprocess.Popen[bytes], begins: int) -> str:
         """Return what is wrong with a server that has just been begun, or nothing once it answered."""
@@ -285,8 +287,8 @@ class Reader:
             )
 
     @contextmanager
-    def typed(self, text: str) -> Iterator[int]:
-        """Give what a reader types: the keys of KEYS on a terminal, else `y` to all that is asked."""
+    def typed(self, text: str, asked: Callable[[], bool]) -> Iterator[int]:
+        """Give what a reader types: the keys of KEYS on a terminal once asked() holds, else `y` to all questions."""
         keys = "".join(keys for part, keys in KEYS.items() if part in text)
         if not keys:
             answers = self.folder.with_suffix(".answers")
@@ -296,7 +298,7 @@ class Reader:
             return
         reader, terminal = pty.openpty()
         done = threading.Event()
-        typist = threading.Thread(target=_type, args=(reader, keys, done))
+        typist = threading.Thread(target=_type, args=(reader, keys, asked, done))
         typist.start()
         try:
             yield terminal
@@ -307,14 +309,15 @@ class Reader:
             os.close(reader)
 
 
-def _type(keyboard: int, keys: str, done: threading.Event) -> None:
-    """Press one key after the other, the first once the command has had time to begin, and all again until it ends."""
-    wait_s = 10.0
-    for key in cycle(keys):
-        if done.wait(wait_s):
+def _type(keyboard: int, keys: str, asked: Callable[[], bool], done: threading.Event) -> None:
+    """Press one key after the other, the first once the command has asked, and all again until it ends."""
+    while not asked():
+        if done.wait(0.25):
             return
+    for key in cycle(keys):
         os.write(keyboard, key.encode())
-        wait_s = 1.0
+        if done.wait(1.0):
+            return
 
 
 def _hears_ctrl_c() -> None:

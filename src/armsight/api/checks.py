@@ -7,6 +7,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial, wraps
+from os import PathLike
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from armsight.api.commands import in_python
@@ -14,9 +16,13 @@ from armsight.drivers import CameraSettings
 from armsight.errors import ArmsightError, UsageError
 from armsight.records import require_count, require_kind, require_number
 from armsight.store.interpret import TableFormat
+from armsight.store.outputs import held_outputs
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+WRITTEN = ("out", "record")
+"""Parameters that name what a function writes."""
 
 Check = Callable[[str, object], None]
 
@@ -29,16 +35,25 @@ def speaks_python(call: Callable[P, R]) -> Callable[P, R]:
     @wraps(call)
     def run(*args: P.args, **given: P.kwargs) -> R:
         try:
-            for name, value in signature.bind(*args, **given).arguments.items():
+            arguments = signature.bind(*args, **given).arguments
+            for name, value in arguments.items():
                 if name in checks:
                     checks[name](name, value)
                 require_range(name, value)
-            return call(*args, **given)
+            with held_outputs(_written(arguments)):
+                return call(*args, **given)
         except ArmsightError as error:
             in_python(error)
             raise
 
     return run
+
+
+def _written(arguments: Mapping[str, object]) -> list[Path]:
+    """Return what a function is told to write; what is no path is told by the function itself."""
+    values = [arguments.get(name) for name in WRITTEN]
+    each = [one for value in values for one in (value if isinstance(value, list | tuple) else [value])]
+    return [Path(one) for one in each if isinstance(one, str | PathLike) and one]
 
 
 def check_of(annotation: str) -> Check | None:

@@ -5,10 +5,8 @@ Nothing moves unasked: `confirm` is True, or a function that is given the motion
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Literal
 
 from armsight.api.checks import require_range, speaks_python
@@ -21,7 +19,7 @@ from armsight.api.given import (
 )
 from armsight.app.robot.jog import JogJob, jog_robot
 from armsight.app.robot.link_test import test_robot
-from armsight.app.robot.twin import run_twin
+from armsight.app.robot.twin import twin_beside
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.control.guard import Limits
 from armsight.drivers import Robot, RobotState
@@ -98,7 +96,7 @@ def twin(
     arm: ArmLike | None = None,
     cycle_s: float | None = None,
 ) -> Iterator[str]:
-    """Run an emulated controller while the block runs; gives what opens it, DRIVER:DEVICE.
+    """Run an emulated controller in a process of its own while the block runs; gives what opens it, DRIVER:DEVICE.
 
     port: where it listens. connect: HOST:PORT where the driver listens, for rsi and egm. arm: which it has. cycle_s: of
     the controller. Raises UsageError, DeviceNotFound with the twins there are, DeviceFailed.
@@ -116,41 +114,12 @@ def twin(
         require_range("cycle_s", cycle_s)
     with Given() as given:
         model = None if arm is None else given.arm("arm", arm)
-        with _running(partial(run_twin, name, port=port, connect=connect, arm=model, cycle_s=cycle_s)) as address:
-            yield address
-
-
-@contextmanager
-def _running(run: Callable[..., None]) -> Iterator[str]:
-    """Run a twin in a thread of its own; gives its address."""
-    ended, ready = threading.Event(), threading.Event()
-    told: list[str] = []
-    failed: list[ArmsightError] = []
-
-    def tell(address: str) -> None:
-        told.append(address)
-        ready.set()
-
-    def work() -> None:
         try:
-            run(on=lambda: not ended.is_set(), tell=tell)
+            with twin_beside(name, port=port, connect=connect, arm=model, cycle_s=cycle_s) as address:
+                yield address
         except ArmsightError as error:
-            failed.append(error)
-        finally:
-            ready.set()
-
-    thread = threading.Thread(target=work, name="twin", daemon=True)
-    thread.start()
-    try:
-        ready.wait()
-        if not failed:
-            yield told[0]
-    finally:
-        ended.set()
-        thread.join()
-    if failed:
-        in_python(failed[0])
-        raise failed[0]
+            in_python(error)
+            raise
 
 
 def as_question(confirm: Confirm) -> Callable[[str], bool]:

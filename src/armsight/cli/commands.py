@@ -285,7 +285,8 @@ def simulate(
         if done.commands is None:
             face.say(f"{done.n_frames} frames of each view and the truth are in {out}")
         else:
-            face.say(f"{done.n_frames} pictures, tables and the truth are in {out}; in that folder, try:")
+            pictures = f"{done.n_frames} pictures, tables" if done.n_frames else "tables"
+            face.say(f"{pictures} and the truth are in {out}; in that folder, try:")
             for command in done.commands:
                 face.say(f"  {command}")
         face.result(done)

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import inspect
-import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
-
-if TYPE_CHECKING:
-    from armsight.drivers.lock import DeviceLock
 
 MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
 VIEWS = ("left", "right", "image")
@@ -27,6 +22,11 @@ SET_TABLES = ("robot_poses.csv", "pairs.csv", "robot.csv", "flange.csv", "points
 SET_FILES = ("photos", "complex", "lights", "camera.yaml", "rig_true.yaml", "arm_tool.yaml", "places_true.yaml")
 SETS = (*SET_TABLES, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
 VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.csv")
+
+WRITTEN = {"out", "record", "log"}
+"""Options that name what a command writes."""
+STREAMED = {f"kinematics {name}" for name in ("fk", "ik", "jacobian", "path")} | {"join"}
+"""Commands whose one table may go to the standard output (-o -)."""
 
 NOT_TO_BE_TRUSTED = 3
 
@@ -77,58 +77,54 @@ def keeps_results(*names: str, own: str | None = None) -> Callable[[Callable[...
 
 
 def keep_inputs(app: typer.Typer, *, in_place: Collection[str] = ()) -> None:
-    """Let no command write its output over one of its inputs; in_place: commands whose result takes its place."""
+    """Let no command write its output over one of its inputs, where another writes, or into what is no file.
+
+    in_place: commands whose result takes the place of an input.
+    """
     groups = [(group.name, group.typer_instance) for group in app.registered_groups]
     for prefix, one in [("", app), *groups]:
         for command in [] if one is None else one.registered_commands:
             name = f"{prefix} {command.name or getattr(command.callback, '__name__', '')}".strip().replace("_", "-")
-            if command.callback is not None and name not in in_place:
-                command.callback = _keeping_inputs(command.callback, one_file=prefix != "calibrate")
+            if command.callback is not None and WRITTEN & set(inspect.signature(command.callback).parameters):
+                stream = name in STREAMED
+                command.callback = _keeping_inputs(command.callback, in_place=name in in_place, stream=stream)
 
 
-def _keeping_inputs(command: Callable[..., Any], *, one_file: bool) -> Callable[..., Any]:
-    """one_file: the command writes nothing beside its output, which may be a device or a pipe then."""
-    if "out" not in inspect.signature(command).parameters:
-        return command
+def _keeping_inputs(command: Callable[..., Any], *, in_place: bool, stream: bool) -> Callable[..., Any]:
+    """stream: the command writes one table and nothing else, which may go to the standard output."""
 
     @functools.wraps(command)
     def run(**given: Any) -> Any:
         with contextlib.ExitStack() as held:
             with CommandUI(as_json=given.get("json", False)):
-                for out in _texts(given["out"]):
-                    if not Path(out).is_dir():
-                        _refuse_inputs(Path(out).parent, (Path(out).name,), given)
-                    if not Path(out).exists() or Path(out).is_file() or Path(out).is_dir():
-                        held.enter_context(_written_once(Path(out)))
-                    elif not one_file:
-                        raise UsageError(
-                            f"{out} is a device or a pipe, and reports are written beside the result",
-                            consequence="Nothing was done",
-                            cure="Give a file (-o)",
-                        )
+                from armsight.store.atomic import STREAM
+                from armsight.store.outputs import held_outputs
+
+                outs = [Path(out) for name in sorted(WRITTEN & set(given)) for out in _texts(given[name])]
+                if stream and outs == [STREAM]:
+                    _refuse_json(given)
+                    outs = []
+                for out in () if in_place else outs:
+                    if not out.is_dir():
+                        _refuse_inputs(out.parent, (out.name,), given)
+                held.enter_context(held_outputs(outs))
             return command(**given)
 
     return run
 
 
-def _written_once(out: Path) -> DeviceLock:
-    """Return what a command holds that writes to a place: two at once would mix their results, and both say done."""
-    from armsight.drivers.lock import DeviceLock
-
-    place = os.fsencode(out.resolve())
-    return DeviceLock(
-        str(out),
-        key=f"results-{hashlib.sha256(place).hexdigest()[:32]}",
-        consequence="Another command is writing its results there; nothing was done",
-        cure="Wait for its end, or give another place (-o)",
-    )
+def _refuse_json(given: Mapping[str, Any]) -> None:
+    if given.get("json", False):
+        raise UsageError(
+            "-o - and --json both take the standard output", consequence="Nothing was done", cure="Give one of them"
+        )
 
 
 def _refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any]) -> None:
     """Raise UsageError where one of the results, names in a folder, is given as an input."""
     outputs = {(folder / name).resolve() for name in names}
     for flag, value in given.items():
-        for text in _texts(value) if flag != "out" else ():
+        for text in _texts(value) if flag not in WRITTEN else ():
             if Path(text).exists() and Path(text).resolve() in outputs:
                 raise UsageError(
                     f"{text} is an input, and would be written over by the result",

@@ -26,8 +26,5 @@ def twin(
         from armsight.app.robot.twin import run_twin
 
         stop = face.progress("twin")
-        run_twin(name, port=port, connect=connect, arm=arm, cycle_s=cycle, on=lambda: not stop.cancelled(), tell=_tell)
-
-
-def _tell(address: str) -> None:
-    typer.echo(address)
+        on = lambda: not stop.cancelled()  # noqa: E731
+        run_twin(name, port=port, connect=connect, arm=arm, cycle_s=cycle, on=on, tell=typer.echo, warn=face.say)

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from io import FileIO
@@ -21,6 +22,9 @@ import numpy as np
 from armsight._files import open_file, read_file, readable
 from armsight.clock import Clock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
+
+STREAM = Path("-")
+"""The standard output, in place of a file."""
 
 FLUSH_S = 1.0
 """Longest time that a measured row waits in memory: what a crash may cost."""
@@ -64,9 +68,13 @@ def write_bytes(path: Path, data: bytes) -> None:
     """Replace the file's content in one step: a crash leaves the old file or the new one, never half of one.
 
     Makes the folder where it is missing. A link stays, and the file that it leads to is replaced; a device such as
-    /dev/null, or a pipe, is written to and never replaced. Raises DeviceFailed where the disk refuses.
+    /dev/null, a pipe, or STREAM is written to and never replaced. Raises DeviceFailed where the disk refuses.
     """
     with disk_errors(path):
+        if path == STREAM:
+            sys.stdout.buffer.write(data)
+            sys.stdout.buffer.flush()
+            return
         if path.exists() and not path.is_file():
             _write_into(path, data)
             return

@@ -1,36 +1,130 @@
-"""Run an emulated controller."""
+"""Run an emulated controller, here or in a process of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import pickle
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, cast
 
+import armsight
 from armsight.app.kinematics import load_arm
+from armsight.app.robot.beside import run_beside
 from armsight.clock import SystemClock
 from armsight.drivers import load
+from armsight.errors import ArmsightError, DeviceFailed
 from armsight.kinematics import in_convention
 from armsight.store.arm_file import arm_mapping
 
 TWINS = "armsight.twins"
 """Group of callables (*, port, connect, arm, cycle_s, clock) -> Twin; see sim/twins/base.py."""
+END_S = 5.0
+"""Longest wait for a twin's process to end, before it is killed."""
 
 
 def run_twin(
     name: str,
     *,
-    port: str | None = None,
-    connect: str | None = None,
-    arm: str | None = None,
-    cycle_s: float | None = None,
+    port: str | None,
+    connect: str | None,
+    arm: str | None,
+    cycle_s: float | None,
     on: Callable[[], bool],
     tell: Callable[[str], None],
+    warn: Callable[[str], None],
 ) -> None:
     """Run the twin of a driver in real time as long as on() holds; tell the address that opens it.
 
-    arm: a file or a preset's name. Raises UsageError, DeviceNotFound with the twins there are, DeviceFailed.
+    arm: a file or a preset's name. warn is told why the twin stopped its arm or fell silent. A controller has its own
+    computer: its twin goes before other work of this one where the system allows that. Raises UsageError,
+    DeviceNotFound with the twins there are, DeviceFailed.
     """
+    with _made(name, port, connect, arm, cycle_s) as twin:
+        tell(twin.address)
+
+        def tell_messages() -> None:
+            while twin.messages:
+                warn(f"{name} twin: {twin.messages.pop(0)}")
+
+        run_beside(lambda: twin.run(on), tell_messages)
+        tell_messages()
+
+
+@contextmanager
+def twin_beside(
+    name: str, *, port: str | None, connect: str | None, arm: str | None, cycle_s: float | None
+) -> Iterator[str]:
+    """Run a twin in a process of its own while the block runs; gives its address.
+
+    In a thread of this process it would wait for the interpreter's lock, and its driver with it. Its warnings go to
+    stderr. Raises as run_twin, DeviceFailed where the process ended by itself.
+    """
+    _made(name, port, connect, arm, cycle_s)  # what is wrong with it is told at once
+    begin = "import sys; sys.path.insert(0, sys.argv[1]); from armsight.app.robot.twin import serve_twin; serve_twin()"
+    command = [sys.executable, "-c", begin, str(Path(armsight.__file__).parents[1])]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+    )  # a session of its own: Ctrl-C is for this process, which ends the other
+    orders, answers = cast(IO[bytes], process.stdin), cast(IO[bytes], process.stdout)
+    given = {"name": name, "port": port, "connect": connect, "arm": arm, "cycle_s": cycle_s}
+    try:
+        with suppress(BrokenPipeError):
+            orders.write(pickle.dumps(given))
+            orders.flush()
+        yield _told(answers)
+        if process.poll() is not None:
+            _told(answers)
+    finally:
+        with suppress(BrokenPipeError):
+            orders.close()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        answers.close()
+
+
+def serve_twin() -> None:
+    """Run the twin that stdin tells of until stdin ends; tell its address, or what went wrong, on stdout."""
+    given, ended = pickle.load(sys.stdin.buffer), threading.Event()
+
+    def wait() -> None:
+        sys.stdin.buffer.read()
+        ended.set()
+
+    def tell(told: object) -> None:
+        sys.stdout.buffer.write(pickle.dumps(told))
+        sys.stdout.buffer.flush()
+
+    def warn(text: str) -> None:
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+
+    threading.Thread(target=wait, daemon=True).start()
+    try:
+        run_twin(**given, on=lambda: not ended.is_set(), tell=tell, warn=warn)
+    except ArmsightError as error:
+        tell(error)
+
+
+def _made(name: str, port: str | None, connect: str | None, arm: str | None, cycle_s: float | None) -> Any:
+    """Return a twin that is not open yet. Raises UsageError, DeviceNotFound."""
     maker: Any = load(TWINS, name)
     mapping = None if arm is None else arm_mapping(in_convention(load_arm(arm), "standard"))
-    with maker(port=port, connect=connect, arm=mapping, cycle_s=cycle_s, clock=SystemClock()) as twin:
-        tell(twin.address)
-        twin.run(on)
+    return maker(port=port, connect=connect, arm=mapping, cycle_s=cycle_s, clock=SystemClock())
+
+
+def _told(pipe: IO[bytes]) -> str:
+    """Return the address that a twin's process tells. Raises what it raised, DeviceFailed where it tells nothing."""
+    try:
+        told = pickle.load(pipe)
+    except (EOFError, pickle.UnpicklingError) as error:
+        raise DeviceFailed("the twin's process ended by itself", consequence="There is no twin") from error
+    if isinstance(told, ArmsightError):
+        raise told
+    return str(told)

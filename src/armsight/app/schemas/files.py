@@ -86,7 +86,7 @@ class JoinOutput(Output):
     n: int = Field(description="Rows written.")
     rejected: list[RejectedRow] = Field(description="Measured rows left out, with the reason.")
     notes: list[str] = Field(description="What is to be known of times and columns.")
-    file: str = Field(description="The file written.")
+    file: str | None = Field(None, exclude_if=absent, description="The file written.")
 
 
 class SimulateOutput(Output):

@@ -28,8 +28,8 @@ TOKEN_VARIABLE = "ARMSIGHT_TOKEN"
 """The environment variable that gives the token where nothing else does: a command line shows to everyone."""
 
 OPEN_S = 5.0
-ANSWER_S = 2.0
-"""Longest waits, in s, for a connection and for an answer."""
+ANSWER_S = 5.0
+"""Longest waits, in s, for a connection and for an answer: the web server gives way to all else of its machine."""
 
 Answer = say.Accepted | say.StateMessage | say.Done
 

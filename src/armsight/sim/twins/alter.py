@@ -24,7 +24,7 @@ from armsight.clock import Clock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.sim.arms import SimArm
 from armsight.sim.servo import Drive, Servo
-from armsight.sim.twins.base import twin_arm, twin_drive, twin_home
+from armsight.sim.twins.base import note_silence, twin_arm, twin_drive, twin_home
 
 Array = NDArray[np.float64]
 
@@ -71,6 +71,7 @@ class AlterController:
             raise UsageError(f"real-time path control is for six axes, the arm has {arm.n}", cure="Take another arm")
         self.arm = arm
         self.counts = AlterTwinCounts()
+        self.messages: list[str] = []
         self._drive = drive
         self._modes = cumulative | tool << 1
         self._servo = Servo(drive, home, keep=1000)
@@ -179,6 +180,7 @@ class AlterController:
             self._late_row += 1
             if self._late_row >= LATE_LIMIT:
                 self.counts.ended += 1
+                self.messages.append(f"path control ended and begins anew: {LATE_LIMIT} answers in a row were late")
                 self._servo.halt()
                 self._pause = PAUSE_CYCLES
 
@@ -264,6 +266,11 @@ class AlterTwin:
         """What opens its driver."""
         return f"alter:{self._name or (self.controller.path if self.controller else '')}"
 
+    @property
+    def messages(self) -> list[str]:
+        """Why it ended path control or fell silent."""
+        return [] if self.controller is None else self.controller.messages
+
     def __enter__(self) -> Self:
         self.controller = AlterController(arm=self._arm, drive=self._drive, home=twin_home(self._arm))
         if self._name is not None:
@@ -297,6 +304,7 @@ class AlterTwin:
             self.controller.move()
             self._clock.sleep_until(next_s + STATE_BYTES * BYTE_S)
             self.controller.speak()
+            note_silence(self.messages, self._clock.now_s() - next_s)
 
 
 def _crc(data: bytes) -> int:

@@ -16,6 +16,9 @@ from armsight.sim.servo import Drive
 
 Array = NDArray[np.float64]
 
+BEHIND_S = 0.1
+"""A twin that wakes so late has been silent for longer than its driver may wait (rtde: 0.1 s): it says so."""
+
 MAX_SPEED = 3.0
 """Largest joint speed in rad/s or m/s where the arm's file states none."""
 
@@ -52,6 +55,11 @@ class Twin(Protocol):
         """What the driver is told to open it, as DRIVER:DEVICE; known when it is open."""
         ...
 
+    @property
+    def messages(self) -> list[str]:
+        """Why it stopped the arm or fell silent, oldest first; whoever tells them takes them out."""
+        ...
+
     def __enter__(self) -> Self:
         """Open its line. Raises DeviceFailed where that cannot be done."""
         ...
@@ -65,6 +73,12 @@ class Twin(Protocol):
     def run(self, on: Callable[[], bool]) -> None:
         """Work in real time as long as on() holds; it is asked once a cycle."""
         ...
+
+
+def note_silence(messages: list[str], late_s: float) -> None:
+    """Note that a twin was silent because this computer woke it so late."""
+    if late_s > BEHIND_S:
+        messages.append(f"silent for {late_s:.2f} s: this computer had no time for it")
 
 
 def twin_arm(mapping: Mapping[str, Any] | None) -> SimArm:

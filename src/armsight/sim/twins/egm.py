@@ -23,7 +23,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.sim.arms import SimArm
 from armsight.sim.servo import Drive, Servo
-from armsight.sim.twins.base import host_port, twin_arm, twin_drive, twin_home
+from armsight.sim.twins.base import host_port, note_silence, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
 
 Array = NDArray[np.float64]
@@ -83,6 +83,7 @@ class EgmController:
     ) -> None:
         self.arm = arm
         self.counts = EgmTwinCounts()
+        self.messages: list[str] = []
         self._sensor = sensor
         self._drive = drive
         self._clock = clock
@@ -155,6 +156,7 @@ class EgmController:
             self._guide(data)
         if self._silent_s > COMM_TIMEOUT_S and self._sensor_sequence >= 0:
             self.counts.timeouts += 1
+            self.messages.append(f"guidance ended: the sensor was silent for {COMM_TIMEOUT_S:g} s")
             self._sensor_sequence = -1
             self._halt()
 
@@ -278,6 +280,11 @@ class EgmTwin:
         return f"egm:{self._sensor[1]}"
 
     @property
+    def messages(self) -> list[str]:
+        """Why it ended guidance or fell silent."""
+        return [] if self._controller is None else self._controller.messages
+
+    @property
     def controller(self) -> EgmController:
         """The controller itself. Raises DeviceFailed where it is not open."""
         if self._controller is None:
@@ -304,6 +311,7 @@ class EgmTwin:
         while on():
             next_s = max(next_s + cycle_s, self._clock.now_s() - LATE_CYCLES * cycle_s)
             self._clock.sleep_until(next_s)
+            note_silence(self.messages, self._clock.now_s() - next_s)
             self.controller.cycle()
 
 

@@ -1,7 +1,7 @@
 """An emulated KUKA controller that runs RSI: each cycle it sends its state over UDP and takes a correction.
 
 Corrections are absolute, from where RSI was started, and hold until another comes. An answer that does not carry the
-cycle's IPOC within the cycle is late; after so many late ones the controller ends RSI, and its program starts it again.
+cycle's IPOC within the cycle is late; after so many in a row the controller ends RSI, and its program starts it again.
 So it does where a correction asks an axis for more than its largest speed.
 """
 
@@ -24,12 +24,12 @@ from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim.arms import SimArm
 from armsight.sim.servo import Drive, Servo
-from armsight.sim.twins.base import clipped, host_port, twin_arm, twin_drive, twin_home
+from armsight.sim.twins.base import clipped, host_port, note_silence, twin_arm, twin_drive, twin_home
 
 Array = NDArray[np.float64]
 
 LATE_LIMIT = 100
-"""Late packets after which RSI ends: the ETHERNET object's Timeout."""
+"""Late answers in a row after which RSI ends: the ETHERNET object's Timeout."""
 
 PAUSE_CYCLES = 25
 """So long the program takes to start RSI again."""
@@ -68,7 +68,9 @@ class RsiController:
             raise UsageError(f"RSI is for six axes, the arm has {arm.n}", cure="Take another arm")
         self.arm = arm
         self.counts = RsiTwinCounts()
+        self.messages: list[str] = []
         self.late_limit = LATE_LIMIT
+        self._late_row = 0
         self._driver = driver
         self._drive = drive
         self._sen = re.compile(rf'\s*<Sen\s+Type="{re.escape(sen_type)}"\s*>(.*)</Sen>\s*', re.DOTALL)
@@ -135,7 +137,7 @@ class RsiController:
         self._servo.halt()
         self._start = self._servo.goal
         self._connected = self._asked = False
-        self.counts.late = 0
+        self.counts.late = self._late_row = 0
         with contextlib.suppress(OSError):
             while True:  # what is still under way was meant for the session before
                 self._socket.recv(4096)
@@ -153,12 +155,16 @@ class RsiController:
             answered = self._take(data) or answered
         if self._asked and self._connected and not answered:
             self.counts.late += 1
-            if self.counts.late >= self.late_limit:
-                self._end()
+            self._late_row += 1
+            if self._late_row >= self.late_limit:
+                self._end(f"{self._late_row} answers in a row were late")
+        elif answered:
+            self._late_row = 0
         self._connected = self._connected or answered
 
-    def _end(self) -> None:
+    def _end(self, why: str) -> None:
         """End RSI; the arm stays where it is."""
+        self.messages.append(f"RSI ended and begins anew: {why}")
         self.counts.ended += 1
         self._servo.halt()
         self._pause = PAUSE_CYCLES
@@ -175,7 +181,7 @@ class RsiController:
             self.counts.mismatched += 1
             return False
         if (np.abs(goal - self._servo.goal) > 1.001 * self._drive.max_speed * self._drive.cycle_s).any():
-            self._end()
+            self._end("a correction asked an axis for more than its largest speed")
             return False
         self.counts.taken += 1
         self._servo.command(self._servo.t_s, goal)
@@ -236,6 +242,11 @@ class RsiTwin:
         """What opens its driver."""
         return f"rsi:{self._driver[1]}"
 
+    @property
+    def messages(self) -> list[str]:
+        """Why it ended RSI or fell silent."""
+        return [] if self.controller is None else self.controller.messages
+
     def __enter__(self) -> Self:
         self.controller = RsiController(self._driver, arm=self._arm, drive=self._drive, home=twin_home(self._arm))
         return self
@@ -253,6 +264,7 @@ class RsiTwin:
             self.controller.cycle()
             next_s = max(next_s + self._drive.cycle_s, self._clock.now_s())
             self._clock.sleep_until(next_s)
+            note_silence(self.messages, self._clock.now_s() - next_s)
 
 
 def _attributes(text: str, tag: str, names: str) -> Array | None:

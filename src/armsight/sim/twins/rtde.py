@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, UsageError
-from armsight.sim.twins.base import host_port, twin_arm, twin_drive, twin_home
+from armsight.sim.twins.base import host_port, note_silence, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.rtde_wire import INPUTS, OUTPUTS, BadFrame, Kind, Recipe, frame, frames, names_of
 from armsight.sim.twins.ur_controller import UrController
 from armsight.sim.twins.urscript import complete
@@ -104,8 +104,10 @@ class RtdeServer:
         next_s = self._clock.now_s()
         while on():
             next_s += self.controller.cycle_s
-            if self._clock.now_s() - next_s > LATE_CYCLES * self.controller.cycle_s:
-                next_s = self._clock.now_s()
+            late_s = self._clock.now_s() - next_s
+            if late_s > LATE_CYCLES * self.controller.cycle_s:
+                note_silence(self.controller.messages, late_s)
+                next_s += late_s
             self.serve(next_s)
             self.cycle()
 
@@ -329,6 +331,11 @@ class RtdeTwin:
     def address(self) -> str:
         """What opens the driver."""
         return f"rtde:{self._host}" + (f":{self._port}" if self._port != RTDE_PORT else "")
+
+    @property
+    def messages(self) -> list[str]:
+        """Why its program ended or it fell silent, and what the program says."""
+        return [] if self._server is None else self._server.controller.messages
 
     @property
     def server(self) -> RtdeServer:

@@ -35,6 +35,7 @@ class UrController:
     def __init__(self, *, arm: SimArm, drive: Drive, home: ArrayLike) -> None:
         self.arm = arm
         self.messages: list[str] = []
+        """Why a program was refused or stopped."""
         self._drive = drive
         self._servo = Servo(drive, home, keep=1000)
         self._cycles = 0
@@ -151,7 +152,7 @@ class UrController:
     def _calls(self) -> dict[str, Callable[..., Any]]:
         """Return the functions of URScript that take no time."""
         return {
-            "textmsg": lambda *parts: self.messages.append("".join(str(part) for part in parts)),
+            "textmsg": lambda *parts: None,  # goes to the pendant's log, which is not emulated
             "read_input_integer_register": lambda i: int(self._register("int", i)),
             "read_input_float_register": lambda i: float(self._register("double", i)),
             "write_output_integer_register": lambda i, value: self._int_out.__setitem__(_index(i), int(value)),

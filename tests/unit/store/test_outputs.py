@@ -1,0 +1,97 @@
+"""Where results may be written: files and folders, one writer at a time, also from Python."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import armsight as library
+from armsight.cli.commands import app
+from armsight.cli.result_folders import STREAMED, WRITTEN
+from armsight.errors import DeviceFailed, UsageError
+from armsight.store.outputs import held_outputs, refuse_place
+
+JOINTS = "q1,q2,q3,q4,q5,q6\n0.1,-1.0,1.2,-0.3,1.2,0.4\n"
+
+
+def test_devices_pipes_links_out_and_the_standard_output_are_no_places(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "out").symlink_to(tmp_path / "elsewhere.csv")
+    (tmp_path / "in" / "near").symlink_to("beside.csv")
+    (tmp_path / "in" / "folder").symlink_to(tmp_path)
+    for bad in (Path("/dev/null"), tmp_path / "pipe", tmp_path / "in" / "out", Path("-")):
+        with pytest.raises(UsageError, match="Nothing was done"):
+            refuse_place(bad)
+    for good in ("near", "folder", "new.csv"):
+        refuse_place(tmp_path / "in" / good)
+
+
+def test_a_second_writer_is_told_and_the_first_ones_end_lets_go(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with held_outputs([out]):
+        with pytest.raises(DeviceFailed), held_outputs([tmp_path / "x" / ".." / "out"]):
+            raise AssertionError("held twice")
+        with pytest.raises(DeviceFailed):
+            library.write_simulation("arm-points", out)
+        with pytest.raises(DeviceFailed):
+            library.convert(library.presets.ur10(), [out])
+    assert not out.exists()
+    assert library.write_formulas("ur10", tmp_path / "a.tex").arm
+
+
+def _commands() -> dict[str, Any]:
+    groups = [("", app), *((group.name, group.typer_instance) for group in app.registered_groups)]
+    return {
+        f"{prefix} {(one.name or one.callback.__name__).replace('_', '-')}".strip(): one.callback
+        for prefix, group in groups
+        if group is not None
+        for one in group.registered_commands
+        if one.callback is not None
+    }
+
+
+def test_every_command_that_writes_refuses_a_device_and_a_place_in_use(tmp_path: Path) -> None:
+    commands = _commands()
+    writing = [name for name, call in commands.items() if WRITTEN & set(inspect.signature(call).parameters)]
+    assert len(writing) > 40
+    assert set(writing) >= STREAMED
+    busy = tmp_path / "busy"
+    for name in writing:
+        flag = next(one for one in ("out", "record", "log") if one in inspect.signature(commands[name]).parameters)
+        for place, held in (("/dev/null", []), (busy, [busy])):
+            value = [Path(place)] if name == "convert rig" else Path(place)
+            with pytest.raises(BaseException) as ended, held_outputs(held):
+                commands[name](**{flag: value})
+            assert getattr(ended.value, "exit_code", None) == (4 if held else 2), name
+    assert not busy.exists()
+
+
+def test_one_table_goes_to_the_standard_output(tmp_path: Path) -> None:
+    (tmp_path / "q.csv").write_text(JOINTS, encoding="utf-8")
+    words = ["kinematics", "fk", "--arm", "ur10", "--joints", str(tmp_path / "q.csv"), "-o"]
+    assert CliRunner().invoke(app, [*words, str(tmp_path / "poses.csv")]).exit_code == 0
+    done = CliRunner().invoke(app, [*words, "-"])
+    assert (done.exit_code, done.stdout) == (0, (tmp_path / "poses.csv").read_text(encoding="utf-8"))
+    assert done.stderr.endswith(" of ur10: -\n"), "no name of a file that is gone"
+    assert CliRunner().invoke(app, [*words, "-", "--json"]).exit_code == 2
+    assert CliRunner().invoke(app, ["convert", "arm", "ur10", "-o", "-"]).exit_code == 2
+
+
+def test_no_result_names_a_file_that_is_gone(tmp_path: Path) -> None:
+    arm, t_s = library.presets.ur10(), np.linspace(0.0, 4.0, 400)
+    q = np.outer(np.sin(1.3 * t_s), np.linspace(0.2, 0.5, 6)) + np.array([0.0, -1.0, 1.0, 1.0, 2.0, 0.0])
+    joined = library.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm)
+    assert joined.file is None
+    assert "file" not in joined.to_json()
+    kept = library.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm, out=tmp_path / "joined.csv")
+    assert kept.file == str(tmp_path / "joined.csv")
+    arm.save(tmp_path / "arm.yaml")
+    done = library.compare(arm, tmp_path / "arm.yaml")
+    assert (done.a, done.b) == ("a", str(tmp_path / "arm.yaml"))
