@@ -13,7 +13,7 @@ from pydantic import Field
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, Joint, JointType, ToolPoint
 from armsight.records import NamedCovariance
-from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
+from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees, looks_like_mm
 from armsight.store.schema import (
     CovarianceModel,
     Finite,
@@ -55,15 +55,22 @@ class JointModel(Strict):
     def joint(self) -> Joint:
         """Return the record; Inconsistent where no joint can be like this."""
         values = self.model_dump(exclude={"coupled", "std", "lower", "upper"})
-        self._check_degrees()
+        self._check_units()
         return Joint(
             **values,
             lower=-math.inf if self.lower is None else self.lower,
             upper=math.inf if self.upper is None else self.upper,
         )
 
-    def _check_degrees(self) -> None:
-        """Raise Inconsistent where angles in radians are degrees."""
+    def _check_units(self) -> None:
+        """Raise Inconsistent where angles in radians are degrees, or lengths in metres millimetres."""
+        lengths = [name for name, value in (("a_m", self.a_m), ("d_m", self.d_m)) if looks_like_mm(value)]
+        if lengths:
+            raise Inconsistent(
+                f"joint {self.name}: {' and '.join(lengths)} look like millimetres",
+                consequence="Taken as metres the arm would be a thousand times its size",
+                cure="Write metres",
+            )
         angles = {"alpha_rad": self.alpha_rad, "theta_rad": self.theta_rad, "beta_rad": self.beta_rad}
         limits = [value for value in (self.lower, self.upper) if value is not None]
         wrong = [name for name, value in angles.items() if looks_like_degrees(value)]

@@ -117,7 +117,7 @@ def _further(data: bytes, known: Sequence[str]) -> tuple[str, ...]:
     """Return the columns of a table that are none of ours, nor nearly one."""
     return tuple(
         name
-        for name in dict.fromkeys(_cells(data.split(b"\n", 1)[0]))
+        for name in dict.fromkeys(_cells(data.splitlines()[0] if data else b""))
         if name not in known
         and not name[1:].isdecimal()  # q1 .. qn, or one of them written wrong
         and (name in KNOWN or not difflib.get_close_matches(name, known, n=1, cutoff=SLIP))

@@ -9,13 +9,14 @@ import numpy as np
 
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat, xyz_quat
-from armsight.records import TaughtPath
+from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.store.atomic import read_bytes, write_text
 from armsight.store.schema import named
 from armsight.store.tables import MAX_BYTES, cells, number, parse_table, word
 from armsight.store.tracks import POSITION, QUATERNION
 
 COLUMNS = ("index", "t_s", *POSITION, *QUATERNION, "speed_m_s", "tag")
+SWITCHES = (WELD_ON, WELD_OFF)
 TAG = re.compile(r"[\w.-]{0,40}")
 
 
@@ -57,6 +58,13 @@ def parse_path(data: bytes, where: str, *, parent: str = "world") -> TaughtPath:
     for row, tag in enumerate(tags):
         if not TAG.fullmatch(tag):
             raise BadFile(f"{table.place(row)}, column tag: {tag[:40]!r} is not one word")
+        meant = tag.lower().replace("-", "_")
+        if tag not in SWITCHES and meant in SWITCHES:
+            raise BadFile(
+                f"{table.place(row)}, column tag: {tag!r} is not {meant!r}",
+                consequence="The weld would not be switched there",
+                cure=f"Write {meant}",
+            )
     T = np.empty((n, 4, 4))
     xyz, quat = table.stacked(POSITION), table.stacked(QUATERNION)
     for row in range(n):

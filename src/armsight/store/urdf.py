@@ -71,6 +71,10 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
     root = _parsed(text, where)
     joints = [_joint(element, where) for element in root.findall("joint")]
     links = {_name(link, "link", where) for link in root.findall("link")}
+    if not links:
+        raise BadFile(
+            f"{where}: has no link", consequence="There is no arm in it", cure="A xacro file must be expanded first"
+        )
     tree = _tree(joints, links, where)
     chain = _chain(tree, where, base, tip)
     for joint in chain:

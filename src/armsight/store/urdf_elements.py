@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadFile
+from armsight.store.interpret import looks_like_degrees, looks_like_mm
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,13 @@ def origin_of(element: ElementTree.Element, at: str) -> Array:
     origin = element.find("origin")
     xyz = numbers(origin.get("xyz") if origin is not None else None, "0 0 0", 3, f"{at}: origin xyz")
     rpy = numbers(origin.get("rpy") if origin is not None else None, "0 0 0", 3, f"{at}: origin rpy")
+    if looks_like_degrees(rpy) or looks_like_mm(xyz):
+        what, unit = ("rpy", "degrees") if looks_like_degrees(rpy) else ("xyz", "millimetres")
+        raise BadFile(
+            f"{at}: origin {what} looks like {unit}",
+            consequence="Taken as URDF means it the arm would be another",
+            cure="Write metres and radians",
+        )
     return matrix(xyz, rpy)
 
 

@@ -1,4 +1,4 @@
-"""Degrees given for radians are refused before anything moves or is computed."""
+"""Degrees given for radians, and millimetres for metres, are refused before anything moves or is computed."""
 
 from pathlib import Path
 
@@ -13,12 +13,17 @@ from armsight.clock import SystemClock
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.store.arm_file import read_arm
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
+from armsight.store.urdf import arm_from_urdf
 from armsight.units import DEG
 
 LIMITS = "format: armsight/limits\nversion: 1\njoints:\n" + 6 * "- {lower: LO, upper: HI}\n"
 ARM = (
     "format: armsight/arm\nversion: 1\nconvention: standard\njoints:\n"
     "- {name: j1, type: revolute, a_m: 0.3, alpha_rad: ALPHA, lower: LO, upper: HI}\n"
+)
+URDF = (
+    '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+    '<child link="b"/><axis xyz="0 0 1"/><origin xyz="XYZ" rpy="RPY"/></joint></robot>'
 )
 
 
@@ -53,8 +58,9 @@ def test_limits_of_the_guard(tmp_path: Path) -> None:
 
 
 def test_an_arm_file(tmp_path: Path) -> None:
-    def arm(alpha: float, low: float, high: float) -> Path:
+    def arm(alpha: float, low: float, high: float, a_m: float = 0.3) -> Path:
         text = ARM.replace("ALPHA", str(alpha)).replace("LO", str(low)).replace("HI", str(high))
+        text = text.replace("a_m: 0.3", f"a_m: {a_m}")
         (tmp_path / "arm.yaml").write_text(text)
         return tmp_path / "arm.yaml"
 
@@ -64,6 +70,20 @@ def test_an_arm_file(tmp_path: Path) -> None:
         read_arm(arm(90.0, -2.9, 2.9))
     with pytest.raises(BadFile, match="lower and upper look like degrees"):
         read_arm(arm(1.5708, -170.0, 170.0))
+    with pytest.raises(BadFile, match="a_m look like millimetres"):
+        read_arm(arm(1.5708, -2.9, 2.9, a_m=-300.0))
+
+
+@pytest.mark.parametrize(
+    ("xyz", "rpy", "wrong"), [("0 0 1", "0 -7 3", ""), ("0 0 1000", "0 0 0", "xyz"), ("0 0 1", "90 0 0", "rpy")]
+)
+def test_a_urdf_in_mm_or_degrees(xyz: str, rpy: str, wrong: str) -> None:
+    text = URDF.replace("XYZ", xyz).replace("RPY", rpy)
+    if not wrong:
+        assert arm_from_urdf(text).n == 1
+        return
+    with pytest.raises(BadFile, match=f"origin {wrong} looks like"):
+        arm_from_urdf(text)
 
 
 def test_joint_values_on_the_command_line(tmp_path: Path) -> None:

@@ -157,6 +157,18 @@ def recorded(path: Path, rig_file: Path | None = None) -> list[Frame]:
     return frames
 
 
+@pytest.mark.parametrize("names", [{"base": ""}, {"base": "a b"}, {"base": "tool0"}, {"camera": 'x" --x'}])
+def test_frames_without_a_name_of_their_own_are_refused(names: dict[str, str]) -> None:
+    with pytest.raises(UsageError):
+        FrameNames(**names)
+
+
+def test_a_recording_of_nothing_is_refused(tmp_path: Path) -> None:
+    RecordingWriter(tmp_path / "run.mcap").close()
+    with pytest.raises(NotEnoughData):
+        export(tmp_path / "run.mcap", tmp_path / "out")
+
+
 def test_a_recording_becomes_a_bag_that_is_read_like_any_other(tmp_path: Path, rig_file: Path) -> None:
     frames = recorded(tmp_path / "a.mcap", rig_file)
     done = export(tmp_path / "a.mcap", tmp_path / "bag", to="rosbag2")

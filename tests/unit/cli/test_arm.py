@@ -59,8 +59,11 @@ def test_an_arm_is_calibrated_with_every_promised_key(armsight: Any, measured: n
 def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
     out = ["-o", tmp_path / "arm.yaml"]
     centimetres = measured * np.r_[np.ones(6), np.full(3, 100.0)]
+    slip = measured.copy()
+    slip[5, 6] = 1e300
     for rows, header, said in (
         (centimetres, HEADER, "centimetres"),
+        (slip, HEADER, "row 5: a position of 1e+300 m"),
         (measured[:, 1:], "q1,q2,q3,q4,q5,x_m,y_m,z_m", "6 joints"),
         (measured[:3], HEADER, "3 measurements"),
         (np.where(np.arange(60)[:, None] == 7, np.nan, measured), HEADER, "line 9"),
@@ -71,6 +74,10 @@ def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.nda
         )
         assert done.code == 3, header
         assert said in str(done.json["error"]), done.json
+    given = ["--points", write_rows(tmp_path / "p.csv", HEADER, measured[:40])]
+    given += ["--holdout", write_rows(tmp_path / "h.csv", HEADER, measured[39:])]
+    done = armsight("calibrate", "arm", "--model", "irb120", *given, *out)
+    assert done.code == 3 and "1 of 21 rows of the holdout" in str(done.json["error"])
     assert not (tmp_path / "arm.yaml").exists()
 
 

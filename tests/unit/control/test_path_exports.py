@@ -204,6 +204,7 @@ def test_an_approach_comes_slowly_along_the_tool():
         lambda: program(name="1st"),
         lambda: program(name="x" * 25),
         lambda: program(acceleration_m_s2=0.0),
+        lambda: program(acceleration_m_s2=500.0),
         lambda: with_approach(example(), -0.1),
         lambda: krl(program(tool=None)),
         lambda: krl(program(tool="torch")),
@@ -224,6 +225,12 @@ def test_paths_without_motion_are_refused():
         with_approach(one, 0.1)
     with pytest.raises(Inconsistent):
         program_moves(one, speed_m_s=0.1)
+
+
+def test_a_weld_that_is_never_switched_off_is_refused():
+    assert program_moves(replace(example(), tags=("weld_on", "weld_off", "", "")), speed_m_s=0.1)
+    with pytest.raises(Inconsistent):
+        program_moves(replace(example(), tags=("weld_on", "weld_off", "weld_on", "")), speed_m_s=0.1)
 
 
 def test_tags_of_other_alphabets_become_ascii():

@@ -40,6 +40,12 @@ def test_a_work_angle_turns_about_the_path():
     assert np.allclose(made.T_world_tip[:, :3, 2], [0, 0.5, -math.sqrt(0.75)])
 
 
+@pytest.mark.parametrize("by_m", [float("nan"), 10.0, -10.0])
+def test_offsets_without_meaning_are_refused(by_m):
+    with pytest.raises(UsageError):
+        offset_along_tool(ALONG_X, by_m)
+
+
 def test_tilts_without_meaning_are_refused():
     with pytest.raises(UsageError):
         tilted(ALONG_X, travel_rad=15.0)  # degrees taken for radians

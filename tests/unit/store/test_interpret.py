@@ -14,6 +14,7 @@ from armsight.store import read_joints, read_poses
 from armsight.store.arm_points import read_arm_points
 from armsight.store.handeye_file import read_pairs, read_robot_poses
 from armsight.store.interpret import OURS, TableFormat, interpret
+from armsight.store.interpret.read import kind_of_table
 from armsight.store.interpret.rotations import ROBOT_FORMATS, euler_order
 from armsight.store.interpret.table_format import column_names
 from armsight.store.schema import write_document
@@ -256,6 +257,37 @@ def test_a_table_of_ours_is_left_as_it_is(file) -> None:
     assert found.data == text.encode() and found.notes == ()
     with pytest.raises(BadFile, match="did you mean 't_s'"):
         read_joints(file("t_x,t_s,q1\n0,1,2\n"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("commas.csv", "q1,x_m,y_m,z_m,point\n0.1,0.5,0.25,1.5,A\n0.2,0.5,0.25,1.5,\n"),
+        ("cr.csv", "q1,x_m,y_m,z_m,point\r0.1,0.5,0.25,1.5,A\r0.2,0.5,0.25,1.5,\r"),
+        ("semicolons.csv", "q1;x_m;y_m;z_m;point\n0,1;0,5;0,25;1,5;A\n0,2;0,5;0,25;1,5;\n"),
+        ("marked.csv", "q1;x_m;y_m;z_m;point;\n0,1;0,5;0,25;1,5;A;\n0,2;0,5;0,25;1,5;;\n"),
+        ("records.json", '[{"q1": 0.1, "x_m": 0.5, "y_m": 0.25, "z_m": 1.5, "point": "A"},'
+         ' {"q1": 0.2, "x_m": 0.5, "y_m": 0.25, "z_m": 1.5, "point": ""}]'),
+    ],
+)  # fmt: skip
+def test_our_columns_are_read_however_their_cells_are_apart(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text, newline="")
+    points = read_arm_points(tmp_path / name)
+    np.testing.assert_array_equal(points.q[:, 0], [0.1, 0.2])
+    np.testing.assert_array_equal(points.xyz_m, [[0.5, 0.25, 1.5]] * 2)
+    assert points.point == ("A", "")
+
+
+def test_the_last_cell_may_be_empty_where_another_table_is_read(file) -> None:
+    path = file(f"index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n0,0.0,1,2,3,{QUAT},,\n1,0.1,1,2,3,{QUAT},,\n")
+    assert len(read_poses(path)) == 2
+
+
+@pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n\0", b"", b"x_m,y_m,z_m\n1,2,3\n1,2\n"])
+def test_what_is_no_table_of_any_kind_says_why(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "t.csv").write_bytes(data)
+    with pytest.raises(BadFile):
+        kind_of_table(tmp_path / "t.csv", OURS, ("joints", "poses"))
 
 
 def test_a_folder_may_hold_the_table_or_one_file_per_pose_and_both_are_named_as_inputs(tmp_path):

@@ -46,6 +46,7 @@ def test_places_alone_are_a_path() -> None:
         ("0,1,0,0,0,0,0,0,1,,\n1,0,0,0,0,0,0,0,1,,\n", "times of a path"),
         ("0,0,0,0,0,0,0,0,1,-0.1,\n", "speed"),
         ("0,0,0,0,0,0,0,0,1,,two words\n", "column tag"),
+        ("0,0,0,0,0,0,0,0,1,,Weld-On\n", "line 2, column tag"),
         ("0,0,0,0,0,0,0,0,0,,\n", "line 2"),
         ("0,0,nan,0,0,0,0,0,1,,\n", "x_m"),
     ],

@@ -13,7 +13,7 @@ from armsight.app.record.record import RIG_NAME, TARGET_NAME
 from armsight.app.schemas.files import ExportOutput
 from armsight.app.simulate.cells import PNG
 from armsight.drivers import ordered_map
-from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, UsageError
+from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, Progress, Silent
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text
@@ -53,6 +53,11 @@ def export(source: Path, out: Path, *, to: str = "files", progress: Progress | N
             with disk_errors(out):
                 out.mkdir(parents=True, exist_ok=True)
             done = _folder(recording, out, progress)
+    if not any(done.values()):
+        raise NotEnoughData(
+            f"{source} holds nothing that could be written",
+            cure="Mend it with armsight record --repair, or give another",
+        )
     return ExportOutput(source=str(source), out=str(out), n=done)
 
 

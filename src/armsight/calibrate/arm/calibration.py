@@ -138,6 +138,7 @@ def calibrate_arm(
     if holdout is not None:
         check_points(nominal, holdout)
         _check_labels(model, holdout)
+        _check_apart(points, holdout)
     levels = _levels(model, points, tolerance, scale=scale)
     errors = [_size(model, x, points) for x in levels]
     check_fit(model, points, min(errors, key=exceeded))
@@ -197,6 +198,18 @@ def _in_time(
 def _plain(levels: Sequence[Level], best: Level) -> Level:
     """Return the level of base and tool alone whose readings are coupled as the best one's."""
     return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
+
+
+def _check_apart(points: ArmPoints, holdout: ArmPoints) -> None:
+    """Raise Inconsistent where rows of the holdout are rows of the measurements, to the last digit."""
+    fitted = set(map(bytes, np.column_stack([points.q, points.xyz_m])))
+    same = sum(bytes(row) in fitted for row in np.column_stack([holdout.q, holdout.xyz_m]))
+    if same:
+        raise Inconsistent(
+            f"{same} of {len(holdout)} rows of the holdout are rows of the measurements too",
+            consequence="They would judge the geometry that was fitted to them, and call it better than it is",
+            cure="Give rows that are in one file only, or leave the holdout away: rows left out in turn judge then",
+        )
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:

@@ -27,6 +27,8 @@ SAME_Q = 1e-9
 """Readings that differ by less (rad or m) are of one joint position: rounding of a file."""
 
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 1e-3: "kilometres"}
+FARTHEST = 1e5
+"""Positions of 100 m in millimetres stay within it, so that these are told as such; beyond it a cell is wrong."""
 ABSURD = 12.0
 """Places that spread so many times as far as the arm moves its tool, or so many times less, are in another unit."""
 
@@ -165,8 +167,21 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             consequence="The arm is not calibrated",
             cure="Give radians; the numbers look like degrees",
         )
+    _check_far(points)
     check_units(arm, points.q, points.xyz_m)
     check_spread(points.xyz_m, "the positions")
+
+
+def _check_far(points: ArmPoints) -> None:
+    """Raise Inconsistent where a position is further off than any is in any unit, by its row."""
+    far = np.abs(points.xyz_m).max(axis=1)
+    worst = int(np.argmax(far))
+    if far[worst] > FARTHEST:
+        raise Inconsistent(
+            f"row {worst if points.row is None else points.row[worst]}: a position of {far[worst]:.3g} m",
+            consequence="Nothing is computed from the positions",
+            cure="Correct the row, or leave it out",
+        )
 
 
 def _check_moves(arm: Arm, points: ArmPoints) -> None:

@@ -23,6 +23,8 @@ MOST_ROWS = 20_000
 BLEND_SHARE = 0.45
 """Of the way to a neighbour: controllers stop where the blends of two neighbours overlap."""
 APPROACH_M, APPROACH_SPEED_M_S = 0.05, 0.05
+MOST_ACCELERATION_M_S2 = 50.0
+"""Five times gravity, as the quickest picking arms have; mm/s^2 taken for m/s^2 go beyond."""
 JOINT_SPEED = 0.2
 """rad/s, of the joint motion to the first place, from wherever the arm stands."""
 
@@ -73,6 +75,12 @@ class Program:
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0.0):
                 raise UsageError(f"{key} is {value:g}, which is not positive", consequence="No program is written")
+        if self.acceleration_m_s2 > MOST_ACCELERATION_M_S2:
+            raise UsageError(
+                f"acceleration_m_s2 is {self.acceleration_m_s2:g}, which no arm has",
+                consequence="No program is written",
+                cure="Give it in m/s^2; 500 mm/s^2 are 0.5",
+            )
 
 
 def with_approach(path: TaughtPath, approach_m: float) -> TaughtPath:
@@ -107,7 +115,8 @@ def program_moves(
 
     A row's speed is that of the way behind it; speed_m_s where the path leaves it open. blend_m: radius within which a
     motion may go over into the next, less where neighbours are near, none at the ends, at tags and at the rows stops.
-    Raises UsageError for a path in another frame, for a speed that is open or none, for a radius that is none.
+    Raises UsageError for a path in another frame, for a speed that is open or none, for a radius that is none;
+    Inconsistent for a weld that is never switched off.
     """
     if path.parent != "base":
         raise UsageError(
@@ -133,6 +142,13 @@ def program_moves(
             f"the speed to row {row} of the program is open or not positive",
             consequence="No program is written",
             cure="Give a speed for where the path has none",
+        )
+    switched = [state for tag in path.tags if (state := weld_state(tag)) is not None]
+    if switched and switched[-1]:
+        raise Inconsistent(
+            "the weld is still on at the end of the path",
+            consequence="The arc would burn on through the retreat; no program is written",
+            cure="Tag the row where the seam ends weld_off",
         )
     way = np.diff(path.length_m)
     radius = np.zeros(len(path))

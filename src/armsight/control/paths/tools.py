@@ -21,15 +21,23 @@ GAP_RAD = 5.0 * DEG
 LEAST_RAD = 5.0 * DEG
 """Between the tool's axis and the path's direction; below it the plane of both is not known."""
 MOST_TILT_RAD = 80.0 * DEG
+MOST_OFFSET_M = 2.0
+"""No tool stands further off its work; millimetres taken for metres go beyond."""
 
 
 def offset_along_tool(path: TaughtPath, by_m: float) -> TaughtPath:
     """Return the path with every pose moved by by_m along its own tool axis z; negative: back from the work.
 
-    Raises UsageError where by_m is not finite.
+    Raises UsageError where by_m is not finite, or beyond MOST_OFFSET_M.
     """
     if not math.isfinite(by_m):
         raise UsageError(f"an offset of {by_m:g} m is none", consequence="The path is left as it is")
+    if abs(by_m) > MOST_OFFSET_M:
+        raise UsageError(
+            f"an offset of {by_m:g} m is beyond {MOST_OFFSET_M:g} m",
+            consequence="The path is left as it is",
+            cure="Give it in m; 10 mm are 0.01",
+        )
     T = path.T_world_tip.copy()
     T[:, :3, 3] += by_m * T[:, :3, 2]
     return replace(path, T_world_tip=T)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,14 @@ from xml.sax.saxutils import quoteattr
 
 from scipy.spatial.transform import RigidTransform
 
+from armsight.errors import UsageError
 from armsight.geometry import xyz_quat
 from armsight.store.atomic import write_text
 from armsight.store.tables import number
 from armsight.store.yamls import dump_yaml
+
+FRAME_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]*")
+"""Names that TF takes; a space in one would be a further argument of the publisher."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,6 +38,18 @@ class FrameNames:
     flange: str = "tool0"
     camera: str = "camera_optical_frame"
     target: str = "calibration_target"
+
+    def __post_init__(self) -> None:
+        names = (self.base, self.flange, self.camera, self.target)
+        bad = [name for name in names if FRAME_NAME.fullmatch(name) is None]
+        if bad or len(set(names)) < len(names):
+            what = f"{bad[0][:40]!r} is no name of a frame" if bad else "two frames have one name"
+            raise UsageError(
+                f"{what}: base {self.base[:40]!r}, flange {self.flange[:40]!r}, camera {self.camera[:40]!r}, "
+                f"target {self.target[:40]!r}",
+                consequence="TF would take another tree, or none; nothing is written",
+                cure="Give each frame a name of its own, of letters, digits, '_', '-', '.' and '/'",
+            )
 
 
 def write_tf_launch(path: Path, transforms: Sequence[Transform]) -> None:

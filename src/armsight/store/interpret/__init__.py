@@ -1,6 +1,6 @@
 """Tables as people have them: other units, rotations, names, files; brought to the columns of ours."""
 
-from armsight.store.interpret.plausibility import largest, limits_look_like_degrees, looks_like_degrees
+from armsight.store.interpret.plausibility import largest, limits_look_like_degrees, looks_like_degrees, looks_like_mm
 from armsight.store.interpret.read import (
     Interpreted,
     check_joint_values,
@@ -24,5 +24,6 @@ __all__ = [
     "largest",
     "limits_look_like_degrees",
     "looks_like_degrees",
+    "looks_like_mm",
     "standard_bytes",
 ]

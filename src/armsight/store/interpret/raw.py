@@ -16,13 +16,15 @@ REMARKS = ("#", "%", "//")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawTable:
     """where: the file. how: what kind it was found to be, in words. names: of the columns, () where it has none.
-    columns: the cells (k lists of n). lines: (n,) the line that each row came from, from 1."""
+    columns: the cells (k lists of n). lines: (n,) the line that each row came from, from 1. csv: whether the file
+    has its cells as a CSV of ours, by commas."""
 
     where: str
     how: str
     names: tuple[str, ...]
     columns: tuple[Sequence[str], ...]
     lines: tuple[int, ...]
+    csv: bool = False
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -39,7 +41,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
     if not body:
         raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
     split = _splitter(body[min(1, len(body) - 1)][1])
-    rows = [(i, split(line)) for i, line in body]
+    rows = _without_last_mark([(i, split(line)) for i, line in body])
     names: tuple[str, ...] = ()
     if not is_data(rows[0][1]):
         names, rows = tuple(rows[0][1]), rows[1:]
@@ -61,7 +63,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
                 cure="Give every row one cell per column",
             )
     how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
-    return _transposed(where, how, names, rows)
+    return _transposed(where, how, names, rows, csv=split.by == ",")
 
 
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
@@ -84,9 +86,18 @@ def table_of(records: Sequence[dict[str, str]], where: str, how: str) -> RawTabl
     return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(range(2, len(records) + 2)))
 
 
-def _transposed(where: str, how: str, names: tuple[str, ...], rows: Sequence[tuple[int, Sequence[str]]]) -> RawTable:
+def _without_last_mark(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return rows without the cell behind a mark that ends lines: one that the first line has not, or leaves empty."""
+    first = rows[0][1]
+    wide = len(first) - (len(first) > 1 and not first[-1])
+    return [(i, row[:wide] if len(row) == wide + 1 and not row[-1] else row) for i, row in rows]
+
+
+def _transposed(
+    where: str, how: str, names: tuple[str, ...], rows: Sequence[tuple[int, Sequence[str]]], *, csv: bool = False
+) -> RawTable:
     columns = tuple([row[k] for _, row in rows] for k in range(len(rows[0][1])))
-    return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(i for i, _ in rows))
+    return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(i for i, _ in rows), csv=csv)
 
 
 def _decoded(data: bytes, where: str) -> str:
@@ -113,7 +124,7 @@ class _splitter:  # noqa: N801 - a function that says how it splits
         cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self.by))]
         if self.by == ";":
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
-        return cells[:-1] if len(cells) > 1 and not cells[-1] and line.rstrip().endswith(self.by) else cells
+        return cells
 
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")

@@ -110,7 +110,7 @@ def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: b
     """Return the table brought to our columns; the original where only columns of ours were understood."""
     found = standard_table(raw, role, format_)
     missing = sorted(role.required - set(found.columns))
-    if original is not None and not found.foreign and not format_.stated and raw.names:
+    if original is not None and raw.csv and not found.foreign and not format_.stated and raw.names:
         return Interpreted(data=original, how="a table of ours", missing=tuple(missing))
     if missing:
         raise _missing(raw, role, found, missing)
@@ -155,6 +155,8 @@ def kind_of_table(path: Path, format_: TableFormat, among: Sequence[str]) -> str
     Raises UsageError where it can be none of them, Inconsistent, Ambiguous.
     """
     best, fewest, why = "", 10**9, None
+    if path.is_file():
+        _raw(path, format_)  # what can be no table at all says why
     for name in among:
         try:
             found = interpret(path, f"untimed-{name}" if f"untimed-{name}" in ROLES else name, format_)
