@@ -117,13 +117,13 @@ def _slopes(observations: Observations, fit: Fit, free: NDArray[np.intp]) -> tup
             BoardEquations(replace(one, X=one.X + step)).evaluate(fit.shared, fit.local)
             for step in (np.zeros(3), *(STEP_M * np.eye(3)))
         ]
-        here = at[0].condensed
+        here, *moved = [e.condensed for e in at if e.condensed is not None]
         J = np.stack([(e.residuals - at[0].residuals).ravel() / STEP_M for e in at[1:]])  # (3, R)
         part = slice(3 * i, 3 * i + 3)
         own[part, part], score[part] = J @ J.T, J @ at[0].residuals.ravel()
-        for a, e in enumerate(at[1:]):
-            shared[3 * i + a] = (e.condensed.b - here.b)[free] / STEP_M
-            local[3 * i + a] = (e.condensed.c - here.c) / STEP_M
+        for a, e in enumerate(moved):
+            shared[3 * i + a] = (e.b - here.b)[free] / STEP_M
+            local[3 * i + a] = (e.c - here.c) / STEP_M
     return shared, local, own, score
 
 
