@@ -4,8 +4,9 @@ A run is a false alarm where its verdict is neither ok nor unchecked, or where i
 faults.py are drawn from projections written there and go through `measure_spots` and the run's check: 8 to 200 frames,
 3 to 5 lights, standing still, slowly or quickly moved or put from place to place, claimed noise of 0.02 to 0.3 px that
 differs from spot to spot by half as much again, true noise 0.6 to 1.4 times the claimed one, an error of the place in
-the pixel of up to 0.02 px; one in 100 spots is off by 0.1 to 1 px whatever it claims. The rig is the true one, or one calibrated from its own simulated corners with the covariance
-that came with it. Then the same with a fault; and rendered pictures through all of `measure`. `--quick` takes a tenth.
+the pixel of up to 0.02 px; one in 100 spots is off by 0.1 to 1 px whatever it claims. The rig is the true one, or one
+calibrated from its own simulated corners with the covariance that came with it. Then the same with a fault; and
+rendered pictures through all of `measure`. `--quick` takes a tenth, `--only` one of the parts.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from scipy.stats import chi2 as chi2_law
 
 from armsight.app.measure.consistency import consistency_output
 from armsight.geometry import pose_difference
-from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.causes import causes_of
+from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.consistency.evidence import target_basis
 from armsight.measure.consistency.explain import advice, sentence

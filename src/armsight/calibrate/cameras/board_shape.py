@@ -53,9 +53,9 @@ class BoardShape:
         if self.noise_px**2 > (1.0 - TOLD) * self.rms_px**2:
             return []
         return [
-            f"the board's points are off by {1e3 * self.std_m:.2f} mm (print, flatness): {self.rms_px:.3f} px of residual, "
-            f"of which the detector makes {self.noise_px:.3f}. The deviations allow for it; glue the board on a flat "
-            "plate, or have it made on one"
+            f"the board's points are off by {1e3 * self.std_m:.2f} mm (print, flatness): {self.rms_px:.3f} px of "
+            f"residual, of which the detector makes {self.noise_px:.3f}. The deviations allow for it; glue the board "
+            "on a flat plate, or have it made on one"
         ]
 
 
@@ -117,13 +117,13 @@ def _slopes(observations: Observations, fit: Fit, free: NDArray[np.intp]) -> tup
             BoardEquations(replace(one, X=one.X + step)).evaluate(fit.shared, fit.local)
             for step in (np.zeros(3), *(STEP_M * np.eye(3)))
         ]
-        here = at[0].condensed
+        here, *moved = [e.condensed for e in at if e.condensed is not None]
         J = np.stack([(e.residuals - at[0].residuals).ravel() / STEP_M for e in at[1:]])  # (3, R)
         part = slice(3 * i, 3 * i + 3)
         own[part, part], score[part] = J @ J.T, J @ at[0].residuals.ravel()
-        for a, e in enumerate(at[1:]):
-            shared[3 * i + a] = (e.condensed.b - here.b)[free] / STEP_M
-            local[3 * i + a] = (e.condensed.c - here.c) / STEP_M
+        for a, e in enumerate(moved):
+            shared[3 * i + a] = (e.b - here.b)[free] / STEP_M
+            local[3 * i + a] = (e.c - here.c) / STEP_M
     return shared, local, own, score
 
 

@@ -33,9 +33,9 @@ STILL_PX = 1.0
 """Lights that moved less than this since a place was taken stand still."""
 
 OUTLIER = 3.0
-"""A frame whose chi-square is this many times the usual one counts less, by the square of what is beyond: a spot that is
-off by far more than it claims is no fault of rig or target. One spot of 240 that was off by 0.54 px and claimed 0.037
-had a camera moved by 0.094 +- 0.053 degrees, over a true rig."""
+"""A frame whose chi-square is this many times the usual one counts less, by the square of what is beyond: a spot far
+beyond its claim is no fault of rig or target. One of 240 that was off by 0.54 px and claimed 0.037 had a camera moved
+by 0.094 +- 0.053 degrees, over a true rig."""
 
 MEDIAN_OF = 51
 """Frames over whose median the usual chi-square is taken; it follows a lasting change after half of them."""

@@ -102,7 +102,8 @@ def _noise(found: Consistency) -> str:
         return (
             f"The residuals, {found.residual_px:.3f} px, are those that the rig was calibrated with "
             f"({found.calibration_px:.3f} px) and {found.noise_scale:.1f} times the noise of the points found: "
-            "the board's print and flatness or the lenses, not this recording; the poses' standard deviations are widened by it."
+            "the board's print and flatness or the lenses, not this recording; the poses' standard deviations are "
+            "widened by it."
         )
     text = f"The residuals are {found.noise_scale:.1f} times the spots' noise, without a pattern"
     much = ": more than a camera's noise explains" if found.noise_scale > VERY_NOISY else ""
