@@ -92,14 +92,14 @@ def test_a_reload_while_a_path_is_recorded_loses_nothing(browser: Any, console: 
 
 DRAWN = """() => {
   const scene = Object.entries(window).find(([name]) => name.startsWith("scene_"))?.[1];
-  const found = { clouds: [], lines: 0 };
+  const found = { clouds: [], path: 0 };
   scene?.traverse((one) => {
     if (one.isPoints) found.clouds.push(one.geometry.attributes.position.count);
-    if (one.isLine) found.lines += 1;
+    if (one.name?.startsWith("place-")) found.path += 1;
   });
   return found;
 }"""
-"""How many points each track in the scene has, and how many lines there are."""
+"""How many points each track in the scene has, and how many places its path."""
 
 
 @pytest.mark.alone
@@ -109,13 +109,14 @@ def test_one_view_shows_the_path_the_track_and_where_the_arm_was(
     page = console.opened(browser, f"{cell[0]}/teach")
     console.measuring(page)
     page.wait_for_function(f"() => Math.max(...({DRAWN})().clouds) > 3")  # the target, measured
-    before = page.evaluate(DRAWN)
-    assert min(before["clouds"]) == 1  # the arm stands
+    assert min(page.evaluate(DRAWN)["clouds"]) == 1  # the arm stands
     page.click("[data-testid=record]")
-    page.wait_for_selector("text=/Recording. [2-9]/")
+    page.wait_for_selector("text=/Recording. [1-9]/")
     page.click("[data-testid=record]")
+    page.wait_for_selector("text=/^[1-9][0-9]* poses in/")
     page.click("[data-testid=save]")
-    page.wait_for_function(f"n => ({DRAWN})().lines > n", arg=before["lines"])  # the path
+    page.wait_for_selector("text=/places over/")
+    page.wait_for_function(f"() => ({DRAWN})().path > 0")
     console.jog(page, "joints:1:1", 700)
     page.wait_for_function(f"() => Math.min(...({DRAWN})().clouds) > 3")  # the arm's tool
     assert "Violet" in page.inner_text("[data-testid=scene-legend]")
