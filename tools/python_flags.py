@@ -152,6 +152,7 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
 
 WHY_NOT: Mapping[str | tuple[str, str], str] = {
     "console": "a page for an operator: run the command",
+    "report": "a browser's work on a file: run the command",
     "serve": "a process that outlives a script: run the command, and `connect` to it",
     "demo": "`simulate` and `measure` do it; the command is for a first look",
     ("calibrate mirrors", "--left-only"): "covered views are joined by the command alone: it is done once, on a bench",

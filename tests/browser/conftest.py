@@ -28,17 +28,11 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def start(folder: Path, *more: str) -> tuple[str, int, subprocess.Popen[bytes]]:
-    """Start the console as a person does; return its address, its port and itself, at once."""
+def begin(folder: Path, *more: str) -> tuple[str, subprocess.Popen[bytes]]:
+    """Start the console as a person does; return its address."""
     port = free_port()
     command = [sys.executable, "-c", "from armsight.cli import main; main()", "console", "--folder", str(folder)]
     process = subprocess.Popen([*FIRST, *command, "--port", str(port), *more], stderr=subprocess.PIPE)
-    return f"http://127.0.0.1:{port}", port, process
-
-
-def begin(folder: Path, *more: str) -> tuple[str, subprocess.Popen[bytes]]:
-    """Start the console and wait until it serves; return its address."""
-    address, port, process = start(folder, *more)
     assert process.stderr is not None
     said = b""
     while b"Open http://" not in said:
@@ -46,7 +40,7 @@ def begin(folder: Path, *more: str) -> tuple[str, subprocess.Popen[bytes]]:
         assert line, said.decode()
         said += line
     listening(port)
-    return address, process
+    return f"http://127.0.0.1:{port}", process
 
 
 def listening(port: int) -> None:
@@ -168,14 +162,5 @@ def console() -> SimpleNamespace:
     """How a console is begun (folder, flags -> address, process) and ended, how a page is opened, and what a person
     does on it with the robot."""
     return SimpleNamespace(
-        start=start,
-        listening=listening,
-        begin=begin,
-        end=end,
-        opened=opened,
-        measuring=measuring,
-        robot_says=robot_says,
-        rests=rests,
-        jog=jog,
-        held=held,
+        begin=begin, end=end, opened=opened, measuring=measuring, robot_says=robot_says, rests=rests, jog=jog, held=held
     )

@@ -90,54 +90,6 @@ def test_a_reload_while_a_path_is_recorded_loses_nothing(browser: Any, console: 
     page.close()
 
 
-DRAWN = """() => {
-  const scene = Object.entries(window).find(([name]) => name.startsWith("scene_"))?.[1];
-  const found = { clouds: [], lines: 0 };
-  scene?.traverse((one) => {
-    if (one.isPoints) found.clouds.push(one.geometry.attributes.position.count);
-    if (one.isLine) found.lines += 1;
-  });
-  return found;
-}"""
-"""How many points each track in the scene has, and how many lines there are."""
-
-
-@pytest.mark.alone
-def test_one_view_shows_the_path_the_track_and_where_the_arm_was(
-    browser: Any, console: Any, cell: tuple[str, Path]
-) -> None:
-    page = console.opened(browser, f"{cell[0]}/teach")
-    console.measuring(page)
-    page.wait_for_function(f"() => Math.max(...({DRAWN})().clouds) > 3")  # the target, measured
-    before = page.evaluate(DRAWN)
-    assert min(before["clouds"]) == 1  # the arm stands
-    page.click("[data-testid=record]")
-    page.wait_for_selector("text=/Recording. [2-9]/")
-    page.click("[data-testid=record]")
-    page.click("[data-testid=save]")
-    page.wait_for_function(f"n => ({DRAWN})().lines > n", arg=before["lines"])  # the path
-    console.jog(page, "joints:1:1", 700)
-    page.wait_for_function(f"() => Math.min(...({DRAWN})().clouds) > 3")  # the arm's tool
-    assert "Violet" in page.inner_text("[data-testid=scene-legend]")
-    page.close()
-
-
-def test_a_page_that_comes_early_is_told_what_is_waited_for(
-    browser: Any, console: Any, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    address, port, process = console.start(tmp_path_factory.mktemp("early") / "cell", "--robot", "sim:webcam-cell")
-    try:
-        console.listening(port)
-        page = browser.new_page()
-        page.set_default_timeout(120_000)
-        page.goto(address, wait_until="domcontentloaded")
-        assert page.inner_text("[data-testid=waiting]")
-        page.wait_for_selector("[data-testid=state]")  # by itself
-        page.close()
-    finally:
-        console.end(process)
-
-
 def test_a_phone_shows_the_stop_without_scrolling_sideways(browser: Any, console: Any, cell: tuple[str, Path]) -> None:
     page = console.opened(browser, f"{cell[0]}/live", width=390)
     box = page.locator("[data-testid=stop]").bounding_box()

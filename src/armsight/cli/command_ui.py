@@ -213,8 +213,8 @@ class Bar:
 
     def _draw(self, label: str, done: float, total: float) -> None:
         if self._bar is None:
-            name, pace = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[pace]}")
-            columns = (name, BarColumn(), MofNCompleteColumn(), pace)
+            name, speed = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[pace]}")
+            columns = (name, BarColumn(), MofNCompleteColumn(), speed)
             self._bar = Progress(*columns, console=self._console)
             self._task = self._bar.add_task(label, total=total or None, pace="")
             self._bar.start()

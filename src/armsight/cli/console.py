@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -52,13 +53,7 @@ def console(
     What is given here is kept in FOLDER/cell.yaml, as the page Settings shows it. A simulated robot brings its cell
     along where the folder holds none.
     """
-    with CommandUI(as_json=False, until_stopped=True) as face, contextlib.ExitStack() as stack:
-        from armsight.console import texts
-        from armsight.server.waiting import waiting_page
-
-        page = stack.enter_context(waiting_page(bind, port, texts.TITLE, secure=tls_cert is not None))
-        page.step(texts.OPENING["load"])
-
+    with CommandUI(as_json=False, until_stopped=True) as face, _opening(bind, port, tls_cert is not None) as page:
         from armsight.server.web_server import ServeOptions, check_options
 
         at = {"bind": bind, "port": port, "stop_port": stop_port}
@@ -70,6 +65,17 @@ def console(
             _without_robot(face, folder, changed, options, page)
         else:
             serve_cell(face, robot, folder, changed, options, page)
+
+
+@contextlib.contextmanager
+def _opening(bind: str, port: int, secure: bool) -> Iterator[WaitingPage]:
+    """Give the page that is there before anything else is loaded."""
+    from armsight.console import texts
+    from armsight.server.waiting import waiting_page
+
+    with waiting_page(bind, port, texts.TITLE, secure=secure) as page:
+        page.step(texts.OPENING["load"])
+        yield page
 
 
 def _without_robot(

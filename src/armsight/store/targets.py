@@ -363,8 +363,7 @@ def parse_board(text: str) -> Target:
 
 def _aprilgrid_of(text: str, columns: int, rows: int, tag_m: float) -> Target:
     part = text.split(":")[3]
-    spacing = _length_m(text, part)
-    if not spacing <= 1.0:
+    if not (spacing := _length_m(text, part)) <= 1.0:
         raise _wrong_board(text, f"a gap of {part} times a tag's side is none of Kalibr's, 1 at most")
     return aprilgrid(columns, rows, tag_m, spacing)
 
