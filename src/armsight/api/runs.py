@@ -332,7 +332,6 @@ def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | 
         if distance_m is not None:
             require_number("distance_m", distance_m)
         job = CompareJob(**files, out=None if out is None else as_path(out, "out"), distance_m=distance_m)
-        # files of objects go with this block: named as the parameter
         return run_compare(job).model_copy(update={n: n for n, p in files.items() if p.is_relative_to(given.folder)})
 
 
@@ -383,8 +382,7 @@ def join(
     """
     with Given(out, name="joined.csv") as given:
         job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
-        done = run_join(job)
-        done.file = None if out is None else done.file
+        done = run_join(job).model_copy(update={"file": None} if out is None else {})
         return JoinResult(**dict(done), table=read_columns(read_bytes(given.out, limit=10**9)))
 
 

@@ -136,29 +136,6 @@ def test_a_motion_that_is_held_is_told(served, flows):
             driver.move_joints([0.5, 0.2])
 
 
-def test_a_motion_outlasts_heartbeats_that_came_late(served, monkeypatch):
-    url, clock = served
-    with armsight.connect(url) as robot, robot.drive() as driver:
-        waits = 0
-
-        def sleep(seconds):
-            nonlocal waits
-            waits += 1
-            if waits == 3:
-                clock.advance(0.4)  # longer than an enable lives, with no heartbeat
-                assert robot.state().guard == "disabled"
-            driver._heart.beat(driver._heart._enable)
-            clock.advance(seconds)
-
-        monkeypatch.setattr("armsight.api.remote.time.sleep", sleep)
-        driver.enable()
-        driver.move_joints([0.5, 0.2])
-        assert waits > 3
-        assert robot.state().q_sent == pytest.approx([0.5, 0.2])
-        clock.advance(0.4)
-        driver.jog([-0.1, 0.0])  # refused until the next heartbeat
-
-
 def test_without_a_server_and_after_its_end(served):
     url, _ = served
     with pytest.raises(DeviceNotFound):
