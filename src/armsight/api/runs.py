@@ -329,12 +329,10 @@ def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | 
     """
     with Given() as given:
         files = {name: given.file(name, value) for name, value in (("a", a), ("b", b))}
-        place = None if out is None else as_path(out, "out")
         if distance_m is not None:
             require_number("distance_m", distance_m)
-        done = run_compare(CompareJob(**files, out=place, distance_m=distance_m))
-        names = {name: name for name, path in files.items() if path.is_relative_to(given.folder)}
-        return done.model_copy(update=names)  # the files of what was given as objects go with this block
+        job = CompareJob(**files, out=None if out is None else as_path(out, "out"), distance_m=distance_m)
+        return run_compare(job).model_copy(update={n: n for n, p in files.items() if p.is_relative_to(given.folder)})
 
 
 @speaks_python
@@ -384,9 +382,8 @@ def join(
     """
     with Given(out, name="joined.csv") as given:
         job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
-        done = run_join(job)
-        found = {**dict(done), "file": None if out is None else done.file}
-        return JoinResult(**found, table=read_columns(read_bytes(given.out, limit=10**9)))
+        done = run_join(job).model_copy(update={"file": None} if out is None else {})
+        return JoinResult(**dict(done), table=read_columns(read_bytes(given.out, limit=10**9)))
 
 
 def read_columns(data: bytes) -> Columns:

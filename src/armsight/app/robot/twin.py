@@ -11,7 +11,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
-import armsight
 from armsight.app.kinematics import load_arm
 from armsight.app.robot.beside import run_beside
 from armsight.clock import SystemClock
@@ -65,7 +64,7 @@ def twin_beside(
     """
     _made(name, port, connect, arm, cycle_s)  # what is wrong with it is told at once
     begin = "import sys; sys.path.insert(0, sys.argv[1]); from armsight.app.robot.twin import serve_twin; serve_twin()"
-    command = [sys.executable, "-c", begin, str(Path(armsight.__file__).parents[1])]
+    command = [sys.executable, "-c", begin, str(Path(__file__).parents[3])]
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
     )  # a session of its own: Ctrl-C is for this process, which ends the other
