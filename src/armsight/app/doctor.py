@@ -37,8 +37,10 @@ def doctor(
     """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline).
 
     accuracy_m: tell also which settings and which baseline reach this standard deviation at the distances. Raises
-    UsageError where it is wanted without a rig or a distance.
+    UsageError where it is wanted without a rig or a distance, or a distance without a rig.
     """
+    if depths_m and rig is None:
+        raise UsageError("--depth is of a rig", cure="Give --rig with it")
     if accuracy_m is not None and (rig is None or not depths_m):
         raise UsageError(
             "--accuracy is of a rig at a distance",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -181,7 +182,8 @@ def room_backdrop(room: Room, camera: SimCamera, T_room_rig: RigidTransform) -> 
 def picture_backdrop(path: str, camera: SimCamera) -> LightImage:
     """Return the light (h, w, c) behind a picture that the camera would deliver, cut and scaled to fill its image."""
     height, width, channels = camera.backdrop.shape
-    picture = cv2.imread(path, cv2.IMREAD_COLOR if channels == 3 else cv2.IMREAD_GRAYSCALE)
+    mode = cv2.IMREAD_COLOR if channels == 3 else cv2.IMREAD_GRAYSCALE
+    picture = cv2.imread(path, mode) if Path(path).is_file() else None  # OpenCV writes of a missing file to stderr
     if picture is None:
         raise Inconsistent(
             f"room.picture: {path} is not a picture that can be read", cure="Give the path of a PNG or JPEG file"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -74,6 +74,12 @@ def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFor
         for one, two in zip(there, here, strict=True):
             np.testing.assert_array_equal(one.image, two.image)
             assert abs(one.t_s - two.t_s) < 1e-9
+
+
+@pytest.mark.parametrize("wrong", [{"left": "camera:0"}, {"out": Path("run.avi")}])
+def test_what_contradicts_itself_is_not_recorded(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    with pytest.raises(UsageError):
+        record(RecordJob(**{"cell": "hand-cell", "limit": 1, "out": tmp_path / "run.mcap", **wrong}))
 
 
 def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path) -> None:

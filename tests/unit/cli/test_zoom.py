@@ -121,3 +121,4 @@ def test_the_doctor_says_what_reaches_an_accuracy(armsight: Any, scene: Any, rig
     # on the axis depth goes as Z^2 sqrt(2) sigma / (B f); the worst point of the view is a little worse
     assert only["now"]["spots_m"] == pytest.approx(0.36 * 2**0.5 * 0.05 / (0.1 * 400.0), rel=0.25)
     assert armsight("doctor", "--accuracy", 1.0).code == 2
+    assert armsight("doctor", "--depth", 1.0).code == 2

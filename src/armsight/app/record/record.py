@@ -61,6 +61,7 @@ def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | N
 
     Raises UsageError, DataRefused and DeviceFailed; what was recorded until then is readable.
     """
+    _check(job)
     with _files(job) as (files, rig):
         pairs, live = _source(job)
         return record_pairs(job, pairs, live=live, files=files, rig=rig, progress=progress, clock=clock)
@@ -160,11 +161,21 @@ def _pump(
             return
 
 
+def _check(job: RecordJob) -> None:
+    """Raise UsageError for sources that contradict each other, and for a result that no reader would take."""
+    if job.cell is not None and (job.left is not None or job.right is not None):
+        raise UsageError("--cell goes with neither --left nor --right", cure="Give the one or the others")
+    if job.out.suffix.lower() != ".mcap":
+        raise UsageError(
+            f"{job.out.name} does not end in .mcap",
+            consequence="No command would take it for a recording; nothing is recorded",
+            cure="Give FILE.mcap (-o)",
+        )
+
+
 def _source(job: RecordJob) -> tuple[PairSource, bool]:
     """Return the pairs to record and whether they come live."""
     if job.cell is not None:
-        if job.left is not None or job.right is not None:
-            raise UsageError("--cell goes with neither --left nor --right", cure="Give the one or the others")
         n = job.limit or CELL_FRAMES
         return CellPairs(load_cell(job.cell, seed=job.seed, frames=n), n), False
     sources = [text for text in (job.left, job.right) if text is not None]

@@ -223,5 +223,5 @@ def check_scale(expected_m: float, seen_m: float, what: str) -> None:
     raise Inconsistent(
         f"the positions spread {ratio:.4g} times as far as {what}",
         consequence="Nothing is computed from them",
-        cure=f"Give metres; the numbers look like {unit}",
+        cure=f"Give metres; the numbers look like {unit}, where they are of this arm and this run",
     )
