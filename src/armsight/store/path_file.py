@@ -35,6 +35,19 @@ def read_path(path: Path, *, parent: str = "world") -> TaughtPath:
     return parse_path(read_bytes(path, limit=MAX_BYTES), str(path), parent=parent)
 
 
+def _check_tag(tag: str, where: str) -> None:
+    """Raise BadFile for what is no tag, and for one that looks as though it switched the weld."""
+    if not TAG.fullmatch(tag):
+        raise BadFile(f"{where}, column tag: {tag[:40]!r} is not one word")
+    meant = tag.lower().replace("-", "_")
+    if tag not in SWITCHES and meant in SWITCHES:
+        raise BadFile(
+            f"{where}, column tag: {tag!r} is not {meant!r}",
+            consequence="The weld would not be switched there",
+            cure=f"Write {meant}",
+        )
+
+
 def parse_path(data: bytes, where: str, *, parent: str = "world") -> TaughtPath:
     """Return the path in the bytes of a path.csv.
 
@@ -56,15 +69,7 @@ def parse_path(data: bytes, where: str, *, parent: str = "world") -> TaughtPath:
         raise BadFile(f"{table.place(row)}, column index: {index[row]:g} does not follow {index[row - 1]:g}")
     tags = table.text.get("tag", ("",) * n)
     for row, tag in enumerate(tags):
-        if not TAG.fullmatch(tag):
-            raise BadFile(f"{table.place(row)}, column tag: {tag[:40]!r} is not one word")
-        meant = tag.lower().replace("-", "_")
-        if tag not in SWITCHES and meant in SWITCHES:
-            raise BadFile(
-                f"{table.place(row)}, column tag: {tag!r} is not {meant!r}",
-                consequence="The weld would not be switched there",
-                cure=f"Write {meant}",
-            )
+        _check_tag(tag, table.place(row))
     T = np.empty((n, 4, 4))
     xyz, quat = table.stacked(POSITION), table.stacked(QUATERNION)
     for row in range(n):

@@ -26,7 +26,7 @@ from armsight.calibrate.arm.model_selection import (
 from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
-from armsight.calibrate.arm.plausibility import MOST_SHARE, check_fit, exceeded, spread_m
+from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
 from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
@@ -138,7 +138,7 @@ def calibrate_arm(
     if holdout is not None:
         check_points(nominal, holdout)
         _check_labels(model, holdout)
-        _check_apart(points, holdout)
+        check_apart(points, holdout)
     levels = _levels(model, points, tolerance, scale=scale)
     errors = [_size(model, x, points) for x in levels]
     check_fit(model, points, min(errors, key=exceeded))
@@ -198,18 +198,6 @@ def _in_time(
 def _plain(levels: Sequence[Level], best: Level) -> Level:
     """Return the level of base and tool alone whose readings are coupled as the best one's."""
     return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
-
-
-def _check_apart(points: ArmPoints, holdout: ArmPoints) -> None:
-    """Raise Inconsistent where rows of the holdout are rows of the measurements, to the last digit."""
-    fitted = set(map(bytes, np.column_stack([points.q, points.xyz_m])))
-    same = sum(bytes(row) in fitted for row in np.column_stack([holdout.q, holdout.xyz_m]))
-    if same:
-        raise Inconsistent(
-            f"{same} of {len(holdout)} rows of the holdout are rows of the measurements too",
-            consequence="They would judge the geometry that was fitted to them, and call it better than it is",
-            cure="Give rows that are in one file only, or leave the holdout away: rows left out in turn judge then",
-        )
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:

@@ -106,3 +106,15 @@ def _disagreeing(model: ArmModel, points: ArmPoints, limit_m: float) -> list[int
 
 def _within(model: ArmModel, p: Array, points: ArmPoints, limit_m: float) -> NDArray[np.bool_]:
     return np.asarray(np.linalg.norm(model.errors(p, points)[0], axis=1) <= limit_m)
+
+
+def check_apart(points: ArmPoints, holdout: ArmPoints) -> None:
+    """Raise Inconsistent where rows of the holdout are rows of the measurements, to the last digit."""
+    fitted = set(map(bytes, np.column_stack([points.q, points.xyz_m])))
+    same = sum(bytes(row) in fitted for row in np.column_stack([holdout.q, holdout.xyz_m]))
+    if same:
+        raise Inconsistent(
+            f"{same} of {len(holdout)} rows of the holdout are rows of the measurements too",
+            consequence="They would judge the geometry that was fitted to them, and call it better than it is",
+            cure="Give rows that are in one file only, or leave the holdout away: rows left out in turn judge then",
+        )

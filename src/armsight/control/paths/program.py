@@ -108,6 +108,16 @@ def with_approach(path: TaughtPath, approach_m: float) -> TaughtPath:
     )
 
 
+def _require_weld_off(path: TaughtPath) -> None:
+    switched = [state for tag in path.tags if (state := weld_state(tag)) is not None]
+    if switched and switched[-1]:
+        raise Inconsistent(
+            "the weld is still on at the end of the path",
+            consequence="The arc would burn on through the retreat; no program is written",
+            cure="Tag the row where the seam ends weld_off",
+        )
+
+
 def program_moves(
     path: TaughtPath, *, speed_m_s: float | None = None, blend_m: float = 0.0, stops: Sequence[int] = ()
 ) -> tuple[ProgramMove, ...]:
@@ -143,13 +153,7 @@ def program_moves(
             consequence="No program is written",
             cure="Give a speed for where the path has none",
         )
-    switched = [state for tag in path.tags if (state := weld_state(tag)) is not None]
-    if switched and switched[-1]:
-        raise Inconsistent(
-            "the weld is still on at the end of the path",
-            consequence="The arc would burn on through the retreat; no program is written",
-            cure="Tag the row where the seam ends weld_off",
-        )
+    _require_weld_off(path)
     way = np.diff(path.length_m)
     radius = np.zeros(len(path))
     radius[1:-1] = np.minimum(blend_m, BLEND_SHARE * np.minimum(way[:-1], way[1:]))
