@@ -322,6 +322,15 @@ def test_too_little_is_refused() -> None:
         LitFrame(name="odd", left=frames[0].left, right=frames[0].right.take([0]))
 
 
+def test_a_target_that_stands_still_is_not_told_from_the_lamps_of_a_room() -> None:
+    rng = np.random.default_rng(21)
+    lamps = np.array([[-0.5, -0.3, 1.6], [0.4, -0.35, 1.9], [0.1, 0.3, 1.4]])
+    still = RigidTransform.from_components([0.02, 0.01, 0.6], Rotation.from_rotvec([0.1, 0.2, 0.0]))
+    frames = [see(np.vstack([still.apply(SCALENE), lamps]), str(i), rng) for i in range(6)]
+    with pytest.raises(NotEnoughData, match="stands still"):
+        calibrate_target(RIG, frames, lights=6)
+
+
 def test_advice_says_what_is_missing() -> None:
     rng = np.random.default_rng(20)
     frames = [see(T.apply(SCALENE), str(i), rng) for i, T in enumerate(poses(rng, 5, tilt_deg=3.0))]

@@ -21,6 +21,7 @@ from armsight.calibrate.light_target.checks import (
     require_names,
     require_rigid,
     require_side,
+    require_turned,
     told_apart,
 )
 from armsight.calibrate.light_target.frames import LitFrame, sights_of
@@ -76,6 +77,8 @@ def calibrate_target(
     layout = line_layout(lights) if flat else plane_layout(lights)
     seen = LightObservations(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
     bundle, used = _fit(rig, layout, seen, labelled, order, keep)
+    turns = _turns(bundle.poses)
+    require_turned(float(turns[0]))
     require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
     covariance = _covariance(layout, bundle)
     X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
@@ -94,7 +97,7 @@ def calibrate_target(
             left_out_px=bundle.left_out_px,
             scale=float(np.sqrt(bundle.scale2)),
             rig_share=None if rig.covariance is None else _share(layout, bundle, covariance),
-            turn_rms_rad=_turns(bundle.poses),
+            turn_rms_rad=turns,
         )
     )
 

@@ -15,7 +15,7 @@ from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, distance
 from armsight.calibrate.light_target.result import Distance
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.fitting.quantiles import chi2_isf
-from armsight.units import MM
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -43,6 +43,10 @@ LOOSE_PX = 0.15
 """... and must be larger than this to be called a shape that changes: calibrations leave 0.1 px."""
 
 FALSE_ALARM = 1e-6
+
+LEAST_TURN_RAD = 1.0 * DEG
+"""Root mean square turn below which a target stands still: lamps of the room then have the same distances in all frames
+as its own lights. Four frames of a target in a workshop made one of six lights, 1.1 m wide, at 0.003 degrees."""
 
 
 def require_lights(n: int) -> None:
@@ -154,6 +158,17 @@ def require_side(named: Named) -> None:
             f"{int(named.behind.sum())}",
             consequence="Which side of the target is its front, and so the sense of w, is not known",
             cure="Show the target from one side only, and cover mirrors and shiny surfaces",
+        )
+
+
+def require_turned(turn_rad: float) -> None:
+    """Raise NotEnoughData for a target that stands still: nothing tells its lights from others that do."""
+    if turn_rad < LEAST_TURN_RAD:
+        raise NotEnoughData(
+            f"the target turns by {turn_rad / DEG:.2g} degrees RMS in these frames: it stands still, and so do lights "
+            "that are not its own",
+            consequence="Which lights are the target's, and its depth, are not known; no geometry is given",
+            cure="Record it anew, turned by 20 to 40 degrees to several sides",
         )
 
 
