@@ -9,7 +9,7 @@ import numpy as np
 from armsight.errors import Unseen
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.diagnosis import Consistency, judge
-from armsight.measure.consistency.evidence import FIRST_LOOK, Evidence, frame_of
+from armsight.measure.consistency.evidence import WINDOW, Evidence, frame_of
 from armsight.measure.consistency.refit import refit
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
@@ -42,7 +42,7 @@ class RunCheck:
         self._evidence = Evidence.of(setup)
         self._refitted = self._refused = self._whole = 0
         self._causes = causes_of(setup, self._evidence.basis)
-        self._next = float(FIRST_LOOK)
+        self._next = float(WINDOW)
         self._known: Consistency | None = None
 
     def add(self, measured: Measured) -> Measured:

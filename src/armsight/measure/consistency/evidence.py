@@ -37,11 +37,11 @@ OUTLIER = 3.0
 beyond its claim is no fault of rig or target. One of 240 that was off by 0.54 px and claimed 0.037 had a camera moved
 by 0.094 +- 0.053 degrees, over a true rig."""
 
-MEDIAN_OF = 51
-"""Frames over whose median the usual chi-square is taken; it follows a lasting change after half of them."""
+WINDOW = 9
+"""Frames over whose median the usual chi-square is taken, as many before the frame as behind it: a median follows a
+lasting change at once, and passes over what is stray in up to four of them."""
 
-FIRST_LOOK = 8
-"""Frames after which the sums are judged for the first time: until then none is weighed, as none is usual."""
+HALF = WINDOW // 2
 
 BLOCKS = 16
 """Stretches of the run that are kept apart, so that a change shows; when full, neighbours are merged."""
@@ -116,12 +116,12 @@ class Evidence:
     residuals: int = 0
     frames: int = 0
     _per_block: int = 4
-    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
     _before: Frame | None = None
     _last: Frame | None = None
     _anchor: Frame | None = None
     _still: int = 0
-    _first: list[Seen] = field(default_factory=list)
+    _window: deque[Seen] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    _waiting: int = 0
 
     def __post_init__(self) -> None:
         self.shift_m2, self.shift_rad2 = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
@@ -148,7 +148,7 @@ class Evidence:
         if self._last is not None:
             self._count(self._last, velocity_of(None, self._last, None))
         self._before = self._last = None
-        self._weigh_first()
+        self._weigh(0)
 
     def slopes(self, frame: Frame, velocity: Array) -> tuple[float, Array, Array, Array, Array] | None:
         """Return chi-square, N (q, q), b (q,), S (6, q) and the covariance (6, 6) by the spots' noise of a frame."""
@@ -185,7 +185,6 @@ class Evidence:
             return
         chi2, N, b, S, _ = found
         seen = Seen(frame.t_s, chi2, 4.0 * len(frame.lights) - 6.0, N, b, self._weight(frame))
-        self._recent.append(chi2 / seen.dof)
         self.shift_m2 += S[:3].T @ S[:3]
         self.shift_rad2 += S[3:].T @ S[3:]
         self.claimed_m2 += frame.claimed[0]
@@ -193,21 +192,23 @@ class Evidence:
         self.residual_px2 += float((frame.residual_px**2).sum())
         self.residuals += 2 * len(frame.lights)
         self.frames += 1
-        if self.frames > FIRST_LOOK:
-            self._weigh(seen)
+        self._window.append(seen)
+        self._waiting += 1
+        if len(self._window) == WINDOW:
+            self._weigh(HALF)
+
+    def _weigh(self, behind: int) -> None:
+        """Add the waiting frames but the last so many to their stretches, less where their chi-square is unusual."""
+        if not self._window:
             return
-        self._first.append(seen)
-        if self.frames == FIRST_LOOK:
-            self._weigh_first()
+        usual = max(float(np.median([seen.chi2 / seen.dof for seen in self._window])), 1.0)
+        frames = list(self._window)
+        for seen in frames[len(frames) - self._waiting : len(frames) - behind]:
+            self._add(seen, usual * seen.dof)
+        self._waiting = behind
 
-    def _weigh_first(self) -> None:
-        for seen in self._first:
-            self._weigh(seen)
-        self._first.clear()
-
-    def _weigh(self, seen: Seen) -> None:
-        """Add a frame to its stretch, less where its chi-square is out of the usual, and beyond what spots claim."""
-        usual = max(float(np.median(self._recent)), 1.0) * seen.dof
+    def _add(self, seen: Seen, usual: float) -> None:
+        """Add a frame to its stretch, less where its chi-square is beyond the usual one."""
         weight = seen.weight * min(1.0, OUTLIER * usual / max(seen.chi2, usual)) ** 2
         block = self._block(seen.t_s)
         block.information += weight * seen.information
