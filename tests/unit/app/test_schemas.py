@@ -190,7 +190,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["compare"]: ("kind a b agree verdict p parameters effects notes", "n report same_rig same_target"),
     compare.ComparedParameter: ("name unit a b difference std sigmas", ""),
     compare.ComparedEffect: ("name value unit", ""),
-    OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),
+    OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes", "file"),
     OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),
