@@ -46,6 +46,8 @@ def print_report(report: Path, out: Path | None = None) -> Path:
     out = page.with_suffix(".pdf") if out is None else out
     if out.suffix.lower() != ".pdf":
         raise UsageError(f"{out} is no name of a PDF", cure="Let it end in .pdf")
+    if not page.is_file():
+        raise BadFile(f"{page}: there is no such file", consequence="Nothing is printed", cure="Check its name")
     if not _is_report(page):
         raise BadFile(
             f"{page} is no report of armsight's",

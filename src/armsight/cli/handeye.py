@@ -207,6 +207,6 @@ def _point(text: str | None) -> tuple[float, float, float] | None:
         return None
     try:
         x, y, z = (Quantity("m")(cell) for cell in text.split(","))
-    except ValueError:
+    except (ValueError, typer.BadParameter):
         raise UsageError(f"the point {text!r} is not X,Y,Z", cure="Write for instance 0.2,1.25,0.08, in m") from None
     return x, y, z

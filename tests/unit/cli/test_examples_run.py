@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
+from armsight.app.print_report import BROWSERS
 from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
 from armsight.cli.examples import EXAMPLES
@@ -38,6 +39,7 @@ STAND_INS = (
     ("calibrate handeye", "checkerboard:9x6:0.025", "checkerboard:9x6:0.02"),
     ("", "checkerboard:9x6:0.025", "checkerboard:7x5:0.02"),
     ("", "circles:7x11:0.02", "checkerboard:7x5:0.02"),
+    ("report", "rig.report.html", "rig-before.report.html"),
     ("", "camera:0", "camera:sim:webcam-cell:left"),
     ("", "camera:1", "camera:sim:webcam-cell:right"),
     ("", "--robot rtde:192.168.1.10", "--robot sim:webcam-cell --play"),
@@ -75,6 +77,10 @@ FROM = {
     "sim:kapucu2005-rrp": "kapucu2005-rrp",
 }
 """Beginning of an example, or a robot in it -> the folder whose files it finds in place of the webcam cell's."""
+
+
+if not any(map(shutil.which, BROWSERS)):
+    NOT_HERE["report"] = "no browser that prints"
 
 
 def run(words: str, *, late: bool = False) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+import json
 import subprocess
 import sys
 import threading
@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
+from armsight import errors
 from armsight.app.kinematics import load_arm
 from armsight.app.robot.beside import run_beside
 from armsight.clock import SystemClock
@@ -72,7 +73,7 @@ def twin_beside(
     given = {"name": name, "port": port, "connect": connect, "arm": arm, "cycle_s": cycle_s}
     try:
         with suppress(BrokenPipeError):
-            orders.write(pickle.dumps(given))
+            orders.write(json.dumps(given).encode() + b"\n")
             orders.flush()
         yield _told(answers)
         if process.poll() is not None:
@@ -90,15 +91,15 @@ def twin_beside(
 
 def serve_twin() -> None:
     """Run the twin that stdin tells of until stdin ends; tell its address, or what went wrong, on stdout."""
-    given, ended = pickle.load(sys.stdin.buffer), threading.Event()
+    given, ended = json.loads(sys.stdin.buffer.readline()), threading.Event()
 
     def wait() -> None:
         sys.stdin.buffer.read()
         ended.set()
 
     def tell(told: object) -> None:
-        sys.stdout.buffer.write(pickle.dumps(told))
-        sys.stdout.buffer.flush()
+        sys.stdout.write(json.dumps(told) + "\n")
+        sys.stdout.flush()
 
     def warn(text: str) -> None:
         sys.stderr.write(f"{text}\n")
@@ -108,7 +109,7 @@ def serve_twin() -> None:
     try:
         run_twin(**given, on=lambda: not ended.is_set(), tell=tell, warn=warn)
     except ArmsightError as error:
-        tell(error)
+        tell({"kind": type(error).__name__, "of": [error.cause, error.consequence, error.cure]})
 
 
 def _made(name: str, port: str | None, connect: str | None, arm: str | None, cycle_s: float | None) -> Any:
@@ -120,10 +121,11 @@ def _made(name: str, port: str | None, connect: str | None, arm: str | None, cyc
 
 def _told(pipe: IO[bytes]) -> str:
     """Return the address that a twin's process tells. Raises what it raised, DeviceFailed where it tells nothing."""
-    try:
-        told = pickle.load(pipe)
-    except (EOFError, pickle.UnpicklingError) as error:
-        raise DeviceFailed("the twin's process ended by itself", consequence="There is no twin") from error
-    if isinstance(told, ArmsightError):
-        raise told
-    return str(told)
+    line = pipe.readline()
+    if not line:
+        raise DeviceFailed("the twin's process ended by itself", consequence="There is no twin")
+    told = json.loads(line)
+    if isinstance(told, str):
+        return told
+    cause, consequence, cure = told["of"]
+    raise getattr(errors, told["kind"], DeviceFailed)(cause, consequence=consequence, cure=cure)
