@@ -1,0 +1,204 @@
+"""The oracle of a change that must change nothing: what every command writes, kept, and two keepings compared.
+
+    python tools/outputs.py keep BEFORE --source OTHER_CHECKOUT    # runs the commands of that checkout's src
+    python tools/outputs.py keep AFTER
+    python tools/outputs.py compare BEFORE AFTER                   # exits 1 and says where they differ
+
+Each step of STEPS is one command line on simulated sets, run by itself in one folder, in order; what it wrote, what it
+printed on stdout and stderr and its exit code are kept. Compared is every byte of every file, but for what two runs of
+one and the same program tell differently: moments, durations, the folder's place and the hashes that hold those
+(VARIES). `--only NAME` keeps the steps whose name holds NAME, and those that make their input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LIMIT_S = 300.0
+
+SETS = """
+webcam: simulate webcam-cell --frames 8 --seed 3 -o webcam --json
+hand: simulate hand-cell --frames 4 --seed 2 -o hand --json
+mirror-cell: simulate pachidis2005-static --frames 2 -o mirror-cell --json
+rrp: simulate kapucu2005-rrp -o rrp --json
+boards: simulate board-cell --frames 12 -o boards --json
+points: simulate arm-points -o points --json
+handeye-set: simulate handeye -o handeye-set --json
+pivot-set: simulate pivot -o pivot-set --json
+mirrors-set: simulate mirrors -o mirrors-set --json
+circle: simulate korayem2018-circle -o circle --json
+"""
+"""What makes the input of the steps; kept and compared like them."""
+
+STEPS = """
+measure: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left --right webcam/right -o measured --json
+measure-mirror: measure --rig mirror-cell/rig.yaml --target mirror-cell/target.yaml --image mirror-cell/image -o measured-mirror --json
+measure-text: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left --right webcam/right -o measured-text
+record: record --cell hand-cell --frames 6 -o run.mcap --json
+recording: convert recording run.mcap -o recording --json
+rosbag: convert recording run.mcap --to rosbag2 -o bag --json
+camera: calibrate camera boards/left --board checkerboard:9x6:0.025 -o camera.yaml --json
+stereo: calibrate stereo --left boards/left --right boards/right --board checkerboard:9x6:0.025 -o stereo.yaml --json
+xcorner: calibrate camera boards/left --board checkerboard:9x6:0.025 --detector xcorner -o xcorner.yaml --json
+handeye: calibrate handeye --pairs handeye-set/pairs.csv -o handeye.yaml --json
+handeye-images: calibrate handeye --images handeye-set/photos --camera handeye-set/camera.yaml --board checkerboard:9x6:0.02 \
+ --robot handeye-set/robot.csv -o handeye-images.yaml --json
+handeye-streams: calibrate handeye --robot-stream handeye-set/robot.csv --camera-stream handeye-set/poses.csv -o streams.yaml --json
+handeye-ros: convert handeye handeye.yaml -o handeye.launch.py --json
+tooltip: calibrate tooltip --poses pivot-set/flange.csv -o tool.yaml --json
+pivot: calibrate pivot --rig pivot-set/rig.yaml --target pivot-set/target.yaml --left pivot-set/left --right pivot-set/right \
+ -o pivot.yaml --json
+mirrors: calibrate mirrors --image mirrors-set/complex --board checkerboard:7x5:0.015 -o mirrors.yaml --json
+mirrors-check: calibrate mirrors --check --rig mirrors.yaml --image mirrors-set/complex --board checkerboard:7x5:0.015 --json
+arm: calibrate arm --model points/arm.yaml --points points/points.csv --holdout points/holdout.csv -o arm.yaml --json
+propose: calibrate arm --model points/arm.yaml --points points/points.csv --propose 6 -o proposing.yaml --json
+robot-world: calibrate robot-world --arm points/arm.yaml --points points/observed.csv -o world.yaml --json
+identify: identify --rig rrp/rig.yaml --target rrp/target.yaml --left rrp/left --right rrp/right --joints rrp/joints.csv \
+ -o identified.yaml --json
+identify-sweep: identify --sweep identified.sweep.csv --rig rrp/rig.yaml -o again.yaml --json
+arm-ur10: convert arm ur10 -o ur10.urdf --json
+arm-craig: convert arm ur10.urdf -o ur10.yaml --convention craig --json
+fk: kinematics fk --arm korayem6r --joints circle/joints.csv -o fk.csv --json
+ik: kinematics ik --arm korayem6r --poses fk.csv --near circle/joints.csv -o ik.csv --json
+jacobian: kinematics jacobian --arm korayem6r --joints circle/joints.csv -o jacobian.csv --json
+path: kinematics path --arm korayem6r --poses fk.csv -o joints.csv --json
+formulas: kinematics formulas --arm ur10 -o ur10.tex --json
+formulas-python: kinematics formulas --arm ur10 -o ur10.py --json
+show: kinematics show --arm ur10 --joints 0.3,-1.2,1.4,-0.5,1.2,0.4 -o show.html --json
+join: join --joints circle/joints.csv --arm korayem6r --measured circle/truth_world.csv -o joined.csv --json
+join-observed: join --joints circle/joints.csv --arm korayem6r --measured circle/truth.csv --as observed -o observed.csv --json
+verify: verify --arm korayem6r --points joined.csv -o verified --json
+verify-plan: verify --plan --arm ur10 -o plan --json
+compare: compare camera.yaml xcorner.yaml -o compared --json
+poses-tum: convert poses measured/poses.csv -o poses.tum --json
+rig-opencv: convert rig webcam/rig.yaml --to opencv -o rig.yml --json
+rig-kalibr: convert rig stereo.yaml --to kalibr -o camchain.yaml --json
+camera-ros: convert camera camera.yaml --to ros -o camera_info.yaml --json
+picks: path from-picks --left webcam/left/000000.png --right webcam/right/000000.png --rig webcam/rig.yaml --picks picks.csv \
+ -o picked.csv --json
+smooth: path smooth path.csv -o smooth.csv --bound-m 0.0005 --json
+resample: path resample smooth.csv -o even.csv --step-m 0.005 --json
+fillet: path fillet even.csv -o round.csv --radius-m 0.02 --json
+reverse: path reverse even.csv -o back.csv --json
+check-path: path check even.csv --arm irb120 --speed-m-s 0.01 -o check.html --json
+export-ur: path export even.csv -o seam.script --arm irb120 --speed-m-s 0.01 --blend-m 0.001 --json
+export-kuka: path export even.csv -o seam.src --arm irb120 --speed-m-s 0.01 --tool 1 --weld-output 7 --json
+export-abb: path export even.csv -o seam.mod --arm irb120 --speed-m-s 0.01 --tool torch --json
+reproduce: reproduce kapucu2005 -o kapucu --json
+refused-arm: calibrate arm --model ur10 --points points/points.csv -o never.yaml --json
+refused-flag: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left -o never --json
+refused-file: kinematics fk --arm rrp/rig.yaml --joints circle/joints.csv -o never.csv --json
+refused-rows: kinematics fk --arm ur10 --joints circle/joints.csv -o never.csv
+"""
+"""A name and what follows `armsight`; a step's input is what the sets and the steps before it made."""
+
+VARIES: tuple[tuple[re.Pattern[str], str], ...] = (
+    (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?"), "<moment>"),
+    (re.compile(r"\d{4}-\d\d-\d\d"), "<day>"),
+    (re.compile(r"(\"?\w*(?:took|per_frame|per_pose|compute|duration|elapsed)\w*_m?s\"?\s*[:=]\s*)[-+.\de]+"), r"\1<time>"),
+    (re.compile(r"\b\d+(\.\d+)? (ms|s|min)\b"), "<time>"),
+    (re.compile(r"\b[0-9a-f]{64}\b"), "<hash>"),
+)
+"""What two runs of one program write differently, and what stands for it."""
+
+PATH_ROWS = [f"{i},,{0.42 + 0.002 * i:.4f},{0.05 * (i % 20) / 20:.4f},0.35,0,1,0,0,," for i in range(40)]
+
+
+def steps(only: str | None) -> Iterator[tuple[str, list[str]]]:
+    """Return name and arguments of each step, the sets first; with `only`, the sets and what has it in its name."""
+    for text, always in ((SETS, True), (STEPS, False)):
+        for line in text.replace("\\\n", "").strip().splitlines():
+            name, _, command = line.partition(": ")
+            if always or only is None or only in name:
+                yield name, shlex.split(command)
+
+
+def keep(folder: Path, source: Path, only: str | None) -> None:
+    """Run every step in `folder`/work and keep what it printed in `folder`/printed."""
+    work, printed = folder / "work", folder / "printed"
+    work.mkdir(parents=True)
+    printed.mkdir()
+    (work / "picks.csv").write_text("u_px,v_px\n600,300\n640,320\n680,340\n", encoding="utf-8")
+    header = "index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag"
+    (work / "path.csv").write_text("\n".join([header, *PATH_ROWS]) + "\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(source / "src"), "COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"}
+    for name, arguments in steps(only):
+        begun = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "armsight", *arguments],
+            cwd=work,
+            env=environment,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=LIMIT_S,
+            check=False,
+        )
+        (printed / f"{name}.stdout").write_bytes(done.stdout)
+        (printed / f"{name}.stderr").write_bytes(done.stderr)
+        (printed / f"{name}.exit").write_text(f"{done.returncode}\n", encoding="utf-8")
+        print(f"{name:18s} exit {done.returncode}  {time.perf_counter() - begun:5.1f} s", flush=True)
+
+
+def comparable(path: Path, folder: Path) -> bytes:
+    """Return a file's content without what varies from run to run; other than text, as it is."""
+    content = path.read_bytes()
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content
+    text = text.replace(str(folder.resolve()), "<folder>")
+    for pattern, instead in VARIES:
+        text = pattern.sub(instead, text)
+    return text.encode()
+
+
+def differences(before: Path, after: Path) -> Iterator[str]:
+    """Say each file that is in one alone or that differs, with the first lines that do."""
+    names = {path.relative_to(folder) for folder in (before, after) for path in folder.rglob("*") if path.is_file()}
+    for name in sorted(names):
+        one, other = before / name, after / name
+        if not (one.exists() and other.exists()):
+            yield f"{name}: only in {before if one.exists() else after}"
+            continue
+        left, right = comparable(one, before), comparable(other, after)
+        if left == right:
+            continue
+        lines = difflib.unified_diff(
+            left.decode("utf-8", "replace").splitlines(), right.decode("utf-8", "replace").splitlines(), lineterm="", n=0
+        )
+        shown = [line[:300] for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---")][:6]
+        yield "\n    ".join([f"{name}: differs", *shown])
+
+
+def main() -> int:
+    """Keep or compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    keeping = commands.add_parser("keep")
+    keeping.add_argument("folder", type=Path)
+    keeping.add_argument("--source", type=Path, default=ROOT, help="another checkout, whose program is run")
+    keeping.add_argument("--only", metavar="NAME")
+    comparing = commands.add_parser("compare")
+    comparing.add_argument("before", type=Path)
+    comparing.add_argument("after", type=Path)
+    given = parser.parse_args()
+    if given.command == "keep":
+        keep(given.folder, given.source.resolve(), given.only)
+        return 0
+    found = list(differences(given.before, given.after))
+    print("\n".join(found) or "all equal")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
