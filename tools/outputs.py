@@ -27,85 +27,96 @@ ROOT = Path(__file__).resolve().parent.parent
 LIMIT_S = 300.0
 
 SETS = """
-webcam: simulate webcam-cell --frames 8 --seed 3 -o webcam --json
-hand: simulate hand-cell --frames 4 --seed 2 -o hand --json
-mirror-cell: simulate pachidis2005-static --frames 2 -o mirror-cell --json
-rrp: simulate kapucu2005-rrp -o rrp --json
-boards: simulate board-cell --frames 12 -o boards --json
-points: simulate arm-points -o points --json
-handeye-set: simulate handeye -o handeye-set --json
-pivot-set: simulate pivot -o pivot-set --json
-mirrors-set: simulate mirrors -o mirrors-set --json
-circle: simulate korayem2018-circle -o circle --json
+webcam: simulate webcam-cell --frames 8 --seed 3 -o webcam
+hand: simulate hand-cell --frames 4 --seed 2 -o hand
+mirror-cell: simulate pachidis2005-static --frames 2 -o mirror-cell
+rrp: simulate kapucu2005-rrp -o rrp
+boards: simulate board-cell --frames 12 -o boards
+points: simulate arm-points -o points
+handeye-set: simulate handeye -o handeye-set
+pivot-set: simulate pivot -o pivot-set
+mirrors-set: simulate mirrors -o mirrors-set
+circle: simulate korayem2018-circle -o circle
 """
 """What makes the input of the steps; kept and compared like them."""
 
 STEPS = """
-measure: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left --right webcam/right -o measured --json
-measure-mirror: measure --rig mirror-cell/rig.yaml --target mirror-cell/target.yaml --image mirror-cell/image -o measured-mirror --json
-measure-text: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left --right webcam/right -o measured-text
-record: record --cell hand-cell --frames 6 -o run.mcap --json
-recording: convert recording run.mcap -o recording --json
-rosbag: convert recording run.mcap --to rosbag2 -o bag --json
-camera: calibrate camera boards/left --board checkerboard:9x6:0.025 -o camera.yaml --json
-stereo: calibrate stereo --left boards/left --right boards/right --board checkerboard:9x6:0.025 -o stereo.yaml --json
-xcorner: calibrate camera boards/left --board checkerboard:9x6:0.025 --detector xcorner -o xcorner.yaml --json
-handeye: calibrate handeye --pairs handeye-set/pairs.csv -o handeye.yaml --json
-handeye-images: calibrate handeye --images handeye-set/photos --camera handeye-set/camera.yaml --board checkerboard:9x6:0.02 \
- --robot handeye-set/robot.csv -o handeye-images.yaml --json
-handeye-streams: calibrate handeye --robot-stream handeye-set/robot.csv --camera-stream handeye-set/poses.csv -o streams.yaml --json
-handeye-ros: convert handeye handeye.yaml -o handeye.launch.py --json
-tooltip: calibrate tooltip --poses pivot-set/flange.csv -o tool.yaml --json
-pivot: calibrate pivot --rig pivot-set/rig.yaml --target pivot-set/target.yaml --left pivot-set/left --right pivot-set/right \
- -o pivot.yaml --json
-mirrors: calibrate mirrors --image mirrors-set/complex --board checkerboard:7x5:0.015 -o mirrors.yaml --json
-mirrors-check: calibrate mirrors --check --rig mirrors.yaml --image mirrors-set/complex --board checkerboard:7x5:0.015 --json
-arm: calibrate arm --model points/arm.yaml --points points/points.csv --holdout points/holdout.csv -o arm.yaml --json
-propose: calibrate arm --model points/arm.yaml --points points/points.csv --propose 6 -o proposing.yaml --json
-robot-world: calibrate robot-world --arm points/arm.yaml --points points/observed.csv -o world.yaml --json
-identify: identify --rig rrp/rig.yaml --target rrp/target.yaml --left rrp/left --right rrp/right --joints rrp/joints.csv \
- -o identified.yaml --json
-identify-sweep: identify --sweep identified.sweep.csv --rig rrp/rig.yaml -o again.yaml --json
-arm-ur10: convert arm ur10 -o ur10.urdf --json
-arm-craig: convert arm ur10.urdf -o ur10.yaml --convention craig --json
-fk: kinematics fk --arm korayem6r --joints circle/joints.csv -o fk.csv --json
-ik: kinematics ik --arm korayem6r --poses fk.csv --near circle/joints.csv -o ik.csv --json
-jacobian: kinematics jacobian --arm korayem6r --joints circle/joints.csv -o jacobian.csv --json
-path: kinematics path --arm korayem6r --poses fk.csv -o joints.csv --json
-formulas: kinematics formulas --arm ur10 -o ur10.tex --json
-formulas-python: kinematics formulas --arm ur10 -o ur10.py --json
-show: kinematics show --arm ur10 --joints 0.3,-1.2,1.4,-0.5,1.2,0.4 -o show.html --json
-join: join --joints circle/joints.csv --arm korayem6r --measured circle/truth_world.csv -o joined.csv --json
-join-observed: join --joints circle/joints.csv --arm korayem6r --measured circle/truth.csv --as observed -o observed.csv --json
-verify: verify --arm korayem6r --points joined.csv -o verified --json
-verify-plan: verify --plan --arm ur10 -o plan --json
-compare: compare camera.yaml xcorner.yaml -o compared --json
-poses-tum: convert poses measured/poses.csv -o poses.tum --json
-rig-opencv: convert rig webcam/rig.yaml --to opencv -o rig.yml --json
-rig-kalibr: convert rig stereo.yaml --to kalibr -o camchain.yaml --json
-camera-ros: convert camera camera.yaml --to ros -o camera_info.yaml --json
-picks: path from-picks --left webcam/left/000000.png --right webcam/right/000000.png --rig webcam/rig.yaml --picks picks.csv \
- -o picked.csv --json
-smooth: path smooth path.csv -o smooth.csv --bound-m 0.0005 --json
-resample: path resample smooth.csv -o even.csv --step-m 0.005 --json
-fillet: path fillet even.csv -o round.csv --radius-m 0.02 --json
-reverse: path reverse even.csv -o back.csv --json
-check-path: path check even.csv --arm irb120 --speed-m-s 0.01 -o check.html --json
-export-ur: path export even.csv -o seam.script --arm irb120 --speed-m-s 0.01 --blend-m 0.001 --json
-export-kuka: path export even.csv -o seam.src --arm irb120 --speed-m-s 0.01 --tool 1 --weld-output 7 --json
-export-abb: path export even.csv -o seam.mod --arm irb120 --speed-m-s 0.01 --tool torch --json
-reproduce: reproduce kapucu2005 -o kapucu --json
-refused-arm: calibrate arm --model ur10 --points points/points.csv -o never.yaml --json
-refused-flag: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left -o never --json
-refused-file: kinematics fk --arm rrp/rig.yaml --joints circle/joints.csv -o never.csv --json
-refused-rows: kinematics fk --arm ur10 --joints circle/joints.csv -o never.csv
+measure: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left --right webcam/right -o measured
+measure-mirror: measure --rig mirror-cell/rig.yaml --target mirror-cell/target.yaml --image mirror-cell/image \
+ -o measured-mirror
+measure-text: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left --right webcam/right \
+ -o measured-text
+record: record --cell hand-cell --frames 6 -o run.mcap
+recording: convert recording run.mcap -o recording
+rosbag: convert recording run.mcap --to rosbag2 -o bag
+camera: calibrate camera boards/left --board checkerboard:9x6:0.025 -o camera.yaml
+stereo: calibrate stereo --left boards/left --right boards/right --board checkerboard:9x6:0.025 -o stereo.yaml
+xcorner: calibrate camera boards/left --board checkerboard:9x6:0.025 --detector xcorner -o xcorner.yaml
+handeye: calibrate handeye --pairs handeye-set/pairs.csv -o handeye.yaml
+handeye-images: calibrate handeye --images handeye-set/photos --camera handeye-set/camera.yaml \
+ --board checkerboard:9x6:0.02 \
+ --robot handeye-set/robot_poses.csv -o handeye-images.yaml
+handeye-streams: calibrate handeye --robot-stream handeye-set/robot.csv --camera-stream handeye-set/poses.csv \
+ -o streams.yaml
+handeye-ros: convert handeye handeye.yaml --to easy_handeye2 --base base_link --flange tool0 -o handeye.calib
+tooltip: calibrate tooltip --poses pivot-set/flange.csv -o tool.yaml
+pivot: calibrate pivot --rig pivot-set/rig.yaml --target pivot-set/target.yaml --left pivot-set/left \
+ --right pivot-set/right \
+ -o pivot.yaml
+mirrors: calibrate mirrors --image mirrors-set/complex --board checkerboard:7x5:0.015 -o mirrors.yaml
+mirrors-check: calibrate mirrors --check --rig mirrors.yaml --image mirrors-set/complex --board checkerboard:7x5:0.015
+arm: calibrate arm --model points/arm.yaml --points points/points.csv --holdout points/holdout.csv -o arm.yaml
+propose: calibrate arm --model points/arm.yaml --points points/points.csv --propose 6 -o proposing.yaml
+robot-world: calibrate robot-world --arm arm.yaml --points points/observed.csv -o world.yaml
+identify: identify --rig rrp/rig.yaml --target rrp/target.yaml --left rrp/left --right rrp/right \
+ --joints rrp/sweep_joints.csv \
+ --world rrp/world.yaml -o identified.yaml
+identify-sweep: identify --sweep identified.sweep.csv --rig rrp/rig.yaml -o again.yaml
+arm-ur10: convert arm ur10 -o ur10.urdf
+arm-craig: convert arm ur10.urdf -o ur10.yaml --convention craig
+fk: kinematics fk --arm korayem6r --joints circle/joints.csv -o fk.csv
+ik: kinematics ik --arm korayem6r --poses fk.csv --near circle/joints.csv -o ik.csv
+jacobian: kinematics jacobian --arm korayem6r --joints circle/joints.csv -o jacobian.csv
+path: kinematics path --arm korayem6r --poses fk.csv -o joints.csv
+formulas: kinematics formulas --arm ur10 -o ur10.tex
+formulas-python: kinematics formulas --arm ur10 -o ur10.py
+show: kinematics show --arm ur10 --joints 0.3,-1.2,1.4,-0.5,1.2,0.4 -o show.html
+join: join --joints circle/joints.csv --arm korayem6r --measured circle/truth_world.csv -o joined.csv
+join-observed: join --joints circle/joints.csv --arm korayem6r --measured circle/truth.csv --as observed \
+ -o observed.csv
+verify: verify --measured circle/truth_world.csv --arm korayem6r --joints circle/joints.csv -o verified
+verify-plan: verify --plan --arm ur10 -o plan
+compare: compare camera.yaml xcorner.yaml -o compared
+poses-tum: convert poses measured/poses.csv -o poses.tum
+rig-opencv: convert rig webcam/rig.yaml --to opencv -o rig.yml
+rig-kalibr: convert rig stereo.yaml --to kalibr -o camchain.yaml
+camera-ros: convert camera camera.yaml --to ros -o camera_info.yaml
+picks: path from-picks --left webcam/left/000000.png --right webcam/right/000000.png --rig webcam/rig.yaml \
+ --picks picks.csv \
+ --skip -o picked.csv
+smooth: path smooth path.csv -o smooth.csv --bound-m 0.0005
+resample: path resample smooth.csv -o even.csv --step-m 0.005
+fillet: path fillet even.csv -o round.csv --radius-m 0.002
+reverse: path reverse even.csv -o back.csv
+check-path: path check even.csv --arm irb120 --speed-m-s 0.01 -o check.html
+export-ur: path export even.csv -o seam.script --arm irb120 --speed-m-s 0.01 --blend-m 0.001
+export-kuka: path export even.csv -o seam.src --arm irb120 --speed-m-s 0.01 --tool 1 --weld-output 7
+export-abb: path export even.csv -o seam.mod --arm irb120 --speed-m-s 0.01 --tool torch
+reproduce: reproduce kapucu2005 -o kapucu
+refused-arm: calibrate arm --model ur10 --points points/points.csv -o never.yaml
+refused-flag: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left -o never
+refused-file: kinematics fk --arm rrp/rig.yaml --joints circle/joints.csv -o never.csv
+refused-text: kinematics fk --arm ur10 --joints circle/joints.csv -o never.csv
 """
-"""A name and what follows `armsight`; a step's input is what the sets and the steps before it made."""
+"""A name and what follows `armsight`, `--json` beside; a step's input is what the sets and the steps before it made."""
 
 VARIES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?"), "<moment>"),
     (re.compile(r"\d{4}-\d\d-\d\d"), "<day>"),
-    (re.compile(r"(\"?\w*(?:took|per_frame|per_pose|compute|duration|elapsed)\w*_m?s\"?\s*[:=]\s*)[-+.\de]+"), r"\1<time>"),
+    (
+        re.compile(r"(\"?\w*(?:took|per_frame|per_pose|compute|duration|elapsed)\w*_m?s\"?\s*[:=]\s*)[-+.\de]+"),
+        r"\1<time>",
+    ),
     (re.compile(r"\b\d+(\.\d+)? (ms|s|min)\b"), "<time>"),
     (re.compile(r"\b[0-9a-f]{64}\b"), "<hash>"),
 )
@@ -120,7 +131,7 @@ def steps(only: str | None) -> Iterator[tuple[str, list[str]]]:
         for line in text.replace("\\\n", "").strip().splitlines():
             name, _, command = line.partition(": ")
             if always or only is None or only in name:
-                yield name, shlex.split(command)
+                yield name, [*shlex.split(command), *([] if name.endswith("-text") else ["--json"])]
 
 
 def keep(folder: Path, source: Path, only: str | None) -> None:
@@ -174,7 +185,10 @@ def differences(before: Path, after: Path) -> Iterator[str]:
         if left == right:
             continue
         lines = difflib.unified_diff(
-            left.decode("utf-8", "replace").splitlines(), right.decode("utf-8", "replace").splitlines(), lineterm="", n=0
+            left.decode("utf-8", "replace").splitlines(),
+            right.decode("utf-8", "replace").splitlines(),
+            lineterm="",
+            n=0,
         )
         shown = [line[:300] for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---")][:6]
         yield "\n    ".join([f"{name}: differs", *shown])
