@@ -167,7 +167,7 @@ def test_silence_is_a_lost_link_and_stays_one(twin: Twin) -> None:
 
 
 def test_a_program_ended_at_the_controller_is_told(twin: Twin) -> None:
-    with RtdeRobot(twin.host) as robot:
+    with RtdeRobot(twin.host, settings=PATIENT) as robot:
         with socket.create_connection((twin.host, 29999), 5.0) as dashboard:
             dashboard.sendall(b"stop\n")
             until(lambda: robot.state is RobotState.LOST)
