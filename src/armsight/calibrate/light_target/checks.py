@@ -44,7 +44,7 @@ LOOSE_PX = 0.15
 
 FALSE_ALARM = 1e-6
 
-LEAST_TURN_RAD = 1.0 * DEG
+LEAST_TURN_RAD = 0.1 * DEG
 """Root mean square turn below which a target stands still: lamps of the room then have the same distances in all frames
 as its own lights. Four frames of a target in a workshop made one of six lights, 1.1 m wide, at 0.003 degrees."""
 
