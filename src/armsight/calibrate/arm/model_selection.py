@@ -36,6 +36,9 @@ COUPLED = 0.5
 COUPLING_MISS = 0.2
 """A coupling of one leaves errors of about what it does beside base and tool; where the error is below this share of
 that, there is none, and it is not tried."""
+EXACT_M = 1e-7
+"""An error below this is rounding, of which half is no gain: no tracker sees a tenth of a micrometre. With the tool on
+the last axis that joint's coupling moves nothing, and exact rows were called coupled."""
 COUPLING_RANGE_RAD = 0.2
 """A joint that moved less cannot tell whether the next one's reading holds its own."""
 REPLACED = "the axes before and behind are parallel: the next joint's d_m says the same, and beta_rad their tilt"
@@ -79,7 +82,8 @@ def coupled(model: ArmModel, points: ArmPoints, nominal: Array) -> tuple[Array, 
     effect = _coupling_effects(model, p, points)
     for i in range(1, model.arm.n):
         turn = model.arm.revolute[i] and model.arm.revolute[i - 1]
-        if not turn or np.ptp(points.q[:, i - 1]) < COUPLING_RANGE_RAD or size < COUPLING_MISS * effect[i - 1]:
+        small = max(COUPLING_MISS * effect[i - 1], EXACT_M)
+        if not turn or np.ptp(points.q[:, i - 1]) < COUPLING_RANGE_RAD or size < small:
             continue
         for share in (1.0, -1.0):
             driven = points.q.copy()
