@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage
-from armsight.measure.boards.checkerboard import LOW_CONTRAST
-from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.boards.kernels.subpixel import fit_corners
+from armsight.measure.boards.marker_corners import MarkerCorners
 from armsight.records import BoardView, Target
 
 Array = NDArray[np.float64]
@@ -26,30 +24,25 @@ corners, which its own thresholds part in a sharp picture."""
 OF_KALIBR = (1, 0, 3, 2)
 """OpenCV's corners of a tag (its own top left, then clockwise) as Kalibr's lower left, lower right, upper right, upper
 left: the two read the family's codes half a turn apart, and Kalibr's y is up."""
-LEAST_CORNERS = 8
-"""Two tags: four corners fix a homography with nothing left to check it."""
-EXPLAINED = 0.93
-"""Share of the grey levels: a whole corner has 0.998 at a noise of 2 of 190 levels; one that an edge cuts has 0.85 at
-most, and is off by up to 9 px (tests/unit/boards/test_aprilgrid.py)."""
-OFF_GRID = 0.08
-"""Of a tag's side: where a corner may be from the smooth map of all others."""
-MARGIN_SHARE = 0.9
-"""The window ends before the tag's cells and the white gap do, at this share."""
-LEAST_HALF_PX, MOST_HALF_PX = 3.0, 24.0
+CORNERS = MarkerCorners(
+    board="AprilGrid",
+    least=8,  # two tags: four corners fix a homography with nothing left to check it
+    # a whole corner has 0.998 at a noise of 2 of 190 levels; one that an edge cuts has 0.85 at most, and is off by up
+    # to 9 px (tests/unit/boards/test_aprilgrid.py)
+    explained=0.93,
+    off_grid=0.08,
+    cure="Hold the board still, focus the lens and avoid reflections; black squares belong at the tags' corners",
+)
 
 
 def find_aprilgrid(image: Grey, board: Target, source: str) -> BoardView:
     """Return those corners of an AprilGrid that are seen and verified; raises BadImage with the reason."""
     found, border = _tags(image, board)
-    if 4 * len(found) < LEAST_CORNERS:
-        if 4 * len(_tags(np.ascontiguousarray(image[:, ::-1]), board)[0]) >= LEAST_CORNERS:
-            raise BadImage(
-                f"{source}: the board is mirrored",
-                consequence="The image is not used",
-                cure="Switch off the camera's mirror mode, or print the board as it is",
-            )
+    if 4 * len(found) < CORNERS.least:
+        mirrored, _ = _tags(np.ascontiguousarray(image[:, ::-1]), board)
+        CORNERS.refuse_mirrored(4 * len(mirrored), source)
         raise BadImage(
-            f"{source}: {len(found)} tags of the AprilGrid were found, {LEAST_CORNERS // 4} are needed",
+            f"{source}: {len(found)} tags of the AprilGrid were found, {CORNERS.least // 4} are needed",
             consequence="The image is not used",
             cure="Show more of the board, sharper and larger; its tags are of the family 36h11, from 0",
         )
@@ -94,36 +87,15 @@ def _grown(quad: Array, px: float) -> Array:
 
 def _refined(image: Grey, board: Target, index: NDArray[np.intp], uv: Array, border: int, source: str) -> BoardView:
     """Fit the corners, where two black corners meet, in windows within the gap and the tag's border."""
-    grid = board.xyz_m[index, :2] / board.marker_m
-    margin = min(board.pitch_m / board.marker_m - 1.0, border / (CELLS + 2.0 * border))
-    n, across = len(index), 2 * board.columns
+    across = 2 * board.columns
     # black lies along the diagonal from a tag's lower left and upper right corners, white along that from the others
     sign = np.where((index % across + index // across) % 2 == 0, -1.0, 1.0)
-    covariance, quality, size = np.empty((n, 2, 2)), np.empty((n, 4)), np.ones(n)
-    for _ in range(2):
-        smooth, _ = fit_map(grid, uv)
-        E, Q = (np.ascontiguousarray(part) for part in smooth.derivatives(grid))
-        size = np.linalg.norm(E, axis=1).max(axis=1)
-        reach = np.clip(MARGIN_SHARE * margin, LEAST_HALF_PX / size, MOST_HALF_PX / size)
-        fitted = np.empty((n, 2))
-        fit_corners(image, np.ascontiguousarray(smooth(grid)), E, Q, reach, sign, fitted, covariance, quality)
-        uv = fitted
-    _, distance = fit_map(grid, uv)
-    good = (quality[:, 0] > EXPLAINED) & (distance < OFF_GRID * size)
-    if good.any():
-        good &= quality[:, 1] > LOW_CONTRAST * np.median(quality[good, 1])
-    if np.count_nonzero(good) < LEAST_CORNERS:
-        raise BadImage(
-            f"{source}: {np.count_nonzero(good)} of {n} corners of the AprilGrid are sharp enough to be placed",
-            consequence="The image is not used",
-            cure="Hold the board still, focus the lens and avoid reflections; black squares belong at the tags' "
-            "corners",
-        )
-    return BoardView(
-        uv_px=uv[good],
-        index=index[good],
-        sigma_px=float(np.sqrt(np.median(np.trace(covariance[good], axis1=1, axis2=2)) / 2.0)),
-        width=image.shape[1],
-        height=image.shape[0],
+    return CORNERS.fit(
+        image,
+        index,
+        uv,
+        grid=board.xyz_m[index, :2] / board.marker_m,
+        margin=min(board.pitch_m / board.marker_m - 1.0, border / (CELLS + 2.0 * border)),
+        signs=lambda *_: sign,
         source=source,
     )

@@ -9,39 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent
-from armsight.measure.boards.checkerboard import LOW_CONTRAST
-from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.boards.kernels.subpixel import fit_corners
+from armsight.measure.boards.marker_corners import MarkerCorners
 from armsight.records import BoardView, Target
 
 Array = NDArray[np.float64]
 
-LEAST_CORNERS = 6
-"""Four corners fix a homography with nothing left to check it; six leave something."""
-EXPLAINED = 0.6
-OFF_GRID = 0.15
-MARGIN_SHARE = 0.9
-"""The window ends before the marker printed in the white square begins, at this share of the margin."""
-LEAST_HALF_PX = 3.0
-MOST_HALF_PX = 24.0
+CORNERS = MarkerCorners(
+    board="ChArUco board",
+    least=6,  # four corners fix a homography with nothing left to check it; six leave something
+    explained=0.6,
+    off_grid=0.15,
+    cure="Hold the board still, focus the lens and avoid reflections",
+)
 
 
 def find_charuco(image: NDArray[np.uint8], board: Target, source: str) -> BoardView:
     """Return those corners of a ChArUco board that are seen and verified; raises BadImage with the reason."""
     detector = _detector(board)
     corners, ids, _, markers = detector.detectBoard(image)
-    if ids is None or len(ids) < LEAST_CORNERS:
+    if ids is None or len(ids) < CORNERS.least:
         seen = 0 if markers is None else len(markers)
         mirrored = detector.detectBoard(np.ascontiguousarray(image[:, ::-1]))[1]
-        if mirrored is not None and len(mirrored) >= LEAST_CORNERS:
-            raise BadImage(
-                f"{source}: the board is mirrored",
-                consequence="The image is not used",
-                cure="Switch off the camera's mirror mode, or print the board as it is",
-            )
+        CORNERS.refuse_mirrored(0 if mirrored is None else len(mirrored), source)
         raise BadImage(
             f"{source}: {0 if ids is None else len(ids)} corners of the ChArUco board were found ({seen} markers), "
-            f"{LEAST_CORNERS} are needed",
+            f"{CORNERS.least} are needed",
             consequence="The image is not used",
             cure="Show more of the board, sharper and larger, and check its size and dictionary",
         )
@@ -66,42 +58,18 @@ def _detector(board: Target) -> Any:
 def _refined(image: NDArray[np.uint8], board: Target, index: NDArray[np.intp], uv: Array, source: str) -> BoardView:
     """Fit the corners in windows that stop short of the markers."""
     grid = board.xyz_m[index, :2] / board.pitch_m
-    margin = 0.5 * (1.0 - board.marker_m / board.pitch_m)
-    n = len(index)
-    covariance, quality = np.empty((n, 2, 2)), np.empty((n, 4))
-    size = np.ones(n)
-    for _ in range(2):
-        smooth, _ = fit_map(grid, uv)
-        E, Q = smooth.derivatives(grid)
-        size = np.linalg.norm(E, axis=1).max(axis=1)
-        reach = np.clip(MARGIN_SHARE * margin, LEAST_HALF_PX / size, MOST_HALF_PX / size)
-        # the first square is black, and so is the one beyond every corner of an even sum
-        sign = _first_sign(image, smooth(grid), E, grid)
-        fitted = np.empty((n, 2))
-        contiguous = np.ascontiguousarray
-        fit_corners(image, contiguous(uv), contiguous(E), contiguous(Q), reach, sign, fitted, covariance, quality)
-        uv = fitted
-    _, distance = fit_map(grid, uv)
-    good = (quality[:, 0] > EXPLAINED) & (distance < OFF_GRID * size)
-    if good.any():
-        good &= quality[:, 1] > LOW_CONTRAST * np.median(quality[good, 1])
-    if np.count_nonzero(good) < LEAST_CORNERS:
-        raise BadImage(
-            f"{source}: {np.count_nonzero(good)} of {n} corners of the ChArUco board are sharp enough to be placed",
-            consequence="The image is not used",
-            cure="Hold the board still, focus the lens and avoid reflections",
-        )
-    return BoardView(
-        uv_px=uv[good],
-        index=index[good],
-        sigma_px=float(np.sqrt(np.median(np.trace(covariance[good], axis1=1, axis2=2)) / 2.0)),
-        width=image.shape[1],
-        height=image.shape[0],
+    return CORNERS.fit(
+        image,
+        index,
+        uv,
+        grid=grid,
+        margin=0.5 * (1.0 - board.marker_m / board.pitch_m),
+        signs=lambda places, E: _signs(image, places, E, grid),
         source=source,
     )
 
 
-def _first_sign(image: NDArray[np.uint8], uv: Array, E: Array, grid: Array) -> Array:
+def _signs(image: NDArray[np.uint8], uv: Array, E: Array, grid: Array) -> Array:
     """Return for each corner +1 where the square beyond it is white, by a vote over all corners."""
     parity = np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, 1.0, -1.0)
     vote = 0.0
