@@ -17,7 +17,7 @@ from armsight.api.arrays import Array
 from armsight.api.results import Result, Row
 from armsight.drivers.remote import Heart, Link, ServerAddress
 from armsight.drivers.remote import protocol as say
-from armsight.errors import DeviceFailed, StaleData
+from armsight.errors import DeviceFailed
 from armsight.records import real_array, require_kind
 from armsight.units import MS
 
@@ -29,10 +29,6 @@ ARRIVED = 1e-6
 
 HELD_S = 1.0
 """A guard that holds for so long has more than a late cycle as its reason; after that one it goes on by itself."""
-
-LAPSED_S = 5.0
-"""So long a program that enables is not heard in time before its command fails: a machine with other work sends its
-heartbeats late now and then, each of which ends the enable and what was asked."""
 
 BEGUN_CYCLES = 3
 """Cycles after which a guard that does not run says that it will not."""
@@ -162,7 +158,6 @@ class RobotDriver:
     def move_joints(self, q: ArrayLike, *, wait: bool = True, timeout_s: float = 60.0) -> None:
         """Go to joint values q (n,) in rad or m as fast as the limits allow; wait until it is there.
 
-        Where the enable lapses on the way, as heartbeats come late, the robot rests and the goal is asked for anew.
         Raises DeviceFailed where the guard does not go there, with its reason, and after timeout_s.
         """
         goal = real_array("q", q)
@@ -175,9 +170,6 @@ class RobotDriver:
                 ran_s = time.monotonic()
             held = state.guard == "holding" and time.monotonic() - ran_s < HELD_S
             if state.guard != "running" and not held and state.cycle > begun.cycle + BEGUN_CYCLES:
-                if state.guard == "disabled" and self._lapsed(state) and time.monotonic() - ran_s < LAPSED_S:
-                    begun = self._do(say.JointGoalMessage, q=goal.tolist())
-                    continue
                 raise DeviceFailed(
                     f"the robot does not go there: {state.guard}" + (f", {state.why}" if state.why else ""),
                     consequence="It rests on the way",
@@ -218,21 +210,8 @@ class RobotDriver:
         return _state(self._link)
 
     def _do(self, make: Any, **fields: Any) -> say.Accepted:
-        """Send a command, again where it or the enable that this program gives came late; return that it was taken."""
-        until_s = time.monotonic() + LAPSED_S
-        while True:
-            self._heart.touch()
-            try:
-                return _taken(self._link, make, **fields)
-            except DeviceFailed as error:
-                late = isinstance(error, StaleData) or self._lapsed(self.state())
-                if not late or time.monotonic() > until_s:
-                    raise
-            time.sleep(POLL_S)
-
-    def _lapsed(self, state: RemoteState) -> bool:
-        """Tell whether late heartbeats alone may keep the robot from moving: by now one may have been in time."""
-        return self._heart.enables and state.guard != "stopped" and state.robot == "ready"
+        self._heart.touch()
+        return _taken(self._link, make, **fields)
 
 
 def connect(url: str, *, token: str | None = None, ca_file: str | PathLike[str] | None = None) -> RobotConnection:

@@ -147,11 +147,6 @@ class Heart:
         self._thread = threading.Thread(target=self._run, name="armsight-heartbeat", daemon=True)
         self._thread.start()
 
-    @property
-    def enables(self) -> bool:
-        """Whether it tells the server that motion is allowed."""
-        return self._enable
-
     def touch(self) -> None:
         """The program is alive."""
         self._touched_s = self._time_s()
