@@ -1,6 +1,6 @@
 """Identification: the rig of Kapucu and Baysec against the Cramer-Rao bound, random arms, real sweeps, time.
 
-    python benchmarks/identify.py [--quick]
+    python benchmarks/identify.py [--quick] [--only PART]
 
 Truth and bound come from Denavit-Hartenberg matrices and pinholes written here; the bound is the numerical Fisher
 information of 13 parameters with the joint values known (MATH 4.3's last column).
@@ -13,17 +13,20 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.app.identify.sweep_files import IdentifyJob, seen_in_frames
+from armsight.app.simulate.run import simulate
+from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import DataRefused
 from armsight.kinematics import fk
 from armsight.optics import Camera, parallel_rig
 from armsight.optics.parallelism import moved_rig
-from armsight.records import NamedCovariance
+from armsight.records import NamedCovariance, Silent
 from armsight.store.arm_points import read_arm_points
 from bench import machine, table
 
@@ -164,6 +167,42 @@ def calibrated_anew(runs: int, sigma: float = 0.05) -> None:
           [[coupled, *np.sqrt(np.mean(np.square(off), axis=0))]])  # fmt: skip
 
 
+def pictures(runs: int) -> None:
+    """Print how often 95 % intervals hold where a simulated cell is seen in pictures: skirting, shadows, tone curve."""
+    held, over, claims, left_out, coupled, refused = [], [], [], 0, 0, 0
+    for seed in range(runs):
+        with TemporaryDirectory() as folder:
+            cell = Path(folder) / "cell"
+            simulate("kapucu2005-rrp", cell, seed=seed)
+            frames = {"left": str(cell / "left"), "right": str(cell / "right"), "joints": cell / "sweep_joints.csv"}
+            job = IdentifyJob(out=cell / "arm.yaml", rig=cell / "rig.yaml", target=cell / "target.yaml", **frames)
+            seen, _ = seen_in_frames(job, RIG, Silent())
+        even, _ = even_ones(seen)
+        left_out += len(seen) - len(even)
+        try:
+            found = identify(even, rig=RIG, base=WHERE.inv().as_matrix())
+        except DataRefused:
+            refused += 1
+            continue
+        error, std = entries(found)
+        held.append(np.abs(error) < 1.96 * std)
+        over.append(error / std)
+        claims.append(std)
+        coupled += any("coupled" in note or "times its readings" in note for note in found.notes)
+    ratio = np.array(over)
+    table(
+        f"The cell in pictures, {runs} seeds: {refused} refused, {left_out} of {30 * runs} readings left out, "
+        f"{coupled} false couplings",
+        ["", *NAMES],
+        [["95 % intervals hold", *(f"{100 * share:.1f} %" for share in np.mean(held, axis=0))],
+         ["claimed, median", *np.median(claims, axis=0)],
+         ["error over its claim, RMS", *np.sqrt(np.mean(ratio**2, axis=0))],
+         ["error over its claim, mean", *ratio.mean(axis=0)],
+         ["error over its claim, worst", *np.abs(ratio).max(axis=0)]],
+    )  # fmt: skip
+    print(f"  over all entries 95 % intervals hold {100 * np.mean(held):.1f} %")
+
+
 def random_arm(rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
     """Return rows theta, d, a, alpha (n, 4) of 3 to 7 joints, and which turn.
 
@@ -284,14 +323,22 @@ def speed(repeats: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a tenth of the runs")
-    quick = parser.parse_args().quick
+    parser.add_argument("--only", choices=PARTS, help="one of the parts")
+    args = parser.parse_args()
     print(machine())
-    speed(3 if quick else 20)
-    positioner()
-    random_arms(100 if quick else 1000)
-    kapucu(20 if quick else 400)
-    calibrated_anew(50 if quick else 500)
+    for name, (part, runs) in PARTS.items():
+        if args.only in (None, name):
+            part(max(runs // 10, 3) if args.quick else runs)
 
+
+PARTS = {
+    "speed": (speed, 20),
+    "positioner": (lambda _: positioner(), 1),
+    "random": (random_arms, 1000),
+    "kapucu": (kapucu, 400),
+    "anew": (calibrated_anew, 500),
+    "pictures": (pictures, 500),
+}
 
 if __name__ == "__main__":
     main()

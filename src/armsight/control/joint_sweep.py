@@ -41,11 +41,15 @@ SLACK = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """The beacon in one pair of frames: uv_px (2, 2), xyz_m (3,), or why not; taken_s: the earliest, on our clock."""
+    """The beacon in one pair of frames: uv_px (2, 2), xyz_m (3,), or why not; taken_s: the earliest, on our clock.
+
+    std_px: of a coordinate of uv_px, where whoever found it says so.
+    """
 
     taken_s: float
     uv_px: Array | None = None
     xyz_m: Array | None = None
+    std_px: float | None = None
     why: str = ""
 
 
@@ -85,7 +89,7 @@ class Sweeper:
         self._pace = pace
         self._at: Array | None = None
         self._joint: list[int] = []
-        self._rows: list[tuple[Array, Array, Array]] = []
+        self._rows: list[tuple[Array, Array, Array, float | None]] = []
         self._total = 0
 
     @property
@@ -103,8 +107,10 @@ class Sweeper:
         """What was read since the last clear; None where nothing was."""
         if not self._rows:
             return None
-        q, uv, xyz = (np.array(values) for values in zip(*self._rows, strict=True))
-        return Sweeps(joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv)
+        *columns, std = zip(*self._rows, strict=True)
+        q, uv, xyz = (np.array(values) for values in columns)
+        std_px = None if None in std else np.array(std, dtype=np.float64)
+        return Sweeps(joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv, std_px=std_px)
 
     def begin(self) -> None:
         """See the beacon before anything moves. Raises NotEnoughData where it is not there, DeviceLost."""
@@ -220,8 +226,10 @@ class Sweeper:
                 readings.append(self._robot.read().q)
         uv = np.mean([look.uv_px for look in looks if look.uv_px is not None], axis=0)
         xyz = np.mean([look.xyz_m for look in looks if look.xyz_m is not None], axis=0)
+        told = [look.std_px for look in looks if look.std_px is not None]
         self._joint.append(joint)
-        self._rows.append((np.mean(readings, axis=0), uv, xyz))
+        # what is behind the beacon shifts it alike in all frames: a mean is known no better for it
+        self._rows.append((np.mean(readings, axis=0), uv, xyz, float(np.median(told)) if told else None))
 
 
 def _does_not_go(joint: int, at: Array, goal: Array, limited: Sequence[str]) -> DeviceFailed:

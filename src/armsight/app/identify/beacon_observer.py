@@ -11,7 +11,7 @@ from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.drivers import read_image
 from armsight.errors import DeviceLost, NotEnoughData
-from armsight.measure.poses.pipeline import Setup, measure_pair
+from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.records import Frame, Target
 
@@ -22,6 +22,12 @@ LOST_FRAMES = 3
 def beacon_settings(target: Target, mask: Path | None) -> SpotSettings:
     """Return how the beacon is looked for; mask: an image that is black where no light may be. Raises BadFile."""
     return SpotSettings(colour=target.colour, mask=None if mask is None else read_image(mask) > 0)
+
+
+def beacon_std_px(found: Measured) -> float:
+    """Return the standard deviation of a pixel coordinate of a beacon that was found: that of its worse direction."""
+    worst = (np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in (found.left, found.right))
+    return float(np.sqrt(max(worst)))
 
 
 class StereoBeaconObserver:
@@ -45,7 +51,8 @@ class StereoBeaconObserver:
         if len(found.points):
             self._lost = 0
             uv = np.stack([found.left.uv_px[0], found.right.uv_px[0]])
-            return Observation(taken_s=t_s + self._ahead_s, uv_px=uv, xyz_m=found.points.xyz_m[0])
+            std_px = beacon_std_px(found)
+            return Observation(taken_s=t_s + self._ahead_s, uv_px=uv, xyz_m=found.points.xyz_m[0], std_px=std_px)
         self._lost += 1
         why = found.pose.why or "it is not in both images"
         if self._lost >= LOST_FRAMES:

@@ -19,7 +19,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
@@ -140,8 +140,9 @@ def identify_observed(
     if job.propose:
         return ProposedPlanOutput(plan=told, notes=told.notes)
     _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
-    sweeps = _swept(job, plan, robot, sweeper)
-    return identified(_from_sweeps(job, held), sweeps, rig, plan=told)
+    sweeps, uneven = even_ones(_swept(job, plan, robot, sweeper))
+    write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
+    return identified(_from_sweeps(job, held), sweeps, rig, uneven, plan=told)
 
 
 def _check_joints(robot: Robot, limits: Array) -> None:
@@ -361,11 +362,13 @@ def _tried(sweeps: Sweeps, rig: Rig, sigma: float | None) -> tuple[Identificatio
 def joined(parts: list[Sweeps]) -> Sweeps:
     """Return sweeps with pixels, one after the other."""
     uv = [part.uv_px for part in parts if part.uv_px is not None]
+    std = [part.std_px for part in parts if part.std_px is not None]
     return Sweeps(
         joint=np.concatenate([part.joint for part in parts]),
         q=np.concatenate([part.q for part in parts]),
         xyz_m=np.concatenate([part.xyz_m for part in parts]),
         uv_px=np.concatenate(uv),
+        std_px=np.concatenate(std) if len(std) == len(parts) else None,
     )
 
 

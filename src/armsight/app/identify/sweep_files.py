@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.identify.beacon_observer import beacon_settings
+from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
@@ -195,8 +195,7 @@ def _beacons(
             notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
             continue
         views = (found.left, found.right)
-        std_px = float(np.sqrt(max(np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in views)))
-        seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views]), std_px
+        seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views]), beacon_std_px(found)
     return seen, notes
 
 

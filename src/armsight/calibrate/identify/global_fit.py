@@ -14,7 +14,7 @@ from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_cha
 from armsight.calibrate.identify.coupling import suggest_coupling
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.path_fit import GROSS
-from armsight.calibrate.identify.residuals import SweepResiduals, rig_shifts
+from armsight.calibrate.identify.residuals import SweepResiduals, background_shifts, rig_shifts
 from armsight.calibrate.identify.sweeps import Sweeps
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
@@ -86,12 +86,13 @@ class GlobalFit:
         """Variance of the whitened residuals: 1 where the noise of single paths explains all."""
         return 2.0 * self.fit.cost / max(self.fit.dof, 1)
 
-    def rig_share(self, seen: SweepResiduals, rig: Rig | None) -> Array:
-        """Return what the rig's own uncertainty adds to the covariance (P, P): it is wrong alike in every reading."""
+    def systematic(self, seen: SweepResiduals, rig: Rig | None) -> Array:
+        """Return what errors that no residual shows add to the covariance (P, P): of the rig, which is wrong alike in
+        every reading, and of what is behind the beacon, which shifts it alike in both views."""
         out = np.zeros((len(self.fit.names), len(self.fit.names)))
         kept = seen.take(self.rows)
         predicted, J = self.model.predict(self.fit.shared, kept.sweeps.q)
-        shifts = rig_shifts(kept, rig, predicted)
+        shifts = np.hstack([rig_shifts(kept, rig, predicted), background_shifts(kept)])
         if self.fit.covariance is None or not shifts.shape[1]:
             return out
         free = [self.fit.names.index(name) for name in self.fit.covariance.names]

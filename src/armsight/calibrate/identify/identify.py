@@ -134,7 +134,7 @@ def _at_once(
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
     p, model = whole.fit.shared, whole.model
     notes += _notes(found, [axis.revolute for axis in model.axes])
-    covariance = all_covariance(whole.fit.names, whole.fit.covariance, widen) + whole.rig_share(seen, rig)
+    covariance = all_covariance(whole.fit.names, whole.fit.covariance, widen) + whole.systematic(seen, rig)
     axes, beacon = model.axes_at(p)
     table, first, tool = place_frames(axes, beacon, base)
 
@@ -170,11 +170,7 @@ def _widening(seen: SweepResiduals, whole: GlobalFit, sigma: float | None) -> tu
             "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
             "may not be enough: with values that are not exact use only their order (--increments order)"
         )
-    if sigma is not None:
-        return max(whole.scale2, 1.0), notes
-    if seen.rig is None or seen.sweeps.std_px is None:
-        return whole.scale2, notes
-    return max(whole.scale2, float(np.median(seen.sweeps.std_px) / seen.sigma) ** 2), notes
+    return whole.scale2 if sigma is None else max(whole.scale2, 1.0), notes
 
 
 def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
