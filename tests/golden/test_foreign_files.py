@@ -1,5 +1,6 @@
 """Files as OpenCV, ROS and Kalibr write them (data/foreign/README.md): read, written, and checked by OpenCV itself."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -257,3 +258,22 @@ def test_yaml_written_for_ros_is_read_by_the_plain_reader():
     text = dump_yaml(ros_mapping(camera, "front/left"))
     assert "data: [" in text  # one line per matrix, as ROS's own files
     assert parse_yaml(text.encode(), "x")["camera_name"] == "front/left"
+
+
+@pytest.mark.parametrize("name", ["opencv", "kalibr", "ros"])
+def test_a_principal_point_that_no_lens_has_is_refused_by_every_reader(name, tmp_path):
+    paths = {"opencv": OPENCV, "kalibr": (KALIBR,), "ros": ROS}[name]
+    (tmp_path / name).write_text(re.sub(r"34[0-9]\.[0-9]+", "48422.5", paths[0].read_text(), count=1))
+    bad = (tmp_path / name, *paths[1:])
+    with pytest.raises(DataRefused, match=r"cx 48422\.5 px is .* outside an image .* wrong\. Look for a wrong decimal"):
+        {
+            "opencv": lambda: foreign.rig_from_opencv(bad, size=SIZE),
+            "kalibr": lambda: foreign.rig_from_kalibr(*bad),
+            "ros": lambda: foreign.rig_from_ros(*bad),
+        }[name]()
+
+
+def test_a_window_in_the_corner_of_a_large_sensor_is_taken():
+    assert Camera.pinhole(128, 96, 2000.0, 2000.0, -1900.0, 50.0).intrinsics[2] == -1900.0
+    with pytest.raises(Inconsistent, match="cy 2097 px is 2001 px outside"):
+        Camera.pinhole(128, 96, 2000.0, 2000.0, -1900.0, 2097.0)

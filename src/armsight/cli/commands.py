@@ -18,7 +18,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.compare import compare
 from armsight.cli.console import console
 from armsight.cli.convert import convert
-from armsight.cli.examples import add_examples
+from armsight.cli.examples import add_examples, every_command
 from armsight.cli.identify import identify
 from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
@@ -26,6 +26,7 @@ from armsight.cli.options import (
     SRC,
     AsJson,
     Bits,
+    FiniteCommand,
     Fps,
     Inverted,
     Limit,
@@ -326,3 +327,5 @@ def doctor(
 
 keep_inputs(app, in_place=("calibrate timing",))
 add_examples(app)
+for _, command in every_command(app):
+    command.cls = FiniteCommand

@@ -165,7 +165,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
 
 def add_examples(app: typer.Typer) -> None:
     """Put the examples below each command's help, and the commands into panels."""
-    for name, info in _commands(app):
+    for name, info in every_command(app):
         if name in EXAMPLES:
             info.epilog = "\n\n".join(("Examples:", *EXAMPLES[name]))
         info.rich_help_panel = PANELS.get(name, ROBOTS) if " " not in name else info.rich_help_panel
@@ -175,7 +175,7 @@ def add_examples(app: typer.Typer) -> None:
         group.rich_help_panel = PANELS.get(group.name or "", ROBOTS)
 
 
-def _commands(app: typer.Typer) -> Iterator[tuple[str, typer.models.CommandInfo]]:
+def every_command(app: typer.Typer) -> Iterator[tuple[str, typer.models.CommandInfo]]:
     """Yield each command with its full name."""
     for command in app.registered_commands:
         yield _name(command), command

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
+from typer.core import TyperCommand
 
 from armsight.errors import UsageError
 from armsight.units import read_value
@@ -89,6 +90,20 @@ class Quantity:
 def quantity(unit: str, least: float = -math.inf) -> dict[str, Any]:
     """Return what an option is given that takes a length (m), a speed (m/s) or a joint's way (rad or m)."""
     return {"parser": Quantity(unit, least), "metavar": "|".join(UNITS_OF[unit]).upper()}
+
+
+class FiniteCommand(TyperCommand):
+    """A command whose numbers are finite: nan is below no limit and above none, and passes every range."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        """Return what is left of the arguments. Raises typer.BadParameter for nan and inf."""
+        left = super().parse_args(ctx, args)
+        for one in self.get_params(ctx):
+            given = ctx.params.get(one.name or "")
+            for value in given if isinstance(given, list | tuple) else [given]:
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise typer.BadParameter(f"{value} is no finite number", ctx=ctx, param=one)
+        return left
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:

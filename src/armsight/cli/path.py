@@ -122,8 +122,10 @@ def reverse(source: Source, out: Out, json: AsJson = False) -> None:
 def join(
     sources: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Two path.csv or more, in their order.")],
     out: Out,
-    gap: Annotated[float, typer.Option("--gap-m", help="Widest gap between two ends, m.")] = 1e-3,
-    gap_deg: Annotated[float, typer.Option("--gap-deg", help="Largest turn between them, degrees.")] = 5.0,
+    gap: Annotated[float, typer.Option("--gap-m", min=0.0, help="Widest gap between two ends, m.")] = 1e-3,
+    gap_deg: Annotated[
+        float, typer.Option("--gap-deg", min=0.0, max=180.0, help="Largest turn between them, degrees.")
+    ] = 5.0,
     json: AsJson = False,
 ) -> None:
     """Put paths one after the other."""
@@ -239,7 +241,7 @@ def from_picks(
     near: Annotated[float | None, typer.Option(help="Nearest depth. [default: 3 baselines]", **quantity("m"))] = None,
     far: Annotated[float | None, typer.Option(help="Furthest depth. [default: 300 baselines]", **quantity("m"))] = None,
     step: Annotated[float, typer.Option("--step-px", help="Between points on an edge, px.")] = 10.0,
-    patch: Annotated[int, typer.Option("--patch-px", help="Side of a patch, px.")] = 15,
+    patch: Annotated[int, typer.Option("--patch-px", min=7, max=101, help="Side of a patch, px.")] = 15,
     pick_std: Annotated[float, typer.Option("--pick-std-px", help="Standard deviation of a pick, px.")] = 0.5,
     tool_axis: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="The tool's z. [default: the view's optical axis]")

@@ -37,6 +37,10 @@ WIDEST_RAD = float(np.radians(85.0))
 """Rays are X/Z, Y/Z here, which a ray at 90 degrees has not; at 85 they are 11.4 and a pixel changes them by 130 times
 what it does in the middle. Beyond it a fisheye lens is not used."""
 
+FURTHEST_OUTSIDE = 1.0
+"""Image sizes by which the principal point may lie outside, as in the corner of a sensor that was cut out of it; and
+always a focal length: a lens draws at 45 degrees from its axis, so that small windows of large sensors are taken."""
+
 NO_TURN, NO_SHIFT = frozen_array("R", np.eye(3), (3, 3)), frozen_array("t", np.zeros(3), (3,))
 
 
@@ -100,6 +104,7 @@ class Camera(Saveable):
                 consequence="The camera has no rays",
                 cure="Calibrate it again, or correct the file",
             )
+        self._require_middle()
         if self.lens is LensKind.FISHEYE and (self.plate is not None or k[9] != 0.0):
             raise Inconsistent(
                 "a fisheye lens with " + ("a glass plate before it" if self.plate else "a fifth coefficient"),
@@ -113,6 +118,21 @@ class Camera(Saveable):
         packed = np.concatenate([k, rest])
         packed.setflags(write=False)
         object.__setattr__(self, "packed", packed)
+
+    def _require_middle(self) -> None:
+        """Raise Inconsistent where the optical axis meets the image's plane where no lens puts it."""
+        for name, at, f, size in zip(
+            ("cx", "cy"), self.intrinsics[2:4], self.intrinsics[:2], (self.width, self.height), strict=True
+        ):
+            outside = max(-at, at - size)
+            if outside > max(FURTHEST_OUTSIDE * size, f):
+                raise Inconsistent(
+                    f"the principal point {name} {at:g} px is {outside:.0f} px outside an image of {self.width}x"
+                    f"{self.height} px, further than the image's size and than the focal length of {f:g} px",
+                    consequence="No lens draws an image so far from its axis: every ray would be wrong",
+                    cure="Look for a wrong decimal point, a unit other than px, fx and cx swapped, or the image size "
+                    "of another camera; or calibrate it again",
+                )
 
     @classmethod
     def pinhole(

@@ -138,8 +138,14 @@ def test_other_kinds_and_other_things_are_refused(tmp_path):
     with pytest.raises(UsageError, match="holds no one result"):
         compare(CompareJob(a=camera, b=tmp_path / "empty"))
     (tmp_path / "odd.yaml").write_text("format: armsight/odd\nversion: 1\n")
-    with pytest.raises(BadFile, match="is not compared"):
+    with pytest.raises(BadFile, match=r"is of 'armsight/odd'\. Such files are not compared"):
         compare(CompareJob(a=camera, b=tmp_path / "odd.yaml"))
+    (tmp_path / "odd.yaml").write_text("arm: ur5e\n")
+    with pytest.raises(BadFile, match=r"odd.yaml: has no line `format:`.* Give two files of armsight/camera, "):
+        compare(CompareJob(a=tmp_path / "odd.yaml", b=camera))
+    (tmp_path / "odd.yaml").write_text("camera_name: left\ncamera_matrix: {rows: 3, cols: 3}\n")
+    with pytest.raises(BadFile, match=r"is a file of ros.* armsight convert camera"):
+        compare(CompareJob(a=tmp_path / "odd.yaml", b=camera))
 
 
 def test_the_command_writes_a_report_only_where_it_is_told_to(tmp_path):

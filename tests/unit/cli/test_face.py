@@ -220,3 +220,31 @@ def test_a_quantity_may_carry_its_unit(unit: str, text: str, value: float) -> No
 def test_a_quantity_in_another_unit_is_refused(unit: str, text: str) -> None:
     with pytest.raises(typer.BadParameter):
         Quantity(unit, least=1e-6)(text)
+
+
+@pytest.mark.parametrize("given", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("join", "--measured", "poses.csv", "-o", "points.csv", "--offset"),
+        ("simulate", "webcam-cell", "-o", "cell", "--zoom"),
+        ("path", "smooth", "path.csv", "-o", "smooth.csv", "--bound-m"),
+        ("robot", "test", "--robot", "sim:webcam-cell", "--for"),
+    ],
+)
+def test_a_number_that_is_none_is_refused_at_every_command(words: tuple[str, ...], given: str) -> None:
+    done = run(*words[:-1], f"{words[-1]}={given}")
+    assert done.exit_code == 2
+    assert f"'{words[-1]}': {given} is no finite number" in done.stderr
+
+
+def test_sizes_that_cannot_be_are_refused() -> None:
+    picks = ("path", "from-picks", "--left", "l.png", "--right", "r.png", "--rig", "r.yaml", "--picks", "p.csv")
+    for words in (
+        (*picks, "-o", "p.csv", "--patch-px=-15"),
+        ("path", "join", "a.csv", "b.csv", "-o", "c.csv", "--gap-m=-1"),
+        ("path", "join", "a.csv", "b.csv", "-o", "c.csv", "--gap-deg=-5"),
+    ):
+        done = run(*words)
+        assert done.exit_code == 2, words
+        assert f"'{words[-1].partition('=')[0]}'" in done.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from armsight.app.compare.calibrations import (
     Compared,
@@ -20,6 +21,7 @@ from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.report.compare_report import CompareRun, Course, Row, compare_report
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
+from armsight.store.foreign.format_detection import kind_of_mapping
 from armsight.store.handeye_file import HANDEYE_FORMAT
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml
@@ -106,14 +108,23 @@ def _result(path: Path) -> tuple[str, Path]:
         )
     if path.suffix == ".csv":
         return "measure", path
-    format_ = str(read_yaml(path).get("format"))
-    if format_ not in FORMATS:
-        raise BadFile(
-            f"{path}: format {format_[:80]!r} is not compared",
-            consequence="Nothing was compared",
-            cure=f"Give two files of {', '.join(FORMATS)}, or two folders of measure or verify",
-        )
+    content = read_yaml(path)
+    format_ = content.get("format")
+    if not isinstance(format_, str) or format_ not in FORMATS:
+        raise _not_compared(path, content)
     return FORMATS[format_], path
+
+
+def _not_compared(path: Path, content: Mapping[str, Any]) -> BadFile:
+    """Return why a YAML file is of none of the kinds that are compared."""
+    format_, foreign = content.get("format"), kind_of_mapping(content)
+    if foreign is not None and not foreign.startswith("armsight/"):
+        said = f"is a file of {foreign}, not one of armsight's own"
+        cure = "Convert it first: armsight convert camera FILE -o camera.yaml, or armsight convert rig"
+    else:
+        said = "has no line `format:` that says what it is of" if format_ is None else f"is of {str(format_)[:80]!r}"
+        cure = f"Give two files of {', '.join(FORMATS)}, or two folders of measure or verify"
+    return BadFile(f"{path}: {said}", consequence="Such files are not compared, and nothing was", cure=cure)
 
 
 def _compared(kind: str, a: Path, b: Path, distance_m: float | None) -> Compared:

@@ -20,6 +20,13 @@ from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 PORT = 30004
 """RTDE's port on a controller."""
 
+DASHBOARD_BELOW = 5
+LEAST_PORT = 1 + DASHBOARD_BELOW
+"""The dashboard is at 29999: behind other numbers the controller's three ports keep their distances (relay.py)."""
+
+PROBE_S = 2.0
+"""Time that is given a connection which only tells why none could be made."""
+
 MODULES = ("rtde_control", "rtde_receive")
 """ur-rtde's modules."""
 
@@ -36,11 +43,28 @@ END_S = 2.0
 def address(device: str) -> tuple[str, int]:
     """Return host and port of HOST[:PORT]. Raises UsageError."""
     host, _, port = device.rpartition(":") if ":" in device else (device, "", str(PORT))
-    if host and "/" not in host and " " not in host and port.isascii() and port.isdigit() and 5 < int(port) < 65536:
-        return host, int(port)
-    raise UsageError(
-        f"{device!r} is not HOST or HOST:PORT", consequence="There is no robot", cure="Give for instance rtde:10.0.0.5"
-    )
+    if not (host and "/" not in host and " " not in host and port.isascii() and port.isdigit()):
+        raise UsageError(
+            f"{device!r} is not HOST or HOST:PORT",
+            consequence="There is no robot",
+            cure="Give for instance rtde:10.0.0.5",
+        )
+    if not LEAST_PORT <= int(port) < 65536:
+        raise UsageError(
+            f"a controller cannot be at port {int(port)}: the dashboard is {DASHBOARD_BELOW} ports below RTDE's",
+            consequence="There is no robot",
+            cure=f"Give a port from {LEAST_PORT} to 65535, or leave it out for {PORT}",
+        )
+    return host, int(port)
+
+
+def unreachable(host: str, port: int) -> str:
+    """Return why nothing takes a connection there, in the system's words; "" where something does."""
+    try:
+        socket.create_connection((host, port), PROBE_S).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

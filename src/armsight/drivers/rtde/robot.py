@@ -17,7 +17,7 @@ from armsight.drivers.cyclic import CyclicRobot, LinkTimes
 from armsight.drivers.given_goals import GivenGoals
 from armsight.drivers.joint_goals import JointLimits
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.rtde.link import ControllerState, Worker, address
+from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
@@ -122,6 +122,8 @@ class RtdeRobot(CyclicRobot):
         if state is not None:
             self._stamp_s = state.stamp_s
             return state
+        if refused := unreachable(self.host, self.port):
+            why = f"nothing takes a connection at {self.host}:{self.port} ({refused})"
         raise DeviceNotFound(
             f"{self.name} cannot be driven: {why}",
             consequence="The robot is not opened",

@@ -153,8 +153,10 @@ def clipped(arm: SimArm, q: Array) -> Array:
 def host_port(text: str) -> tuple[str, int]:
     """Return the host and port of HOST:PORT, or of PORT on this machine. Raises UsageError."""
     host, _, port = text.rpartition(":")
-    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+    if not (port.isascii() and port.isdigit()):
         raise UsageError(f"{text!r} is not HOST:PORT", cure="Give for instance 127.0.0.1:49152")
+    if not 0 < int(port) < 65536:
+        raise UsageError(f"there is no port {port}", cure="Give one from 1 to 65535, for instance 127.0.0.1:49152")
     return host or "127.0.0.1", int(port)
 
 
