@@ -95,10 +95,11 @@ def quantity(unit: str, least: float = -math.inf) -> dict[str, Any]:
 class FiniteCommand(TyperCommand):
     """A command whose numbers are finite: nan is below no limit and above none, and passes every range."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # typer's own copy of click has the type
         """Return what is left of the arguments. Raises typer.BadParameter for nan and inf."""
         left = super().parse_args(ctx, args)
-        for one in self.get_params(ctx):
+        parameters: list[Any] = self.get_params(ctx)
+        for one in parameters:
             given = ctx.params.get(one.name or "")
             for value in given if isinstance(given, list | tuple) else [given]:
                 if isinstance(value, float) and not math.isfinite(value):

@@ -43,6 +43,8 @@ def test_rows_of_three_places_without_names_are_refused(n: int, off_deg: float) 
     for points in (together, mixed):
         with pytest.raises(Inconsistent, match=r"of 3 places on the tool, \S+ to \S+ mm apart.*column `point`"):
             check_one_place(arm, points)
+        with pytest.raises(Inconsistent, match=r"rows of point 'A' are of 3 places .* name of its own"):
+            check_one_place(arm, replace(points, point=tuple("A") * len(points)))
     check_one_place(arm, replace(together, point=tuple("ABC") * n))
     with pytest.raises(Inconsistent, match="3 places"):
         calibrate_world(arm, together)
@@ -104,3 +106,13 @@ def test_tool_points_move_with_the_flange_from_one_convention_to_the_other() -> 
         replace(arm, tool_points=(at, at))
     with pytest.raises(Inconsistent, match="standard deviations of tool point A"):
         replace(at, std_m=np.array([1e-4, -1.0, 0.0]))
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.05, "further"), (0.95, "less far")])
+def test_a_rig_of_another_scale_than_the_arm_is_not_placed(factor: float, said: str) -> None:
+    rng = np.random.default_rng(1)
+    arm, q = preset("kr6"), rng.uniform(-0.9, 0.9, (24, 6))
+    x = seen(arm, q, np.zeros((1, 3)), rng, 4e-4)[:, 0]
+    assert calibrate_world(arm, ArmPoints(q=q, xyz_m=x)).residual_rms_m < 1e-3
+    with pytest.raises(Inconsistent, match=rf"are (4\.9|5).* % {said} apart than the arm moved .* board's squares"):
+        calibrate_world(arm, ArmPoints(q=q, xyz_m=factor * x))

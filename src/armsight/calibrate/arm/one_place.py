@@ -46,12 +46,19 @@ PLACES_SEED = 13
 
 
 def check_one_place(arm: Arm, points: ArmPoints) -> None:
-    """Raise Inconsistent where rows without names are of several places on the tool.
+    """Raise Inconsistent where rows of one name, or rows without names, are of several places on the tool.
 
     Where joint positions have several rows each, those rows are looked at about their middle, in flange axes: the arm's
     errors are the same in all of them. Else the place of the tool's point that each row wants, with the nominal arm.
     """
-    if points.labels != ("",) or len(points) < 2 * FEWEST_EACH:
+    named = np.array(points.point)
+    for label in points.labels:
+        _check_rows(arm, points.take(np.flatnonzero(named == label)), label)
+
+
+def _check_rows(arm: Arm, points: ArmPoints, label: str) -> None:
+    """Raise Inconsistent where rows, all of one name or none, are of several places."""
+    if len(points) < 2 * FEWEST_EACH:
         return
     if len(points) > ENOUGH_ROWS:
         points = points.take(np.arange(ENOUGH_ROWS))
@@ -69,13 +76,13 @@ def check_one_place(arm: Arm, points: ArmPoints) -> None:
         rows = np.flatnonzero(count[which] > 1)
         off = np.einsum("mji,mj->mi", F[rows, :3, :3], (local - middle[which])[rows])
         if _about_one(off) > LEAST_SCATTER_M:
-            _check(_about_one(off), [_in_places(off, _parted(off, k)) for k in range(2, MOST_PLACES + 1)])
+            _check(label, _about_one(off), [_in_places(off, _parted(off, k)) for k in range(2, MOST_PLACES + 1)])
         return
     at = model.pose(p, 1).translation
     wanted = np.einsum("mji,mj->mi", F[:, :3, :3], local - F[:, :3, 3])
     if _about_one(wanted - at) > LEAST_SCATTER_M:
         parts = [_mounted(F, points.xyz_m, wanted, k) for k in range(2, MOST_MIXED + 1)]
-        _check(_about_one(wanted - at), parts)
+        _check(label, _about_one(wanted - at), parts)
 
 
 def _about_one(off_m: Array) -> float:
@@ -92,10 +99,10 @@ class _Parting:
     left_m: float
 
 
-def _check(one_m: float, parts: list[_Parting]) -> None:
+def _check(label: str, one_m: float, parts: list[_Parting]) -> None:
     """Raise Inconsistent where rows are of several places.
 
-    one_m: their scatter about one in m; parts: them in 2, 3 .. places.
+    label: their name, "" where they have none; one_m: their scatter about one in m; parts: them in 2, 3 .. places.
     """
     best, left_m = None, one_m
     for part in parts:
@@ -107,12 +114,14 @@ def _check(one_m: float, parts: list[_Parting]) -> None:
     if best is None:
         return
     distance = pdist(best.places)
+    rows, by, cure = "rows", "no column `point` names them", "Name the place of each row in a column `point`"
+    if label:
+        rows, by, cure = f"rows of point {label!r}", "all have its name", "Give each place a name of its own"
     raise Inconsistent(
-        f"the rows are of {len(best.places)} places on the tool, {distance.min() / MM:.3g} to "
-        f"{distance.max() / MM:.3g} mm apart, and no column `point` names them; about one place they scatter by "
-        f"{one_m / MM:.3g} mm",
+        f"the {rows} are of {len(best.places)} places on the tool, {distance.min() / MM:.3g} to "
+        f"{distance.max() / MM:.3g} mm apart, and {by}; about one place they scatter by {one_m / MM:.3g} mm",
         consequence="They cannot be one place at these readings, and nothing is written",
-        cure="Name the place of each row in a column `point`, for instance A, B, C; or give the rows of one place",
+        cure=f"{cure}, for instance A, B, C; or give the rows of one place",
     )
 
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.arm.fit import MEDIAN_3, added_noise
 from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.one_place import check_one_place
+from armsight.calibrate.arm.motion_scale import check_motion_scale
 from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
@@ -67,6 +68,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     local = _places(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))
     T, kept = _majority(base, points.xyz_m)
+    check_motion_scale(base[kept], points.xyz_m[kept])
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     typical, spread = float(np.median(size[kept])), spread_m(points.xyz_m)
     if 2 * len(kept) < len(points) or typical > MOST_SHARE * spread:
