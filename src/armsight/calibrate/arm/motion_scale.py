@@ -42,6 +42,6 @@ def check_motion_scale(base_m: Array, rig_m: Array) -> None:
         f"the positions are {100.0 * off:.3g} +- {100.0 * std:.2g} % "
         f"{'further' if k > 1.0 else 'less far'} apart than the arm moved its tool",
         consequence="Where the rig stands would be wrong by as much of its distance, and nothing is written",
-        cure="Check the size of the board's squares that the rig was calibrated with, its baseline, and the unit of the "
-        "positions; then whether the arm's file is of this arm, and its tool's point the one that was measured",
+        cure="Check the size of the board's squares that the rig was calibrated with, its baseline, and the unit of "
+        "the positions; then whether the arm's file is of this arm, and its tool's point the one that was measured",
     )

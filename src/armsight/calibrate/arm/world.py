@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.fit import MEDIAN_3, added_noise
 from armsight.calibrate.arm.initial_guess import placed
-from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.motion_scale import check_motion_scale
+from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
