@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
+from armsight.calibrate.arm.plausibility import MOST_SHARE
 from armsight.errors import Inconsistent
 from armsight.geometry import align_points
 
@@ -35,8 +36,10 @@ def motion_scale(base_m: Array, rig_m: Array) -> tuple[float, float]:
 def check_motion_scale(base_m: Array, rig_m: Array) -> None:
     """Raise Inconsistent where positions (m, 3), four or more, are of another scale than the arm's motion."""
     k, std = motion_scale(base_m, rig_m)
-    off = abs(k - 1.0)
-    if off <= MOST_OFF or 2.0 * float(stdtr(3 * len(rig_m) - 7, -off / max(std, 1e-12))) >= SURE:
+    off, freedom = abs(k - 1.0), 3 * len(rig_m) - 7
+    if std * np.sqrt(freedom) > MOST_SHARE:  # no scale makes them the arm's
+        return
+    if off <= MOST_OFF or 2.0 * float(stdtr(freedom, -off / max(std, 1e-12))) >= SURE:
         return
     raise Inconsistent(
         f"the positions are {100.0 * off:.3g} +- {100.0 * std:.2g} % "
