@@ -19,12 +19,15 @@ from armsight.app.operator.identify import SweepFit
 from armsight.app.operator.placing import arm_points, rig_pose
 from armsight.app.schemas.live import LiveView
 from armsight.console import texts
+from armsight.console.curves import Curve, Ruler
 from armsight.console.state import Console
+from armsight.console.tracks import Ticks
 from armsight.errors import ArmsightError
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Target
 from armsight.store import read_rig
 from armsight.store.cell_file import cell_path
+from armsight.store.handeye_file import read_tip
 
 Array = NDArray[np.float64]
 
@@ -33,10 +36,6 @@ FRUSTUM_M = 0.12
 SCENE_PX = 420
 SCENE_HZ = 8
 """Drawings a second: more would slow a tablet's other work, of which the enable is the first."""
-TRACK = 600
-"""Points of each track shown."""
-APART_M = 5e-4
-"""The arm's tool has gone on where it is so far from its track's end: an arm at rest draws no more."""
 LIGHT_M, SMALL_M = 0.008, 0.03
 """Radius of a light; size of a target below which the names of its lights would hide it."""
 BONE_M, JOINT_M = 0.03, 0.042
@@ -53,13 +52,18 @@ COLOURS = {
     "uncertainty": "#E69F00",
     "robot": "#14181c",
 }
-RGB_ROBOT = [int(COLOURS["robot"][k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
 FIT_COLOURS = ("#0072B2", "#7a4fb5", "#00775a", "#8a5a00", "#a0306e", "#14181c")
 """Of joints' sweeps and axes; each has its number beside it."""
 POINT = "place-"
 """Begins the name of a path's ball."""
 POINT_NAME = re.compile(f"{POINT}([0-9]{{1,9}})")
 PATH_COLOUR = "#7a4fb5"
+SEEN_THROUGH = 0.12
+"""Opacity of an arm that is looked at from near: curves run within its joints."""
+BACK = 1.2
+"""How far the eye is from the middle of what it looks at from near, in its diagonals."""
+ASIDE = Rotation.from_euler("z", 35.0, degrees=True)
+"""From the cameras' direction to the eye's: no axis of a cell set up square to them is seen end on."""
 UPRIGHT = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
 """From a rig's axes (x right, y down, z forward) to a screen's (z up), where its place in world is not known."""
 
@@ -82,8 +86,9 @@ class Scene:
         if placed is None and rig_file is not None:
             self._arm = None  # where the arm stands before these cameras is not known yet
         self._T_scene_rig = UPRIGHT if placed is None else placed
-        self._track: list[tuple[list[float], float]] = []
-        self._robot_track: list[list[float]] = []
+        tip_file = cell_path(folder, cell.tip, "tip")
+        self._tip_m = np.zeros(3) if tip_file is None else np.array(read_tip(tip_file).tip_m)
+        self._near = False
         self.scale = 0.0
         made = ui.scene(height=SCENE_PX, grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked, fps=SCENE_HZ)
         with made.classes("w-full") as self._scene:
@@ -91,13 +96,15 @@ class Scene:
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
             self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
-            self._cloud = self._scene.point_cloud([[0, 0, 0]], [[0, 0.6, 0.45]], point_size=0.006)
-            self._robot_cloud = self._scene.point_cloud([[0, 0, 0]], [RGB_ROBOT], point_size=0.005)
+            self._measured = Curve("measured", line="none", mark_px=6.0, layer=1)
+            self._taught = Curve("taught", line="solid", mark_px=0.0, layer=2)
+            self._tool = Curve("tool", line="dashed", mark_px=2.0, layer=3)
+            self._ruler = Ruler(self._scene)
             self._path = self._scene.group()
             self._ellipsoid = self._scene.sphere(radius=1.0).material(COLOURS["uncertainty"], opacity=0.45)
         self._target.visible(False)
         self._ellipsoid.visible(False)
-        self._look_on()
+        self.look_at_cell()
         self._show_arm(anew=True)
 
     @property
@@ -117,21 +124,46 @@ class Scene:
         T_scene_target = T * RigidTransform.from_components(view.xyz_m, Rotation.from_quat(view.quat_xyzw))
         _put(self._target, T_scene_target)
         std_m = float(np.linalg.norm(view.std[:3])) if view.std is not None else np.nan
-        self._track = [*self._track[-TRACK:], (T_scene_target.translation.tolist(), std_m)]
+        self._console.tracks.add_measured(T_scene_target.apply(self._tip_m), std_m)
 
     def show_track(self) -> tuple[float, float] | None:
         """Draw where the arm's tool was, and the target, coloured by its standard deviation; return these' ends.
 
         In m, the norm of those of x, y and z; None where nothing was seen, or no standard deviation is known.
         """
-        if self._robot_track:
-            self._robot_cloud.set_points(self._robot_track, [RGB_ROBOT] * len(self._robot_track))
-        if not self._track:
-            return None
-        std_m = np.array([std for _, std in self._track])
-        self._cloud.set_points([place for place, _ in self._track], track_colours(std_m).tolist())
+        tracks = self._console.tracks
+        if self.has_arm:
+            self._tool.show(tracks.tool, [_rgb(COLOURS["robot"])] * len(tracks.tool))
+        if self._near:
+            self._ruler.show(self._ticks())
+        std_m = np.array([std for _, std in tracks.measured])
+        self._measured.show([place for place, _ in tracks.measured], track_colours(std_m).round(2).tolist())
         known = std_m[np.isfinite(std_m)]
         return (float(known.min()), float(known.max())) if len(known) else None
+
+    def look_at_paths(self) -> bool:
+        """Look at the curves from near, with axes in mm about them; False where there are none."""
+        ticks = self._ticks()
+        if ticks is None:
+            return False
+        self._look_from(near=True)
+        self._ruler.show(ticks)
+        eye = ASIDE.apply(self._T_scene_rig.translation - ticks.centre_m)
+        eye[2] = max(eye[2], 0.5 * float(np.linalg.norm(eye[:2])))  # and from above
+        x, y, z = (ticks.centre_m + BACK * ticks.span_m * eye / np.linalg.norm(eye)).tolist()
+        to_x, to_y, to_z = ticks.centre_m.tolist()
+        self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
+        return True
+
+    def _look_from(self, *, near: bool) -> None:
+        self._near = near
+        for parts in self._bones:
+            for part, kind in zip(parts, ("arm", "joint"), strict=True):
+                part.material(COLOURS[kind], opacity=SEEN_THROUGH if near else 1.0)
+
+    def _ticks(self) -> Ticks | None:
+        places = [place for curve in (self._measured, self._taught, self._tool) for place in curve.places]
+        return Ticks.about(np.array(places)) if places else None
 
     def _show_uncertainty(self, view: LiveView | None, T_scene_parent: RigidTransform) -> None:
         """Draw the ellipsoid of the position where it is; `scale` tells how enlarged, 0 without one."""
@@ -154,8 +186,7 @@ class Scene:
             for i, place in enumerate(places):
                 ball = self._scene.sphere(radius=0.009 if i == 0 or i in chosen else 0.005).move(*place)
                 ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
-            for one, next_ in pairwise(places):
-                self._scene.line(one, next_).material(PATH_COLOUR)
+        self._taught.show([tuple(place) for place in places], [_rgb(PATH_COLOUR)] * len(places))
 
     def _clicked(self, event: SceneClickEventArguments) -> None:
         found = next((place for hit in event.hits if (place := POINT_NAME.fullmatch(str(hit.object_name)))), None)
@@ -200,8 +231,7 @@ class Scene:
         for (bone, joint), (begin, end) in zip(self._bones, pairwise(points), strict=True):
             _stretch(bone, begin, end)
             joint.move(*end.tolist())
-        if not self._robot_track or np.linalg.norm(points[-1] - self._robot_track[-1]) > APART_M:
-            self._robot_track = [*self._robot_track[-TRACK:], points[-1].tolist()]
+        self._console.tracks.add_tool(points[-1])
         if self._console.cell.cameras == "carried":
             placed = rig_pose(self._console.folder, self._console.cell, self._arm, q)
             self._T_scene_rig = self._T_scene_rig if placed is None else placed
@@ -244,12 +274,19 @@ class Scene:
         bone = self._scene.cylinder(BONE_M, BONE_M, 1.0, 16).material(COLOURS["arm"])
         return bone, self._scene.sphere(radius=JOINT_M).material(COLOURS["joint"])
 
-    def _look_on(self) -> None:
+    def look_at_cell(self) -> None:
         """Look at what the cameras see, from beside and above them; from nearer where there is no arm to be seen."""
         near = self._arm is None
+        self._look_from(near=False)
+        self._ruler.show(None)
         x, y, z = self._T_scene_rig.apply([0.55, -0.4, 0.1] if near else [0.75, -0.65, -0.15]).tolist()
         to_x, to_y, to_z = self._T_scene_rig.apply([0.02, 0.0, 0.4 if near else 0.7]).tolist()
         self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
+
+
+def _rgb(colour: str) -> tuple[float, float, float]:
+    r, g, b = (round(int(colour[k : k + 2], 16) / 255.0, 2) for k in (1, 3, 5))
+    return r, g, b
 
 
 def _put(thing: Object3D, T_scene_thing: RigidTransform) -> None:

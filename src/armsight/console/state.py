@@ -31,6 +31,7 @@ from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach import TeachDesk, teach_desk
 from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import Setup
+from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
@@ -59,6 +60,7 @@ class Console:
     last_recording: Path | None = None
     history: deque[Array] = field(default_factory=lambda: deque(maxlen=HISTORY))
     """(7,) each: t_s, then as values_of."""
+    tracks: Tracks = field(default_factory=Tracks)
     _newest: LiveView | None = None
     steps: dict[str, StepDesk] = field(default_factory=dict)
     _alignment: MirrorAlignment | None = None
@@ -245,6 +247,7 @@ class Console:
             self.station.stop()
         self.station = None
         self.history.clear()
+        self.tracks.clear()
 
     def require_station(self) -> Station:
         """Return the measuring station. Raises UsageError where there is none."""

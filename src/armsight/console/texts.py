@@ -90,8 +90,15 @@ SCENE = "Cameras and target"
 SCENE_HELP = "Drag to turn the scene, wheel to come nearer."
 ELLIPSOID = "Ellipsoid: 1 σ of the position, drawn {scale:,.0f} times as large."
 TRACK = "Track: blue where known best (± {least:.3f} mm), orange where worst (± {most:.3f} mm)."
-ROBOT_TRACK = "Black: where the arm's tool was."
-TEACH_SCENE = f"Violet: the taught path. Blue to orange: where the target was measured. {ROBOT_TRACK}"
+ROBOT_TRACK = "Black, dashed: where the arm's tool was."
+PATHS_SCENE = "Taught, measured, and where the robot was"
+PATHS_LEGEND = {
+    "taught": "Taught path: violet line with balls",
+    "measured": "Measured target, its tip where one is calibrated: dots, blue where known best, orange where worst",
+    "tool": "The arm's tool by the robot's own joints: black, dashed",
+}
+LOOK_AT_PATHS, LOOK_AT_CELL = "Look at the paths", "Look at the cell"
+NO_PATHS = "There is nothing to look at yet: teach a path, or move the target before the cameras."
 POSE = "Where the target is"
 CURVES = "The last minute"
 AXES = ("x", "y", "z", "rx", "ry", "rz")

@@ -46,9 +46,10 @@ def teach_page(console: Console) -> None:
             path = _Path(console, desk, said)
             with above:
                 _Recording(recorder, desk, path, said)
-        with card(texts.SCENE):
+        with card(texts.PATHS_SCENE):
             path.scene = _scene(console, path)
-            text_of("p", texts.TEACH_SCENE, testid="scene-legend").classes("hint")
+            if path.scene is not None:
+                _look(path.scene)
     _Play(console, desk)
     path.show()
     jog_card(robot)
@@ -68,6 +69,21 @@ def _scene(console: Console, path: _Path) -> Scene | None:
     ui.timer(TICK_S, tick)
     ui.timer(SLOW_S, made.show_track)
     return made
+
+
+def _look(scene: Scene) -> None:
+    """The legend, and the keys that look from near and far."""
+    with ui.element("ul").classes("legend").props("data-testid=scene-legend"):
+        for name, words in texts.PATHS_LEGEND.items():
+            text_of("li", words, data_curve=name)
+    with ui.element("div").classes("row"):
+        button(texts.LOOK_AT_PATHS, lambda: look_near(), kind="act quiet", testid="look-paths")
+        button(texts.LOOK_AT_CELL, scene.look_at_cell, kind="act quiet", testid="look-cell")
+    text_of("p", texts.SCENE_HELP).classes("hint")
+    said = text_of("p", role="status").classes("hint")
+
+    def look_near() -> None:
+        set_text(said, "" if scene.look_at_paths() else texts.NO_PATHS)
 
 
 def _tell(said: Any, words: str, level: str = "good") -> None:
