@@ -7,12 +7,15 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
+
+from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_text
 
 CHROMIUM = "/usr/bin/chromium"
 PATIENCE_MS = 60_000
@@ -28,12 +31,17 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def begin(folder: Path, *more: str) -> tuple[str, subprocess.Popen[bytes]]:
-    """Start the console as a person does; return its address."""
+def begin(
+    folder: Path, *more: str, meanwhile: Callable[[str], object] | None = None
+) -> tuple[str, subprocess.Popen[bytes]]:
+    """Start the console as a person does; return its address. meanwhile: is called with it from the first answer on."""
     port = free_port()
     command = [sys.executable, "-c", "from armsight.cli import main; main()", "console", "--folder", str(folder)]
     process = subprocess.Popen([*FIRST, *command, "--port", str(port), *more], stderr=subprocess.PIPE)
     assert process.stderr is not None
+    if meanwhile is not None:
+        listening(port)
+        meanwhile(f"http://127.0.0.1:{port}")
     said = b""
     while b"Open http://" not in said:
         line = process.stderr.readline()
@@ -86,6 +94,24 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         made = player.chromium.launch(executable_path=str(script), args=["--no-sandbox"])
         yield made
         made.close()
+
+
+def small_cell(file: Path) -> Any:
+    """Write the built-in cell with cameras of half the pixels, which two busy cores can draw; return its world."""
+    text = scenario_text("webcam-cell")
+    assert text is not None
+    cell = yaml.safe_load(text[0])
+    cameras = cell["cameras"]
+    cameras |= {"width": cameras["width"] // 2, "height": cameras["height"] // 2, "pipeline": "ideal"}
+    for side in ("left", "right"):
+        lens = cameras[side]
+        lens |= {"fx": lens["fx"] / 2, "fy": lens["fy"] / 2}
+        lens |= {"cx": (lens["cx"] - 0.5) / 2, "cy": (lens["cy"] - 0.5) / 2}
+    cell |= {"fps": 12.0, "room": "dark"}
+    cell["target"]["sigma_px"] = 1.5
+    cameras["sensor"]["hot_pixels"] = 0
+    file.write_text(yaml.safe_dump(cell))
+    return build_world(str(file), load_scenario(str(file))[0], seed=None, frames=1)
 
 
 def measuring(page: Any) -> None:
@@ -159,8 +185,9 @@ def held(page: Any, words: str) -> bool:
 
 @pytest.fixture(scope="session")
 def console() -> SimpleNamespace:
-    """How a console is begun (folder, flags -> address, process) and ended, how a page is opened, and what a person
-    does on it with the robot."""
+    """How a console is begun (folder, flags -> address, process) and ended, how a page is opened, what a person does on
+    it with the robot, and a cell that two busy cores can draw."""
     return SimpleNamespace(
-        begin=begin, end=end, opened=opened, measuring=measuring, robot_says=robot_says, rests=rests, jog=jog, held=held
-    )
+        begin=begin, end=end, opened=opened, measuring=measuring, robot_says=robot_says, rests=rests, jog=jog,
+        held=held, small_cell=small_cell,
+    )  # fmt: skip

@@ -9,9 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
 
-from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_text
 from armsight.sim.boards import Board, random_board_pose
 from armsight.sim.cell import BoardCell
 from armsight.store import read_rig
@@ -25,24 +23,6 @@ pytestmark = [
     pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine"),
     pytest.mark.timeout(900),
 ]
-
-
-def small_cell(file: Path) -> Any:
-    """Write the built-in cell with cameras of half the pixels, which two busy cores can draw; return its world."""
-    text = scenario_text("webcam-cell")
-    assert text is not None
-    cell = yaml.safe_load(text[0])
-    cameras = cell["cameras"]
-    cameras |= {"width": cameras["width"] // 2, "height": cameras["height"] // 2, "pipeline": "ideal"}
-    for side in ("left", "right"):
-        lens = cameras[side]
-        lens |= {"fx": lens["fx"] / 2, "fy": lens["fy"] / 2}
-        lens |= {"cx": (lens["cx"] - 0.5) / 2, "cy": (lens["cy"] - 0.5) / 2}
-    cell |= {"fps": 12.0, "room": "dark"}
-    cell["target"]["sigma_px"] = 1.5
-    cameras["sensor"]["hot_pixels"] = 0
-    file.write_text(yaml.safe_dump(cell))
-    return build_world(str(file), load_scenario(str(file))[0], seed=None, frames=1)
 
 
 def draw_boards(world: Any, folder: Path) -> str:
@@ -62,7 +42,7 @@ def draw_boards(world: Any, folder: Path) -> str:
 def calibrated(browser: Any, console: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, str, Path]]:
     """The cell after the way's first half: cameras from boards, hand-eye with them; its world, address and folder."""
     home = tmp_path_factory.mktemp("way")
-    world, folder = small_cell(home / "small.yaml"), home / "cell"
+    world, folder = console.small_cell(home / "small.yaml"), home / "cell"
     board = draw_boards(world, home / "boards")
     address, process = console.begin(folder, "--robot", f"sim:{home / 'small.yaml'}")
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
-from armsight.console.tracks import Place, Ticks
+from armsight.console.tracks import Array, Place, Ticks
 from armsight.units import MM
 
 DASH_M = 0.003
@@ -36,7 +36,7 @@ class Curve(Object3D, component=Path(str(files("armsight") / "console" / "static
 
 
 class Ruler:
-    """Axes in mm about the curves; they grow with them."""
+    """Axes in mm about the curves, their corner and ends named; they grow with them."""
 
     def __init__(self, scene: ui.scene) -> None:
         self._scene = scene
@@ -51,17 +51,23 @@ class Ruler:
         self._drawn.delete()
         with self._scene, self._scene.group() as self._drawn:
             if ticks is not None:
-                for axis in range(3):
-                    self._axis(ticks, axis)
+                low = np.array(ticks.low_mm, dtype=float)
+                for axis, high in enumerate(ticks.high_mm):
+                    self._axis(low, axis, range(ticks.low_mm[axis], high + 1, ticks.step_mm))
+                self._name("({}, {}, {}) mm".format(*ticks.low_mm), low - 0.8 * ticks.step_mm * np.eye(3)[2])
 
-    def _axis(self, ticks: Ticks, axis: int) -> None:
-        low, along = np.array(ticks.low_mm, dtype=float), np.eye(3)[axis]
-        aside = np.eye(3)[2 if axis != 2 else 0] * -0.25 * ticks.step_mm
-        marks = range(ticks.low_mm[axis], ticks.high_mm[axis] + 1, ticks.step_mm)
-        self._scene.line((MM * low).tolist(), (MM * (low + (marks[-1] - marks[0]) * along)).tolist()).material(INK)
+    def _axis(self, low: Array, axis: int, marks: range) -> None:
+        """Draw one from the corner low (3,) in mm, with its ticks; named at its end."""
+        along, tick = np.eye(3)[axis], np.eye(3)[1 if axis == 0 else 0] * -0.3 * marks.step
+        end = low + (marks[-1] - marks[0]) * along
+        self._line(low, end)
         for mark in marks:
             at = low + (mark - marks[0]) * along
-            self._scene.line((MM * at).tolist(), (MM * (at + aside)).tolist()).material(INK)
-            words = f"{'xyz'[axis]} {mark} mm" if mark == marks[-1] else str(mark)
-            label = self._scene.text(words, f"font-size: 12px; font-weight: 600; color: {INK}")
-            label.move(*(MM * (at + 1.8 * aside)).tolist())
+            self._line(at, at + tick)
+        self._name(f"{'xyz'[axis]} {marks[-1]} mm", end + 0.6 * marks.step * along)
+
+    def _line(self, one_mm: Array, next_mm: Array) -> None:
+        self._scene.line((MM * one_mm).tolist(), (MM * next_mm).tolist()).material(INK)
+
+    def _name(self, words: str, at_mm: Array) -> None:
+        self._scene.text(words, f"font-size: 12px; font-weight: 600; color: {INK}").move(*(MM * at_mm).tolist())

@@ -96,8 +96,8 @@ class Scene:
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
             self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
-            self._measured = Curve("measured", line="none", mark_px=6.0, layer=1)
-            self._taught = Curve("taught", line="solid", mark_px=0.0, layer=2)
+            self._measured = Curve("measured", line="none", mark_px=5.0, layer=1)
+            self._taught = Curve("taught", line="solid", mark_px=6.0, layer=2)
             self._tool = Curve("tool", line="dashed", mark_px=2.0, layer=3)
             self._ruler = Ruler(self._scene)
             self._path = self._scene.group()

@@ -19,7 +19,7 @@ APART_M = 5e-4
 """What is seen so near to its track's end is at rest: the track goes on beyond it."""
 DIGITS = 5
 """Of places in m as they are sent."""
-TICKS = 4
+TICKS = 8
 """Of the longest axis at most."""
 
 
