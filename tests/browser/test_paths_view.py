@@ -105,8 +105,26 @@ def test_taught_measured_and_driven_are_drawn_where_they_were(console: Any, cell
         led_or_driven = np.minimum(apart(curve, taught), apart(curve, truth))
         assert led_or_driven.max() < NEAR_M, name
         assert page.evaluate(HOLDS_ALL, name), name
+    looked_at_from_near(page)
     named = page.locator("[data-testid=scene-legend] li").evaluate_all("all => all.map((one) => one.dataset.curve)")
     assert named == list(PATHS_LEGEND)
+
+
+IN_SIGHT = """name => {
+  const names = [...document.querySelectorAll("[data-testid=scene] div div")].map((one) => one.textContent);
+  return ["x", "y", "z"].every((axis) => names.some((words) => new RegExp(`^${axis} -?[0-9]+ mm$`).test(words)));
+}"""
+"""Of an axis the name is in the page only while it is before the eye and not too near."""
+
+
+def looked_at_from_near(page: Any) -> None:
+    """All axes come into sight; a phone shows all of it without scrolling sideways."""
+    page.click("[data-testid=look-paths]")
+    page.wait_for_function(IN_SIGHT)
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.wait_for_function("document.querySelector('[data-testid=scene] canvas').clientWidth < 390")
+    edges = "all => all.map((one) => one.getBoundingClientRect().right)"
+    assert max(page.locator("section.card").evaluate_all(edges)) <= 390
 
 
 def teach(page: Any, console: Any) -> None:

@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 FRUSTUM_M = 0.12
 """Length of the pyramids that stand for cameras."""
 SCENE_PX = 420
+NEAREST_M, FARTHEST_M = 0.003, 30.0
+"""From the eye: what is outside is not drawn; a path of a few mm is looked at from as near."""
 SCENE_HZ = 8
 """Drawings a second: more would slow a tablet's other work, of which the enable is the first."""
 LIGHT_M, SMALL_M = 0.008, 0.03
@@ -90,7 +92,14 @@ class Scene:
         self._tip_m = np.zeros(3) if tip_file is None else np.array(read_tip(tip_file).tip_m)
         self._near = False
         self.scale = 0.0
-        made = ui.scene(height=SCENE_PX, grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked, fps=SCENE_HZ)
+        made = ui.scene(
+            height=SCENE_PX,
+            grid=(4, 20),
+            camera=ui.scene.perspective_camera(near=NEAREST_M, far=FARTHEST_M),
+            background_color="#dfe5ea",
+            on_click=self._clicked,
+            fps=SCENE_HZ,
+        )
         with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
