@@ -142,7 +142,8 @@ def take_robot(browser: Any, out: Path) -> None:
         page.click("[data-testid=save]")
         page.click("[data-testid=change]")
         page.click("[data-testid=check]")
-        page.wait_for_timeout(3000)
+        page.click("[data-testid=look-paths]")
+        page.wait_for_timeout(5000)
         page.evaluate("window.scrollTo(0, 0)")
         save(page, out / "console-teach.png")
 
