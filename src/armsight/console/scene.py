@@ -105,8 +105,8 @@ class Scene:
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
             self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
-            self._measured = Curve("measured", line="none", mark_px=5.0, layer=1)
-            self._taught = Curve("taught", line="solid", mark_px=6.0, layer=2)
+            self._measured = Curve("measured", line="none", mark_px=4.0, layer=2)
+            self._taught = Curve("taught", line="solid", mark_px=6.0, layer=1)
             self._tool = Curve("tool", line="dashed", mark_px=2.0, layer=3)
             self._ruler = Ruler(self._scene)
             self._path = self._scene.group()
@@ -191,9 +191,11 @@ class Scene:
         """Draw a path (n, 3) in world; the ball at its start is larger, those chosen are in another colour."""
         self._path.delete()
         places = xyz_m.tolist()
+        apart_m = np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)
+        radius = float(np.clip(0.3 * np.median(apart_m), 0.0015, 0.005)) if len(apart_m) else 0.005
         with self._scene, self._scene.group() as self._path:
             for i, place in enumerate(places):
-                ball = self._scene.sphere(radius=0.009 if i == 0 or i in chosen else 0.005).move(*place)
+                ball = self._scene.sphere(radius=(1.8 if i == 0 or i in chosen else 1.0) * radius).move(*place)
                 ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
         self._taught.show([tuple(place) for place in places], [_rgb(PATH_COLOUR)] * len(places))
 
