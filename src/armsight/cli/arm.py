@@ -112,6 +112,8 @@ def robot_world(
         face.say(f"{done.n_used} points, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected[:8]:
             face.say(f"  left out: row {item.row}: {item.why}")
+        for note in done.notes:
+            face.say(f"- {note}")
         face.result(done)
 
 

@@ -68,14 +68,14 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     local = _places(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))
     T, kept = _majority(base, points.xyz_m)
-    check_motion_scale(base[kept], points.xyz_m[kept])
+    notes = check_motion_scale(base[kept], points.xyz_m[kept])
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     typical, spread = float(np.median(size[kept])), spread_m(points.xyz_m)
     if 2 * len(kept) < len(points) or typical > MOST_SHARE * spread:
         raise senseless(size, spread)
     out = np.setdiff1d(np.arange(len(points)), kept)
     _check_others(base, points.xyz_m, kept, out)
-    notes = (points.unweighed,) if points.unweighed else ()
+    notes += (points.unweighed,) if points.unweighed else ()
     if points.covariance is None:
         T, covariance = _refine(T, points.take(kept), base[kept], 0.0)
     else:
