@@ -14,6 +14,9 @@ DEG = math.pi / 180.0
 MS = 1e-3
 """One millisecond in seconds."""
 
+NOTHING = 1e-9
+"""Below this no figure that people read says anything, in mm, degrees or px: 64-bit numbers are no finer."""
+
 WRITTEN = {"m": 1.0, "mm": MM, "rad": 1.0, "deg": DEG, "m/s": 1.0, "mm/s": MM}
 """Units that people may write behind a number, in SI."""
 

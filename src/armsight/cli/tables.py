@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI, own_command
-from armsight.units import DEG, MM, MS
+from armsight.units import DEG, MM, MS, NOTHING
 
 if TYPE_CHECKING:
     from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedFile
@@ -54,7 +54,7 @@ def figure(value: float | None, digits: int = 3) -> str:
     """Return a number with so many significant digits, never in powers of ten; '-' for none."""
     if value is None or not math.isfinite(value):
         return "-"
-    if value == 0.0:
+    if abs(value) < NOTHING:
         return "0"
     places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
     return f"{value:.{min(places, 9)}f}"

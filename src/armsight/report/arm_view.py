@@ -22,6 +22,10 @@ ARROW = 0.08
 NO_DISTANCE = 1e-9
 """Scaled singular value that is zero but for rounding."""
 
+BACK = "Do not go there: choose joint values within the limits below."
+AWAY = "Do not move straight through here: joints race near a singularity. Bend the arm away from it first."
+FREE = "Nothing stands against these joint values; the arm's body and the cell are not checked."
+
 MAX_POSTURES = 30
 """Postures drawn of a track; more of them hide each other."""
 
@@ -51,10 +55,14 @@ def arm_report(arm: Arm, q: ArrayLike, *, created: datetime | None = None) -> st
 
 def _verdict(inside: bool, names: Sequence[str]) -> Verdict:
     if not inside:
-        return Verdict(level="bad", word="beyond limits", sentence="At least one joint is beyond its limit.")
+        return Verdict(
+            level="bad", word="beyond limits", sentence="At least one joint is beyond its limit.", to_do=BACK
+        )
     if names:
-        return Verdict(level="warn", word="singular", sentence=f"Close to a singularity: {', '.join(names)}.")
-    return Verdict(level="good", word="free", sentence="Within limits and away from singularities.")
+        return Verdict(
+            level="warn", word="singular", sentence=f"Close to a singularity: {', '.join(names)}.", to_do=AWAY
+        )
+    return Verdict(level="good", word="free", sentence="Within limits and away from singularities.", to_do=FREE)
 
 
 def _cards(arm: Arm, q: Array, T: Array) -> list[Card]:

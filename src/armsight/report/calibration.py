@@ -93,8 +93,15 @@ def _verdict(run: CalibrationRun) -> Verdict:
         sentence += f"; the cameras stand {figure_of(run.baseline_m / MM, 'mm', digits=5)} apart"
     doubts = _doubts(run)
     if doubts:
-        return Verdict(level="warn", word="Usable with care", sentence=f"{sentence}. But {'; '.join(doubts)}.")
-    return Verdict(level="good", word="Good", sentence=f"{sentence}.")
+        to_do = (
+            f"Take more {_noun(run)}, with the {run.thing} tilted and up to the images' corners, and calibrate again."
+        )
+        sentence = f"{sentence}. But {'; '.join(doubts)}."
+        return Verdict(level="warn", word="Usable with care", sentence=sentence, to_do=to_do)
+    to_do = "Use it; calibrate again when focus, zoom or a mount has moved."
+    if run.advice:
+        to_do = f"Use it; what would make it better stands below ({len(run.advice)})."
+    return Verdict(level="good", word="Good", sentence=f"{sentence}.", to_do=to_do)
 
 
 def _cards(run: CalibrationRun) -> list[Card]:

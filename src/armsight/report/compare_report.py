@@ -18,6 +18,12 @@ from armsight.report.track import deviation_figure
 Array = NDArray[np.float64]
 
 CARDS = 4
+LEVELS = {
+    True: ("good", "They agree", "Use either of them."),
+    False: ("bad", "They differ", "Find out what moved or changed between them before you rely on either."),
+    None: ("warn", "Cannot be told", "Do not take them for alike: give results that hold their standard deviations."),
+}
+"""By whether they agree: level, word, and what to do."""
 BEYOND = 3.0
 """Standard deviations beyond which a bar is red."""
 
@@ -71,12 +77,11 @@ class CompareRun:
 
 def compare_report(run: CompareRun, *, created: datetime | None = None) -> str:
     """Return the page as HTML text that needs no other file."""
-    levels = {True: ("good", "They agree"), False: ("bad", "They differ"), None: ("warn", "Cannot be told")}
-    level, word = levels[run.agree]
+    level, word, to_do = LEVELS[run.agree]
     page = Page(
         title=f"Comparison of {KINDS[run.kind]}",
         subtitle=f"A is {run.a}, B is {run.b}",
-        verdict=Verdict(level=level, word=word, sentence=run.verdict),
+        verdict=Verdict(level=level, word=word, sentence=run.verdict, to_do=to_do),
         cards=[Card(name=name, value=value) for name, value in run.effects[:CARDS]],
     )
     if run.effects:

@@ -94,13 +94,15 @@ def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str
 
 
 def _verdict(result: HandEye) -> Verdict:
+    to_do = result.concerns[0] if result.concerns else "Use it; calibrate again when camera or target has moved."
+    level, word = "good", "Good"
     if scale_is_wrong(result):
-        return Verdict(level="bad", word="Measure the target", sentence=verdict(result))
-    if len(result.rejected) > 0:
-        return Verdict(level="warn", word="Usable, with poses left out", sentence=verdict(result))
-    if result.n_used < 10:
-        return Verdict(level="warn", word="Usable, few poses", sentence=verdict(result))
-    return Verdict(level="good", word="Good", sentence=verdict(result))
+        level, word = "bad", "Measure the target"
+    elif len(result.rejected) > 0:
+        level, word = "warn", "Usable, with poses left out"
+    elif result.n_used < 10:
+        level, word = "warn", "Usable, few poses"
+    return Verdict(level=level, word=word, sentence=verdict(result), to_do=to_do)
 
 
 def _cards(result: HandEye) -> list[Card]:

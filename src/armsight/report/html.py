@@ -17,6 +17,7 @@ from importlib import resources
 from armsight._version import __version__
 from armsight.report.figures import Figure, json_text
 from armsight.report.space import fitted_scene
+from armsight.units import NOTHING
 
 STYLE = """
 :root{--ink:#1c2733;--soft:#5b6b7b;--line:#dfe5eb;--back:#f4f6f8;--blue:#1f5fa8;--good:#2e7d4f;--warn:#b86a00;
@@ -36,6 +37,7 @@ section>p{margin:0 0 10px;color:var(--soft);max-width:85ch}
 .verdict{margin:18px 0;padding:14px 18px;border-left:6px solid var(--good);font-size:17px}
 .verdict.warn{border-left-color:var(--warn)}.verdict.bad{border-left-color:var(--bad)}
 .verdict strong{display:block;font-size:13px;letter-spacing:.06em;text-transform:uppercase;color:var(--good)}
+.verdict p{margin:8px 0 0}.verdict b{color:var(--blue);margin-right:4px}
 .verdict.warn strong{color:var(--warn)}.verdict.bad strong{color:var(--bad)}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px}
 .cards div{padding:12px 14px}
@@ -131,11 +133,12 @@ class Card:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """The page's one sentence. level: good, warn or bad; word: the level in one word."""
+    """The page's one sentence. level: good, warn or bad; word: the level in one word; to_do: the reader's next step."""
 
     level: str
     word: str
     sentence: str
+    to_do: str
 
 
 @dataclass(slots=True, kw_only=True)
@@ -177,7 +180,7 @@ class Page:
         )
         verdict = (
             f'<div class="verdict {text(self.verdict.level)}"><strong>{text(self.verdict.word)}</strong>'
-            f"{text(self.verdict.sentence)}</div>"
+            f"{text(self.verdict.sentence)}<p><b>What to do</b> {text(self.verdict.to_do)}</p></div>"
         )
         figures = _base64(gzip.compress(json_text(self._figures).encode(), 9, mtime=0))
         when = created.strftime("%Y-%m-%d %H:%M")
@@ -229,10 +232,6 @@ def in_degrees(sentence: str) -> str:
     return re.sub(r"(?<=\d) deg\b", "°", sentence)
 
 
-NOTHING = 1e-9
-"""Below this no figure of a page says anything, in mm, degrees or px: 64-bit numbers are no finer, light less so."""
-
-
 def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
     """Return a number for people with so many significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):
@@ -257,5 +256,5 @@ def with_deviation(value: float, std: float | None) -> tuple[str, str]:
         return figure_of(value, digits=7), "–"
     decimals = max(0, 1 - math.floor(math.log10(std)))
     if decimals > MOST_DECIMALS:
-        return figure_of(value, digits=4), f"{std:.1e}"
+        return figure_of(value, digits=4), figure_of(std, digits=2)
     return f"{value:.{decimals}f}", f"{std:.{decimals}f}"

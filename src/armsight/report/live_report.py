@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, ORANGE, RED, Figure, axis, layout, place, thinned
-from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, table
+from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, in_degrees, table
+from armsight.report.to_do import after_watching
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -54,7 +55,12 @@ def live_report(
     page = Page(
         title="Supervision of a running arm",
         subtitle=f"{summary['n']} pairs of frames, {summary['n_compared']} compared",
-        verdict=Verdict(level=LEVELS[summary["level"]], word=summary["level"], sentence=summary["verdict"]),
+        verdict=Verdict(
+            level=LEVELS[summary["level"]],
+            word=summary["level"],
+            sentence=in_degrees(summary["verdict"]),
+            to_do=after_watching(summary),
+        ),
         cards=_cards(summary),
     )
     if summary["alarms"]:

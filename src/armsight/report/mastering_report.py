@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Any
 
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.to_do import after_mastering
 from armsight.units import DEG, MM
 
 LEVELS = {"none": "good", "undecided": "warn"}
@@ -25,7 +26,10 @@ def mastering_report(
         title=f"After a crash: {name}",
         subtitle=f"{summary['n']} poses compared, {len(summary['rejected'])} left out",
         verdict=Verdict(
-            level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=in_degrees(summary["verdict"])
+            level=LEVELS.get(cause, "bad"),
+            word=f"Cause: {cause}",
+            sentence=in_degrees(summary["verdict"]),
+            to_do=after_mastering(summary),
         ),
         cards=[
             Card(name="error of place", value=figure_of(summary["rms_before_m"] / MM, "mm"), note="RMS, as measured"),

@@ -19,6 +19,7 @@ from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
 from armsight.report.series import NEIGHBOURS, Errors, Series, errors_of, losses_of, ranges, scatter_of, series_of
+from armsight.report.to_do import MEASURE, after_measuring
 from armsight.report.track import deviation_figure, time_figure, track_figure
 from armsight.units import MM
 
@@ -78,7 +79,8 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
     if ok == 0:
         losses = losses_of(run.poses)
         why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
-        return Verdict(level="bad", word="No pose", sentence=f"None of {n:,} frames gave a full pose.{why} {run.error}")
+        sentence = f"None of {n:,} frames gave a full pose.{why} {run.error}"
+        return Verdict(level="bad", word="No pose", sentence=sentence, to_do=MEASURE["No pose"])
     middle = _median_columns(series.std[series.whole])
     sentence = (
         f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, half of them known to "
@@ -96,10 +98,10 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
     uncertainty = VERDICTS.get(run.consistency.get("verdict", ""))
     if uncertainty is not None:
         level, word = uncertainty
-        sentence = f"{run.consistency['sentence']} {run.consistency['advice']} By what they claim: {sentence}"
+        sentence = f"{run.consistency['sentence']} By what they claim: {sentence}"
     if run.error:
         level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
-    return Verdict(level=level, word=word, sentence=sentence)
+    return Verdict(level=level, word=word, sentence=sentence, to_do=after_measuring(word, run.consistency))
 
 
 def _rms_columns(values: Array) -> Array:

@@ -39,6 +39,8 @@ COLOURS: Mapping[PathTrouble, tuple[str, str]] = MappingProxyType(
 )
 """Colour and word of each trouble; a row with several has the colour of the first of these."""
 JOINT_COLOURS = (BLUE, ORANGE, GREEN, RED, "#7b1fa2", "#17a2b8", "#a0522d", "#5c6bc0")
+RUN = "Play it slowly first (`armsight play`): the arm's body and the cell are not checked."
+MEND = "Do not play it: move or slow the rows in trouble below, or place the path elsewhere, and check again."
 MAX_TABLE = 200
 NAMES_APART = 0.05
 """Names nearer than this share of the path's size would hide each other."""
@@ -52,9 +54,9 @@ def path_report(
     """Return the page of what check_path found, as HTML text that needs no other file; path in world or base."""
     runs = _runs(found.issues)
     verdict = (
-        Verdict(level="good", word="can be run", sentence=f"{arm.name} can run all {found.rows} rows.")
+        Verdict(level="good", word="can be run", sentence=f"{arm.name} can run all {found.rows} rows.", to_do=RUN)
         if found.ok
-        else Verdict(level="bad", word="cannot be run", sentence=_sentence(arm, found, runs))
+        else Verdict(level="bad", word="cannot be run", sentence=_sentence(arm, found, runs), to_do=MEND)
     )
     page = Page(title=f"{name} on {arm.name}", subtitle=_subtitle(path), verdict=verdict, cards=_cards(path, found))
     around, alone = _scenes(path, arm, limits, found, runs)

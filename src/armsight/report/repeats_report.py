@@ -23,6 +23,8 @@ CARD_NAMES: Mapping[str, str] = {
     "vAP_m": "vAP, variation between approaches",
     "RT_m": "RT, repeatability of a path",
 }
+HOLD = "Hold it against the arm's data sheet; for accuracy as well, give --commanded or --arm with --joints."
+MORE = 'Measure again with what is asked for under "Withheld" below.'
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
@@ -45,6 +47,7 @@ def repeats_report(
             level="good" if given else "warn",
             word="Repeatability" if given else "No figure can be given",
             sentence=_headline(iso, summary["verdict"]),
+            to_do=HOLD if given else MORE,
         ),
         cards=_cards(iso),
     )

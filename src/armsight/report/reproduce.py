@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 WANTED_SHARE = 1.0 / 3.0
 """armsight's error over the paper's that is wanted in each row where the paper's figure can be believed."""
 
-NOTHING = 1e-9
-"""mm, degrees or px below which a number is rounding."""
 UNITS = {"m": ("mm", MM), "rad": ("°", DEG), "px": ("px", 1.0), "": ("", 1.0)}
 TRUTH, METHOD, OURS = GREY, ORANGE, BLUE
 PANEL_PX = 330
+READ = "Nothing; before you quote a figure, read the doubts about the printed ones and the assumptions below."
+LOOK_UP = "Look up the rows named in the tables below, with their notes, before you rely on what they measure."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +182,7 @@ def _verdict(done: Reproduction) -> Verdict:
                 "The paper prints curves only. armsight's error is at most a third of its method's on the "
                 f"same frames in {small} of {len(shares)} rows."
             ),
+            to_do=READ,
         )
     missed = [
         f"{item.title.partition(':')[0]}: {'; '.join(labels)}"
@@ -195,6 +196,7 @@ def _verdict(done: Reproduction) -> Verdict:
         level="warn" if missed else "good",
         word="Reached in part" if missed else "Reached",
         sentence=text + (f". Not in {'. '.join(missed)}." if missed else "."),
+        to_do=LOOK_UP if missed else READ,
     )
 
 
@@ -231,20 +233,13 @@ def _table(item: ComparisonTable) -> str:
     for row in item.rows:
         unit, scale = UNITS[row.unit]
         values = (row.paper, row.paper_method, row.armsight, row.truth, *row.errors)
-        shown = [_shown(value, scale) for value in values]
+        shown = [figure_of(None if value is None else value / scale, digits=4) for value in values]
         share = "–" if row.share is None else f"{row.share:.3f}" if row.credible else f"({row.share:.3f})"
         of_method = "–" if row.share_of_method is None else f"{row.share_of_method:.3f}"
         rows.append([f"{row.label}, {unit}" if unit else row.label, *shown, share, of_method])
     kept = [k for k in range(len(head)) if any(row[k] != "–" for row in rows)]
     told = [[row[k] for k in kept] for row in rows]
     return table([head[k] for k in kept], told, numbers=tuple(range(1, len(kept))))
-
-
-def _shown(value: float | None, scale: float) -> str:
-    """Return a number in the unit shown; what is far below what anything here measures is zero."""
-    if value is None:
-        return "–"
-    return figure_of(0.0 if abs(value / scale) < NOTHING else value / scale, digits=4)
 
 
 def _notes(item: ComparisonTable) -> str:

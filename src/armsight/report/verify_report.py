@@ -16,6 +16,7 @@ from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, text, with_deviation
 from armsight.report.iso_symbols import FIGURES
+from armsight.report.to_do import after_verify
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
 
@@ -70,6 +71,7 @@ def verify_report(
             level=LEVELS.get(cause, "bad"),
             word="No cause looked for" if arm is None else f"Cause: {cause}",
             sentence=in_degrees(summary["verdict"]),
+            to_do=after_verify(summary, with_arm=arm is not None),
         ),
         cards=_cards(summary),
     )

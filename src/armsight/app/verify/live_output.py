@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.app.schemas.verify_live import DecisionTime, LiveAlarm, LiveErrors, LiveLevels, VerifyLiveOutput
 from armsight.records import PoseStatus, TargetPose
+from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
 from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM
@@ -152,7 +153,8 @@ def _verdict(log: LiveLog, series: LiveSeries, known: NDArray[np.bool_], grave: 
     if not known.any():
         return "Nothing could be compared: whether the arm is where it says it is, is not known."
     lost = len(log.rows) - int(known.sum())
-    largest = f"{series.place_m[known].max() / MM:.3g} mm and {series.turn_rad[known].max() / DEG:.3g} deg"
+    place_mm, turn_deg = series.place_m[known].max() / MM, series.turn_rad[known].max() / DEG
+    largest = f"{figure_of(place_mm, 'mm')} and {figure_of(turn_deg, 'deg')}"
     dark = f" {lost} of {len(log.rows)} pairs could not be compared." if lost else ""
     if grave is Level.GOOD:
         passed = "No level was set" if not log.limits.all else "No level was passed"

@@ -19,6 +19,7 @@ from armsight.app.schemas.verify import (
     VerifyTime,
 )
 from armsight.kinematics import Arm
+from armsight.report.html import figure_of
 from armsight.store.schema import pose_mapping
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
@@ -65,7 +66,11 @@ def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], told: tuple[st
     given = {name: item for name, item in iso.items() if item.value is not None and " " not in name}
     worst = given.get("RP_m", given.get("RT_m"))
     name = "RP" if "RP_m" in given else "RT"
-    shown = "no figure can be given" if worst is None or worst.value is None else f"{name} {worst.value / MM:.3g} mm"
+    shown = (
+        "no figure can be given"
+        if worst is None or worst.value is None
+        else f"{name} {figure_of(worst.value / MM, 'mm')}"
+    )
     return VerifyOutput(
         n=len(file.measured),
         time=VerifyTime(offset_s=None, std_s=None, drift_ppm=None, bursts=False),
@@ -182,9 +187,10 @@ def _explained(cause: Cause | None) -> Explained:
 
 def _verdict(result: Verification) -> str:
     error = _pose_error(result.task)
-    turn = "" if error.rms_rad is None else f" and {error.rms_rad / DEG:.3g} deg"
+    turn = "" if error.rms_rad is None else f" and {figure_of(error.rms_rad / DEG, 'deg')}"
     laid = f" with {' and '.join(result.how.parts)} laid best" if result.how.parts else ""
-    told = f"The tool is {error.rms_m / MM:.3g} mm{turn} (RMS) from where it should be{laid}, {len(result.task)} rows."
+    off = f"{figure_of(error.rms_m / MM, 'mm')}{turn} (RMS)"
+    told = f"The tool is {off} from where it should be{laid}, {len(result.task)} rows."
     if result.cause is None:
         return f"{told} Without an arm's model no cause is looked for."
     return f"{told} {result.cause.sentence}"

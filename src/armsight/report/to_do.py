@@ -1,0 +1,74 @@
+"""What the reader of a page should do next, for the verdicts that are found elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from armsight.verify.effects import Kind
+
+VERIFY: Mapping[str, str] = {
+    "none": "Nothing: the tool is where it should be.",
+    "measurement": "Correct nothing in the arm: only a better measurement would show more.",
+    "several joints": "Run `armsight calibrate arm` on these rows, which corrects zeros; then verify on others.",
+    "model": "Run `armsight calibrate arm` on these rows and correct no joint before; then verify on others.",
+    "undecided": "Correct nothing on these rows. Measure more poses, more different ones, and verify again.",
+}
+MEASURE: Mapping[str, str] = {
+    "Complete": "Use the poses with their standard deviations.",
+    "With gaps": 'Use the full poses; mend what stands first under "What was lost" to get the others.',
+    "No pose": 'Mend what stands first under "What was lost", and record again.',
+    "Broken off": "Mend what ended the run, and measure the rest; the poses until then are kept.",
+    "Claim doubted": "Do not rely on the claimed standard deviations: they are not the size of the errors here.",
+    "Doubtful": "Do not rely on these poses before what is told is explained.",
+    "Inconsistent": "Do not use these poses: mend what is told, and measure again.",
+}
+MASTERING: Mapping[str, str] = {
+    "none": "Nothing to correct.",
+    "tool": "Straighten the tool or calibrate it anew (`armsight calibrate tooltip`), then check again.",
+    "several": "Correct no zero on these poses: measure more of them, as told above.",
+    "undecided": "Correct nothing on these poses: measure more of them, more different ones, and check again.",
+}
+LIVE: Mapping[str, str] = {
+    "good": "Nothing: go on, and keep watching.",
+    "warn": "Find out why before you go on: look at the alarms below, then run `armsight verify`.",
+    "stop": "Keep the robot stopped until the cause is known: look whether something was hit or is loose, then run "
+    "`armsight verify --mastering`.",
+    "unknown": "Do not rely on where the arm says it is: mend what the alarms below name, and watch again.",
+}
+
+
+def after_measuring(word: str, consistency: Mapping[str, Any]) -> str:
+    """Return the next step after a measurement. word: of its verdict; consistency: as measure.json holds it."""
+    if word in ("Doubtful", "Inconsistent") and consistency["advice"]:
+        return str(consistency["advice"])
+    unproved = " Check a known length first: these frames did not check rig and target."
+    return MEASURE[word] + (unproved if word == "Complete" and consistency.get("verdict") == "unchecked" else "")
+
+
+def after_verify(summary: Mapping[str, Any], *, with_arm: bool) -> str:
+    """Return the next step after a verification. summary: as verify.json holds it."""
+    if not with_arm:
+        return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
+    cause = summary["cause"]
+    if cause in VERIFY:
+        return VERIFY[cause]
+    if summary["kind"] == Kind.ZERO:
+        return f"Correct the zero of {cause} (`armsight calibrate arm` on these rows does), then verify on others."
+    return f"Have the drive of {cause} looked at: a corrected zero does not mend {summary['kind']}."
+
+
+def after_mastering(summary: Mapping[str, Any]) -> str:
+    """Return the next step after a check for a crash. summary: as verify.json holds it."""
+    cause = summary["cause"]
+    if cause == "none" and not all(joint["judged"] for joint in summary["joints"]):
+        return "Nothing to correct in the joints judged; the others (below) are not proved."
+    return MASTERING.get(cause, f"Add the figure to the readings of {cause} (master it anew), then check again.")
+
+
+def after_watching(summary: Mapping[str, Any]) -> str:
+    """Return the next step after a supervision. summary: as verify.json holds it."""
+    level = str(summary["level"])
+    if level == "good" and all(value is None for value in summary["levels"].values()):
+        return "Give --warn-mm and --stop-mm: without a level nobody is warned."
+    return LIVE[level]
