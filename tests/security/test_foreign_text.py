@@ -126,7 +126,7 @@ def test_every_part_of_a_page_shows_markup_as_text(name: str) -> None:
     page = Page(
         title=name,
         subtitle=name,
-        verdict=Verdict(level=name, word=name, sentence=name),
+        verdict=Verdict(level=name, word=name, sentence=name, to_do=name),
         cards=[Card(name=name, value=name, note=name)],
     )
     page.add(name, name, table([name], [[name]], numbers=[0]), bullets([name]))

@@ -101,7 +101,8 @@ def error_figure(result: ArmCalibration) -> Figure:
         {"type": "scatter", "mode": "markers", "name": name, "x": rows, "y": errors / MM, "marker": {"color": colour}}
         for name, errors, colour in (("nominal", result.before_m, GREY), ("corrected", result.error_m, BLUE))
     ]
-    high = axis("error, mm", type="log") if result.before_m.min() > 0.0 else axis("error, mm")
+    log = {"type": "log", "dtick": "D2", "tickformat": "~g"} if result.before_m.min() > 0.0 else {}
+    high = axis("error, mm", **log)
     return Figure(data=traces, layout=layout(xaxis=axis("row"), yaxis=high))
 
 

@@ -66,7 +66,7 @@ def _verdict(inside: bool, names: Sequence[str]) -> Verdict:
 
 
 def _cards(arm: Arm, q: Array, T: Array) -> list[Card]:
-    x, y, z = (figure_of(float(value) / MM, "mm", digits=6) for value in T[:3, 3])
+    x, y, z = (f"{value / MM:.2f} mm" for value in T[:3, 3])
     nearness = float(singularity_distance(arm, q))
     distance = figure_of(nearness if nearness > NO_DISTANCE else 0.0)
     return [

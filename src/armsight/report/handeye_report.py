@@ -27,7 +27,7 @@ from armsight.report.figures import (
     place,
     short_names,
 )
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
 from armsight.report.run import BoardViews
 from armsight.units import DEG, MM
 
@@ -102,7 +102,7 @@ def _verdict(result: HandEye) -> Verdict:
         level, word = "warn", "Usable, with poses left out"
     elif result.n_used < 10:
         level, word = "warn", "Usable, few poses"
-    return Verdict(level=level, word=word, sentence=verdict(result), to_do=to_do)
+    return Verdict(level=level, word=word, sentence=in_degrees(verdict(result)), to_do=to_do)
 
 
 def _cards(result: HandEye) -> list[Card]:

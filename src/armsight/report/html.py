@@ -9,15 +9,19 @@ import html
 import math
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import resources
+from typing import Any
 
 from armsight._version import __version__
 from armsight.report.figures import Figure, json_text
 from armsight.report.space import fitted_scene
 from armsight.units import NOTHING
+
+PANEL_PX = 250
+"""Width of a panel beside others from which on its numbers stand clear of each other."""
 
 STYLE = """
 :root{--ink:#1c2733;--soft:#5b6b7b;--line:#dfe5eb;--back:#f4f6f8;--blue:#1f5fa8;--good:#2e7d4f;--warn:#b86a00;
@@ -46,7 +50,7 @@ section>p{margin:0 0 10px;color:var(--soft);max-width:85ch}
 .cards small{display:block;color:var(--soft);font-size:12px}
 .scroll{overflow-x:auto}
 .more{box-shadow:inset -14px 0 12px -14px var(--soft)}
-.more::before{content:"scroll sideways \2192";display:block;position:sticky;left:0;text-align:right;font-size:12px;
+.more::before{content:"scroll sideways \\2192";display:block;position:sticky;left:0;text-align:right;font-size:12px;
 color:var(--blue)}
 table{border-collapse:collapse;width:100%;font-size:14px;font-variant-numeric:tabular-nums}
 th,td{padding:6px 10px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top;overflow-wrap:break-word}
@@ -66,7 +70,7 @@ figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywher
 ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
-overflow-wrap:anywhere}.verdict,ul{overflow-wrap:anywhere}.plot.wide{min-width:640px}
+overflow-wrap:anywhere}.cards b{font-size:18px}.verdict,ul{overflow-wrap:anywhere}.plot{min-width:var(--least,0)}
 td:last-child:not(.n){min-width:20ch}th:first-child,td:first-child{min-width:11ch}}
 @media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
 table{font-size:11px}th{font-size:11px}th,td{padding:3px 5px}
@@ -92,6 +96,8 @@ Promise.all([unpack('figures'),unpack('plotly')]).then(([source,code])=>{
 const dressed=()=>JSON.parse(dark.matches?source.replace(/#[0-9a-f]{6}|rgba\\([^)]*\\)/g,c=>DARK[c]||c):source);
 const away=f=>{const s=f.layout.scene,p=document.getElementById(f.id);if(!s)return;
 p.style.height=Math.min(p.clientHeight,Math.max(p.clientWidth,300))+'px';
+const r=s.aspectratio;if(r)for(const n of 'xyz')(s[n+'axis']||={}).nticks=Math.max(2,Math.round(
+(p.clientWidth<600?5:9)*r[n]/Math.max(r.x,r.y,r.z)));
 const k=Math.max(1,(s.wide+0.35)*p.clientHeight/p.clientWidth),c=s.camera;if(!s.wide)return;
 for(const n of 'xyz')c.eye[n]=c.center[n]+k*(c.eye[n]-c.center[n])};
 const draw=()=>{for(const f of dressed()){away(f);
@@ -167,10 +173,8 @@ class Page:
         if shape.get("scene", {}).get("aspectmode") == "data":
             shape["scene"] = fitted_scene(shape["scene"], figure.data)
         self._figures.append({"id": name, "data": figure.data, "layout": shape})
-        wide = " wide" if "xaxis2" in figure.layout else ""
-        return (
-            f'<div class="scroll"><div class="plot{wide}" id="{name}" style="height:{figure.height_px}px"></div></div>'
-        )
+        style = f"height:{figure.height_px}px;--least:{_least_px(figure.layout)}px"
+        return f'<div class="scroll"><div class="plot" id="{name}" style="{style}"></div></div>'
 
     def html(self, *, created: datetime) -> str:
         """Return the whole page."""
@@ -199,15 +203,26 @@ class Page:
         )
 
 
+def _least_px(shape: Mapping[str, Any]) -> int:
+    """Return how wide a plot must be on a telephone: its narrowest panel PANEL_PX; 0 of panels all across."""
+    parts = [axis.get("domain", (0.0, 1.0)) for name, axis in shape.items() if name.startswith("xaxis")]
+    share = min((high - low for low, high in parts), default=1.0)
+    return 0 if share > 0.9 else round(PANEL_PX / share)
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[object]], *, numbers: Sequence[int] = ()) -> str:
-    """Return a table of plain text; the columns in numbers are set to the right."""
-    mark = ['class="n"' if i in numbers else "" for i in range(len(header))]
+    """Return a table of plain text; the columns in numbers are set to the right. A column without name and
+    text is left out, and so is a header without names."""
+    kept = [i for i, name in enumerate(header) if name or any(row[i] != "" for row in rows)]
+    header, rows = [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
+    mark = ['class="n"' if i in numbers else "" for i in kept]
     head = "".join(f"<th {m}>{text(name)}</th>" for m, name in zip(mark, header, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td {m}>{text(cell)}</td>" for m, cell in zip(mark, row, strict=True)) + "</tr>"
         for row in rows
     )
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    head = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
+    return f'<div class="scroll"><table>{head}<tbody>{body}</tbody></table></div>'
 
 
 def bullets(items: Sequence[str]) -> str:
@@ -229,7 +244,7 @@ def add_recordings(page: Page, files: Sequence[str]) -> None:
 
 def in_degrees(sentence: str) -> str:
     """Return a sentence of the command line with the signs that a page has everywhere."""
-    return re.sub(r"(?<=\d) deg\b", "°", sentence)
+    return re.sub(r"(?<=\d) deg(rees)?\b", "°", sentence)
 
 
 def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:

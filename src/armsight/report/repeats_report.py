@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, layout
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text
-from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
+from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table, value_of
 from armsight.units import MM
 from armsight.verify import Measured, Repeats
 
@@ -77,7 +77,7 @@ def _headline(iso: Mapping[str, Any], verdict: str) -> str:
     poses = sum(name.startswith("RP_m ") for name in iso)
     among = f", the worst of {poses} poses" if poses > 1 else ""
     return (
-        f"The tool comes back to within {figure_of(worst / MM, 'mm')} of where it comes back on average (RP{among}). "
+        f"The tool comes back to within {value_of(iso['RP_m'], MM)} mm of where it comes back on average (RP{among}). "
         f"{verdict}"
     )
 
@@ -98,7 +98,7 @@ def _cards(iso: Mapping[str, Any]) -> list[Card]:
         item = iso.get(name)
         if item is not None and item["value"] is not None:
             note = f"{item['n']} of {item['wanted']} repeats"
-            cards.append(Card(name=CARD_NAMES[name], value=figure_of(item["value"] / MM, "mm"), note=note))
+            cards.append(Card(name=CARD_NAMES[name], value=f"{value_of(item, MM)} mm", note=note))
     return cards
 
 

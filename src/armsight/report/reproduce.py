@@ -224,10 +224,10 @@ def _table(item: ComparisonTable) -> str:
         "armsight",
         "truth",
         "error: paper",
-        "its method",
-        "armsight",
+        "error: its method",
+        "error: armsight",
         "share of paper",
-        "of method",
+        "share of method",
     ]
     rows = []
     for row in item.rows:

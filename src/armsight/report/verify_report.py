@@ -29,6 +29,7 @@ PRINT = """@page{{size:A4;margin:12mm}}
 """On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
 JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
 ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
+JOINTWISE = "A gear's fault repeats with its joint."
 COMPONENTS = (("", ""), ("x", "a"), ("y", "b"), ("z", "c"))
 """A figure's parts as columns: its own, then along and about each axis."""
 ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
@@ -88,9 +89,7 @@ def verify_report(
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
         page.add("The arm", ARROWS_TOLD, page.plot(arrows(result, arm)))
-        page.add(
-            "Errors over joint angles", "A gear's fault repeats with its joint.", page.plot(over_joints(result, arm))
-        )
+        page.add("Errors over joint angles", JOINTWISE, page.plot(over_joints(result, arm)))
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
     _add_background(page, summary, inputs)
@@ -186,7 +185,7 @@ def iso_table(figures: Mapping[str, Any]) -> str:
             why.setdefault(item["withheld"], []).append(symbol)
             continue
         line = lines.setdefault(f"{family}, {unit}", {"repeats": _repeats(item)})
-        line[part] = f"{figure_of(item['value'] / factor)} {_plus(item, factor)}".strip()
+        line[part] = value_of(item, factor)
         if item["note"] and not part:
             notes.setdefault(item["note"], family)
     header = ["figure", "value", "x, or about x", "y, or about y", "z, or about z", "repeats"]
@@ -233,8 +232,11 @@ def _repeats(item: Mapping[str, Any]) -> str:
     return f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
 
 
-def _plus(item: Mapping[str, Any], factor: float) -> str:
-    return "" if item["std"] is None else f"± {figure_of(item['std'] / factor, digits=2)}"
+def value_of(item: Mapping[str, Any], factor: float) -> str:
+    """Return a figure ± its standard deviation, where it has one, both to the same digit."""
+    if not item["std"]:
+        return figure_of(item["value"] / factor)
+    return " ± ".join(with_deviation(item["value"] / factor, item["std"] / factor))
 
 
 def _symbol(name: str) -> tuple[str, str, float]:
@@ -350,7 +352,8 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
             domain=[left + 0.04, left + 1 / columns - 0.02],
             anchor=f"y{name}",
         )
-        more[f"yaxis{name}"] = axis("mm", domain=[low + 0.1, low + 1 / lines - 0.04], anchor=f"x{name}")
+        up = [low + 0.1, low + 1 / lines - 0.04]
+        more[f"yaxis{name}"] = axis("" if column else "mm", domain=up, anchor=f"x{name}")
         data.append(
             {
                 "type": "scatter",

@@ -49,6 +49,8 @@ SCATTER = 1.8
 """... and three times how far a scale estimated by the median of n rows is off, times the root of n."""
 UNTOLD_M = 5e-3
 """Errors of place (RMS) that are laid to a measurement whose standard deviations nobody says are smaller."""
+LAST_DIGIT_DEG = 1e-4
+"""Angles are told to this, and so no surer than this."""
 NO_ERROR_M = 1e-8
 """Smaller errors are rounding."""
 
@@ -337,7 +339,8 @@ def _named(case: Case, trial: _Trial, told: Cause, adds: bool) -> Cause:
 
 def _shown(name: str, value: float, std: float) -> str:
     if name.endswith("_rad"):
-        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {np.rad2deg(std):.2g} deg"
+        told = max(np.rad2deg(std), LAST_DIGIT_DEG)
+        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {told:.2g} deg"
     return f"{name} {value:.4g} +- {std:.2g}"
 
 

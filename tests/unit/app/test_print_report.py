@@ -21,7 +21,10 @@ from armsight.report.html import Page, Verdict, add_recordings
 @pytest.fixture
 def report(tmp_path: Path) -> Path:
     page = Page(
-        title="Title", subtitle="", verdict=Verdict(level="good", word="Good", sentence="It is good."), cards=()
+        title="Title",
+        subtitle="",
+        verdict=Verdict(level="good", word="Good", sentence="It is good.", to_do=""),
+        cards=(),
     )
     cube = points_in_space("cube", np.random.default_rng(1).uniform(size=(20, 3)), {"size": 4})
     page.add("Space", "", page.plot(Figure(data=[cube], layout=layout(scene={"aspectmode": "data"}))))
@@ -82,7 +85,7 @@ def test_only_reports_are_printed_as_pdf_only(report: Path, tmp_path: Path, monk
 def test_a_report_tells_how_to_look_through_its_recording() -> None:
     files = recordings_in("my run.mcap:left", "my run.mcap:right", "camera:0", None, "other.mcap")
     assert files == ("my run.mcap", "other.mcap")
-    page = Page(title="", subtitle="", verdict=Verdict(level="good", word="", sentence=""), cards=())
+    page = Page(title="", subtitle="", verdict=Verdict(level="good", word="", sentence="", to_do=""), cards=())
     add_recordings(page, files)
     shown = page.html(created=datetime(2026, 1, 1))
     assert "rerun &#x27;my run.mcap&#x27;" in shown and "rerun other.mcap" in shown and "Foxglove" in shown

@@ -98,7 +98,7 @@ def test_numbers_for_people():
     assert with_deviation(533.47509, 0.4123) == ("533.48", "0.41")
     assert with_deviation(1234.5, 23.0) == ("1234", "23")
     assert with_deviation(0.1, None) == ("0.1000000", "–")
-    assert with_deviation(0.5, 1e-14) == ("0.5000", "1.0e-14")
+    assert with_deviation(0.5, 1e-14) == ("0.5000", "0")
 
 
 def test_json_cannot_leave_its_script():
@@ -168,7 +168,10 @@ def test_a_view_in_space_holds_all_that_it_shows_and_is_filled_by_it(shape, came
 
 def test_what_is_wider_than_the_page_says_so_and_plus_or_minus_has_its_sign():
     page = Page(
-        title="1 +- 2", subtitle="", verdict=Verdict(level="good", word="", sentence="off by 2 +-0.1 mm"), cards=()
+        title="1 +- 2",
+        subtitle="",
+        verdict=Verdict(level="good", word="", sentence="off by 2 +-0.1 mm", to_do="Go on."),
+        cards=(),
     )
     shown = page.html(created=datetime(2026, 1, 1))
     assert "off by 2 ± 0.1 mm" in shown and "+-" not in shown.split("</main>")[0]

@@ -427,7 +427,9 @@ def boards_page():
         rms_px=[0.1, 0.2, 0.3],
         pictures=[(k, picture) for k in range(3)],
     )
-    page = Page(title="boards", subtitle="", verdict=Verdict(level="good", word="Good", sentence=""), cards=())
+    page = Page(
+        title="boards", subtitle="", verdict=Verdict(level="good", word="Good", sentence="", to_do=""), cards=()
+    )
     add_boards(page, views)
     return page.html(created=datetime(2026, 1, 1))
 

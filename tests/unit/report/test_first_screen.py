@@ -1,0 +1,96 @@
+"""The first screen of a page: what to do, figures that are no rounding, and plots and tables on a telephone."""
+
+from datetime import datetime
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.verify.output import _verdict
+from armsight.calibrate.identify import Sweeps
+from armsight.cli.tables import figure
+from armsight.optics import Camera, Rig, RigKind
+from armsight.report.figures import Figure, axis, layout
+from armsight.report.html import STYLE, Page, Verdict, table, with_deviation
+from armsight.report.identify_report import LEANS, _lean
+from armsight.report.to_do import after_mastering, after_measuring, after_verify, after_watching
+from armsight.verify.effects import Kind
+
+NO_LEVEL = dict.fromkeys(("warn_m", "stop_m", "warn_rad", "stop_rad"))
+
+
+def page():
+    verdict = Verdict(level="good", word="Good", sentence="It is good.", to_do="Go <on>.")
+    return Page(title="Title", subtitle="", verdict=verdict, cards=())
+
+
+def test_the_verdict_says_what_to_do():
+    assert "<b>What to do</b> Go &lt;on&gt;." in page().html(created=datetime(2026, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("cause", "kind", "said"),
+    [
+        ("none", None, "Nothing"),
+        ("measurement", None, "Correct nothing in the arm"),
+        ("several joints", None, "armsight calibrate arm"),
+        ("model", None, "armsight calibrate arm"),
+        ("undecided", None, "Measure more poses"),
+        ("joint 2", Kind.ZERO.value, "Correct the zero of joint 2"),
+        ("joint 3", Kind.BACKLASH.value, "does not mend backlash"),
+    ],
+)
+def test_what_to_do_after_a_verification(cause, kind, said):
+    assert said in after_verify({"cause": cause, "kind": kind}, with_arm=True)
+    assert "give --arm" in after_verify({"cause": cause, "kind": kind}, with_arm=False)
+
+
+def test_what_to_do_where_not_all_was_seen():
+    """A good verdict on a part says so."""
+    seen = {"level": "good", "levels": NO_LEVEL | {"warn_m": 1e-3}, "n": 60, "n_compared": 60}
+    assert after_watching(seen) == "Nothing: go on, and keep watching."
+    assert "nobody watched" in after_watching(seen | {"n_compared": 51})
+    assert "--warn-mm" in after_watching(seen | {"levels": NO_LEVEL})
+    assert "Keep the robot stopped" in after_watching(seen | {"level": "stop"})
+    joints = [{"judged": True}, {"judged": False}]
+    assert "not proved" in after_mastering({"cause": "none", "joints": joints})
+    assert after_mastering({"cause": "none", "joints": joints[:1]}) == "Nothing to correct."
+    assert "known length" in after_measuring("Complete", {"verdict": "unchecked"})
+    assert after_measuring("Inconsistent", {"verdict": "inconsistent", "advice": "Fasten it."}) == "Fasten it."
+
+
+def test_rounding_is_no_figure():
+    exact = SimpleNamespace(task=np.full((12, 6), 4.5e-17), how=SimpleNamespace(parts=()), cause=None)
+    assert _verdict(exact).startswith("The tool is 0 mm and 0 deg (RMS)")
+    assert figure(4.51e-14) == "0" and figure(0.0451) == "0.0451"
+    assert with_deviation(0.5, 1e-14) == ("0.5000", "0")
+
+
+@pytest.mark.parametrize(("share", "least"), [(1.0, 0), (0.5, 500), (0.25, 1000)])
+def test_panels_beside_each_other_have_room_for_their_numbers(share, least):
+    shape = layout(xaxis=axis("x", domain=[0.0, share]), yaxis=axis("y"))
+    assert f"--least:{least}px" in page().plot(Figure(data=(), layout=shape))
+
+
+def test_tables_leave_out_what_says_nothing_and_say_that_they_scroll():
+    assert "<thead>" not in table(["", ""], [["rig", "stereo"]])
+    shown = table(["joint", "zero", ""], [["1", "0.5", ""], ["2", "0.1", ""]], numbers=(1,))
+    assert shown.count("<td") == 4 and shown.count('class="n"') == 3
+    assert table(["joint", ""], [["1", ""], ["2", "why"]]).count("<td") == 4
+    assert '"scroll sideways \\2192"' in STYLE
+
+
+@pytest.mark.parametrize(("apart_m", "turn_deg", "deep"), [(0.12, 0.0, True), (1.414, -90.0, False)])
+def test_depth_is_told_where_the_rig_is_weak_in_it(apart_m, turn_deg, deep):
+    """Two cameras side by side tell depth badly; two that look at right angles tell all directions alike."""
+    camera = Camera.pinhole(1280, 720, 950.0, 950.0, 640.0, 360.0)
+    back = apart_m / np.sqrt(2.0) if not deep else 0.0
+    at = [apart_m, 0.0, 0.0] if deep else [back, 0.0, back]
+    place = RigidTransform.from_components(at, Rotation.from_euler("y", turn_deg, degrees=True))
+    rig = Rig(kind=RigKind.STEREO, left=camera, right=camera, T_rig_left=RigidTransform.identity(), T_rig_right=place)
+    points = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.02], [-0.03, 0.04, 0.97]])
+    uv = np.stack(rig.project(points), axis=1)
+    lean = _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
+    assert (lean > LEANS) == deep
+    assert _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
