@@ -23,6 +23,9 @@ from armsight.units import NOTHING
 PANEL_PX = 250
 """Width of a panel beside others from which on its numbers stand clear of each other."""
 
+SENTENCE = 20
+"""Letters from which on a cell of the last column is a text that wants width."""
+
 STYLE = """
 :root{--ink:#1c2733;--soft:#5b6b7b;--line:#dfe5eb;--back:#f4f6f8;--blue:#1f5fa8;--good:#2e7d4f;--warn:#b86a00;
 --bad:#b3302f;--card:#fff}
@@ -56,7 +59,7 @@ table{border-collapse:collapse;width:100%;font-size:14px;font-variant-numeric:ta
 th,td{padding:6px 10px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top;overflow-wrap:break-word}
 th{color:var(--soft);font-weight:600;font-size:13px;overflow-wrap:normal}
 td.n,th.n{text-align:right}td.n{white-space:nowrap}
-td.n~td:last-child:not(.n){min-width:24ch}
+td.n~td.t{min-width:24ch}
 tr:last-child td{border-bottom:0}
 .plot{width:100%}
 .pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr));gap:14px 28px;margin:8px 0 14px}
@@ -71,10 +74,10 @@ ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
 overflow-wrap:anywhere}.cards b{font-size:18px}.verdict,ul{overflow-wrap:anywhere}.plot{min-width:var(--least,0)}
-td:last-child:not(.n){min-width:20ch}th:first-child,td:first-child{min-width:11ch}}
+td.t{min-width:20ch}th:first-child,td:first-child{min-width:11ch}}
 @media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
 table{font-size:11px}th{font-size:11px}th,td{padding:3px 5px}
-td.n~td:last-child:not(.n){min-width:12ch}
+td.n~td.t{min-width:12ch}
 .scroll{overflow:visible;box-shadow:none}.more::before{display:none}tr{break-inside:avoid}
 section{border:0;border-top:1px solid var(--line);border-radius:0;padding:12px 0}.modebar{display:none!important}}
 """
@@ -216,6 +219,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]], *, numbers: S
     kept = [i for i, name in enumerate(header) if name or any(row[i] != "" for row in rows)]
     header, rows = [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
     mark = ['class="n"' if i in numbers else "" for i in kept]
+    if mark and not mark[-1] and any(len(str(row[-1])) > SENTENCE for row in rows):
+        mark[-1] = 'class="t"'
     head = "".join(f"<th {m}>{text(name)}</th>" for m, name in zip(mark, header, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td {m}>{text(cell)}</td>" for m, cell in zip(mark, row, strict=True)) + "</tr>"

@@ -78,6 +78,8 @@ def test_tables_leave_out_what_says_nothing_and_say_that_they_scroll():
     shown = table(["joint", "zero", ""], [["1", "0.5", ""], ["2", "0.1", ""]], numbers=(1,))
     assert shown.count("<td") == 4 and shown.count('class="n"') == 3
     assert table(["joint", ""], [["1", ""], ["2", "why"]]).count("<td") == 4
+    assert 'class="t"' not in table(["fx", "unit"], [["947.9", "px"]])  # as narrow as its words
+    assert 'class="t"' in table(["row", "why"], [["1", "it hardly moved between the poses"]])
     assert '"scroll sideways \\2192"' in STYLE
 
 

@@ -53,8 +53,8 @@ class BoardShape:
         if self.noise_px**2 > (1.0 - TOLD) * self.rms_px**2:
             return []
         return [
-            f"the board's points are off by {1e3 * self.std_m:.2f} mm (print, flatness): {self.rms_px:.3f} px of "
-            f"residual, of which the detector makes {self.noise_px:.3f}. The deviations allow for it; glue the board "
+            f"the board's points are off by {1e3 * self.std_m:.2g} mm (print, flatness): {self.rms_px:.2g} px of "
+            f"residual, of which the detector makes {self.noise_px:.2g}. The deviations allow for it; glue the board "
             "on a flat plate, or have it made on one"
         ]
 
