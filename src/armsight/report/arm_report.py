@@ -74,9 +74,15 @@ def _verdict(result: ArmCalibration) -> Verdict:
 
 def _cards(result: ArmCalibration) -> list[Card]:
     kind = "rows of the holdout" if result.held else "rows left out by cross-validation"
+    after = result.left_after
+    spread = figure_of(float(np.sqrt(max(after.rms_m**2 - after.mean_m**2, 0.0))) / MM, "mm", digits=2)
     return [
         Card(name="error before", value=figure_of(result.left_before.mean_m / MM, "mm"), note=f"mean, {kind}"),
-        Card(name="error after", value=figure_of(result.left_after.mean_m / MM, "mm"), note=f"mean, {kind}"),
+        Card(
+            name="error after",
+            value=figure_of(result.left_after.mean_m / MM, "mm"),
+            note=f"mean, {kind}; they scatter by {spread}",
+        ),
         Card(name="largest error after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
         Card(name="noise of a place", value=figure_of(result.place_noise_m / MM, "mm"), note="one coordinate"),
         Card(name="parameters corrected", value=str(len(result.free)), note=f"condition {result.condition:.3g}"),

@@ -111,8 +111,12 @@ def _add_background(page: Page, summary: Mapping[str, Any], inputs: Sequence[tup
 
 def _cards(summary: Mapping[str, Any]) -> list[Card]:
     after, before, time = summary["after"], summary["before"], summary["time"]
+    own = [summary["measurement_std"].get(f"{k}_m") for k in "xyz"]
+    told = (
+        "" if None in own else f"; the measurement's own {figure_of(float(np.linalg.norm(own)) / MM, 'mm', digits=2)}"
+    )
     cards = [
-        Card(name="error of place", value=figure_of(after["rms_m"] / MM, "mm"), note="RMS"),
+        Card(name="error of place", value=figure_of(after["rms_m"] / MM, "mm"), note=f"RMS{told}"),
         Card(name="largest", value=figure_of(after["max_m"] / MM, "mm")),
     ]
     if after["rms_rad"] is not None:
