@@ -20,7 +20,7 @@ from armsight.report.figures import Figure, json_text
 from armsight.report.space import fitted_scene
 from armsight.units import NOTHING
 
-PANEL_PX = 250
+PANEL_PX = 300
 """Width of a panel beside others from which on its numbers stand clear of each other."""
 
 SENTENCE = 20

@@ -18,6 +18,8 @@ from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
+WATCHED = 0.95
+"""Share of the pairs that are compared, below which a run without alarm is not called good without a word."""
 LEVELS = {"good": "good", "warn": "warn", "stop": "bad", "unknown": "bad"}
 COURSE = (
     "Length of the error of place and angle of the error of rotation; dotted: three standard deviations of what "
@@ -52,12 +54,13 @@ def live_report(
     created: datetime | None = None,
 ) -> str:
     """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
+    gaps = summary["level"] == "good" and summary["n_compared"] < WATCHED * summary["n"]
     page = Page(
         title="Supervision of a running arm",
         subtitle=f"{summary['n']} pairs of frames, {summary['n_compared']} compared",
         verdict=Verdict(
-            level=LEVELS[summary["level"]],
-            word=summary["level"],
+            level="warn" if gaps else LEVELS[summary["level"]],
+            word="good, with gaps" if gaps else summary["level"],
             sentence=in_degrees(summary["verdict"]),
             to_do=after_watching(summary),
         ),

@@ -72,5 +72,5 @@ def after_watching(summary: Mapping[str, Any]) -> str:
     if level == "good" and all(value is None for value in summary["levels"].values()):
         return "Give --warn-mm and --stop-mm: without a level nobody is warned."
     if level == "good" and summary["n_compared"] < summary["n"]:
-        return "Go on, and keep watching; in the gaps below, where nothing could be compared, nobody watched."
+        return "Mend what left gaps (below) before you rely on it: where nothing could be compared, nobody watched."
     return LIVE[level]

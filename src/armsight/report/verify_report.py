@@ -153,7 +153,8 @@ def _task_table(summary: Mapping[str, Any]) -> str:
 def _joint_table(summary: Mapping[str, Any]) -> str:
     rows = []
     for joint in summary["joints"]:
-        shown = [_degrees(joint[key]) for key in ("me", "mae", "max", "sd", "measurement_std", "offset_rad", "std_rad")]
+        shown = [_degrees(joint[key]) for key in ("me", "mae", "max", "sd", "measurement_std")]
+        shown += _zero(joint)
         gain = figure_of(None if joint["gain_heldout"] is None else 100.0 * joint["gain_heldout"], "%")
         rows.append([f"{joint['index']} {joint['name']}", *shown, gain, joint["why"] or (joint["kind"] or "")])
     header = [
@@ -169,6 +170,13 @@ def _joint_table(summary: Mapping[str, Any]) -> str:
         "",
     ]
     return table(header, rows, numbers=range(1, len(header) - 1))
+
+
+def _zero(joint: Mapping[str, Any]) -> tuple[str, str]:
+    """Return a joint's zero and its standard deviation, both to the same digit."""
+    if joint["offset_rad"] is None or not joint["std_rad"]:
+        return _degrees(joint["offset_rad"]), _degrees(joint["std_rad"])
+    return with_deviation(joint["offset_rad"] / DEG, joint["std_rad"] / DEG)
 
 
 def _degrees(value: float | None) -> str:

@@ -67,7 +67,7 @@ def test_rounding_is_no_figure():
     assert with_deviation(0.5, 1e-14) == ("0.5000", "0")
 
 
-@pytest.mark.parametrize(("share", "least"), [(1.0, 0), (0.5, 500), (0.25, 1000)])
+@pytest.mark.parametrize(("share", "least"), [(1.0, 0), (0.5, 600), (0.25, 1200)])
 def test_panels_beside_each_other_have_room_for_their_numbers(share, least):
     shape = layout(xaxis=axis("x", domain=[0.0, share]), yaxis=axis("y"))
     assert f"--least:{least}px" in page().plot(Figure(data=(), layout=shape))
