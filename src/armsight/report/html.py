@@ -278,3 +278,8 @@ def with_deviation(value: float, std: float | None) -> tuple[str, str]:
     if decimals > MOST_DECIMALS:
         return figure_of(value, digits=4), figure_of(std, digits=2)
     return f"{value:.{decimals}f}", f"{std:.{decimals}f}"
+
+
+def pair_of(value: float | None, std: float | None) -> tuple[str, str]:
+    """Return a value and its standard deviation to the same digit, or as they are where one is missing or zero."""
+    return (figure_of(value), figure_of(std)) if value is None or not std else with_deviation(value, std)

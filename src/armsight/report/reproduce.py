@@ -260,7 +260,7 @@ def panels_figure(panels: Sequence[Panel]) -> Figure:
     for k, panel in enumerate(panels, 1):
         row, column = divmod(k - 1, columns)
         width, height = 1.0 / columns, 1.0 / n_rows
-        across = [(column + (0.14 if column else 0.0)) * width, (column + 0.98) * width]
+        across = [(column + (0.2 if column else 0.0)) * width, (column + 0.98) * width]
         up = [1.0 - (row + 1) * height + (0.16 if n_rows > 1 else 0.02) * height, 1.0 - row * height - 0.03 * height]
         where = place(k)
         mark = "" if k == 1 else str(k)

@@ -14,7 +14,18 @@ from scipy.spatial.transform import RigidTransform
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, text, with_deviation
+from armsight.report.html import (
+    Card,
+    Page,
+    Verdict,
+    bullets,
+    figure_of,
+    in_degrees,
+    pair_of,
+    table,
+    text,
+    with_deviation,
+)
 from armsight.report.iso_symbols import FIGURES
 from armsight.report.to_do import after_verify
 from armsight.units import DEG, MM, MS
@@ -154,7 +165,7 @@ def _joint_table(summary: Mapping[str, Any]) -> str:
     rows = []
     for joint in summary["joints"]:
         shown = [_degrees(joint[key]) for key in ("me", "mae", "max", "sd", "measurement_std")]
-        shown += _zero(joint)
+        shown += pair_of(*(None if joint[key] is None else joint[key] / DEG for key in ("offset_rad", "std_rad")))
         gain = figure_of(None if joint["gain_heldout"] is None else 100.0 * joint["gain_heldout"], "%")
         rows.append([f"{joint['index']} {joint['name']}", *shown, gain, joint["why"] or (joint["kind"] or "")])
     header = [
@@ -170,13 +181,6 @@ def _joint_table(summary: Mapping[str, Any]) -> str:
         "",
     ]
     return table(header, rows, numbers=range(1, len(header) - 1))
-
-
-def _zero(joint: Mapping[str, Any]) -> tuple[str, str]:
-    """Return a joint's zero and its standard deviation, both to the same digit."""
-    if joint["offset_rad"] is None or not joint["std_rad"]:
-        return _degrees(joint["offset_rad"]), _degrees(joint["std_rad"])
-    return with_deviation(joint["offset_rad"] / DEG, joint["std_rad"] / DEG)
 
 
 def _degrees(value: float | None) -> str:
@@ -226,9 +230,7 @@ def iso_by_place(figures: Mapping[str, Any]) -> str:
             continue
         symbol, unit, factor = _symbol(key)
         std = None if item["std"] is None else item["std"] / factor
-        own = (
-            with_deviation(item["value"] / factor, std) if std else (figure_of(item["value"] / factor), figure_of(std))
-        )
+        own = pair_of(item["value"] / factor, std)
         alone = None if item["corrected"] is None else item["corrected"] / factor
         shown = with_deviation(alone, std)[0] if alone is not None and std else figure_of(alone)
         rows.append([where, symbol, unit, *own, shown, _repeats(item)])
