@@ -1,8 +1,12 @@
-"""The symbols of ISO 9283 in words."""
+"""The symbols of ISO 9283 in words, and their figures as they are shown."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
+
+from armsight.report.html import figure_of, with_deviation
+from armsight.units import DEG, MM
 
 FIGURES: Mapping[str, str] = {
     "AP": "accuracy of a pose: the mean of the visits less what was commanded",
@@ -22,3 +26,18 @@ FIGURES: Mapping[str, str] = {
     "E": "exchangeability of robots",
 }
 """What the norm's symbols mean."""
+
+
+def value_of(item: Mapping[str, Any], factor: float) -> str:
+    """Return a figure ± its standard deviation, where it has one, both to the same digit."""
+    if not item["std"]:
+        return figure_of(item["value"] / factor)
+    return " ± ".join(with_deviation(item["value"] / factor, item["std"] / factor))
+
+
+def symbol_of(name: str) -> tuple[str, str, float]:
+    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
+    for tail, unit, factor in (("_m_s", "mm/s", MM), ("_rad", "°", DEG), ("_ratio", "%", 0.01), ("_s", "s", 1.0)):
+        if name.endswith(tail):
+            return name.removesuffix(tail), unit, factor
+    return name.removesuffix("_m"), "mm", MM

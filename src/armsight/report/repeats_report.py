@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, layout
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text
-from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table, value_of
+from armsight.report.iso_symbols import value_of
+from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import MM
 from armsight.verify import Measured, Repeats
 

@@ -26,7 +26,7 @@ from armsight.report.html import (
     text,
     with_deviation,
 )
-from armsight.report.iso_symbols import FIGURES
+from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
 from armsight.report.to_do import after_verify
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
@@ -195,7 +195,7 @@ def iso_table(figures: Mapping[str, Any]) -> str:
     for name, item in figures.items():
         if " " in name:
             continue
-        symbol, unit, factor = _symbol(name)
+        symbol, unit, factor = symbol_of(name)
         family, _, part = symbol.partition("_")
         if item["value"] is None:
             why.setdefault(item["withheld"], []).append(symbol)
@@ -228,7 +228,7 @@ def iso_by_place(figures: Mapping[str, Any]) -> str:
         key, _, where = name.partition(" ")
         if item["value"] is None or not where:
             continue
-        symbol, unit, factor = _symbol(key)
+        symbol, unit, factor = symbol_of(key)
         std = None if item["std"] is None else item["std"] / factor
         own = pair_of(item["value"] / factor, std)
         alone = None if item["corrected"] is None else item["corrected"] / factor
@@ -244,21 +244,6 @@ def iso_by_place(figures: Mapping[str, Any]) -> str:
 
 def _repeats(item: Mapping[str, Any]) -> str:
     return f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
-
-
-def value_of(item: Mapping[str, Any], factor: float) -> str:
-    """Return a figure ± its standard deviation, where it has one, both to the same digit."""
-    if not item["std"]:
-        return figure_of(item["value"] / factor)
-    return " ± ".join(with_deviation(item["value"] / factor, item["std"] / factor))
-
-
-def _symbol(name: str) -> tuple[str, str, float]:
-    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
-    for tail, unit, factor in (("_m_s", "mm/s", MM), ("_rad", "°", DEG), ("_ratio", "%", 0.01), ("_s", "s", 1.0)):
-        if name.endswith(tail):
-            return name.removesuffix(tail), unit, factor
-    return name.removesuffix("_m"), "mm", MM
 
 
 def _alignment_table(summary: Mapping[str, Any]) -> str:
