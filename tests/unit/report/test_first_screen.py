@@ -8,9 +8,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.verify.output import _verdict
+from armsight.calibrate.cameras.board_shape import BoardShape
 from armsight.calibrate.identify import Sweeps
 from armsight.cli.tables import figure
 from armsight.optics import Camera, Rig, RigKind
+from armsight.records import NamedCovariance
 from armsight.report.figures import Figure, axis, layout
 from armsight.report.html import STYLE, Page, Verdict, table, with_deviation
 from armsight.report.identify_report import LEANS, _lean
@@ -96,3 +98,10 @@ def test_depth_is_told_where_the_rig_is_weak_in_it(apart_m, turn_deg, deep):
     lean = _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
     assert (lean > LEANS) == deep
     assert _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
+
+
+def test_a_board_of_which_nothing_is_found_asks_for_nothing():
+    """It was told to be off by 0 mm, and to be glued on a flat plate."""
+    none = NamedCovariance(names=("fx",), matrix=np.eye(1))
+    assert BoardShape(covariance=none).advice == []
+    assert "glue the board" in BoardShape(covariance=none, std_m=2e-4, noise_px=0.02, rms_px=0.1).advice[0]

@@ -50,7 +50,7 @@ class BoardShape:
     @property
     def advice(self) -> list[str]:
         """What to do about the board, where it makes much of the residuals."""
-        if self.noise_px**2 > (1.0 - TOLD) * self.rms_px**2:
+        if self.noise_px**2 >= (1.0 - TOLD) * self.rms_px**2:
             return []
         return [
             f"the board's points are off by {1e3 * self.std_m:.2g} mm (print, flatness): {self.rms_px:.2g} px of "
