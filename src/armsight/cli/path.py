@@ -241,7 +241,7 @@ def from_picks(
     near: Annotated[float | None, typer.Option(help="Nearest depth. [default: 3 baselines]", **quantity("m"))] = None,
     far: Annotated[float | None, typer.Option(help="Furthest depth. [default: 300 baselines]", **quantity("m"))] = None,
     step: Annotated[float, typer.Option("--step-px", help="Between points on an edge, px.")] = 10.0,
-    patch: Annotated[int, typer.Option("--patch-px", min=7, max=101, help="Side of a patch, px.")] = 15,
+    patch: Annotated[int, typer.Option("--patch-px", help="Side of a patch, px.")] = 15,
     pick_std: Annotated[float, typer.Option("--pick-std-px", help="Standard deviation of a pick, px.")] = 0.5,
     tool_axis: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="The tool's z. [default: the view's optical axis]")
