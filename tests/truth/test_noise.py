@@ -64,7 +64,8 @@ def test_a_linear_camera_is_found(n: int) -> None:
     assert noise.linear is not None
     assert noise.linear.gain_levels == pytest.approx(GAIN, rel=0.03)  # 5 times the 0.6 % of four frames
     assert noise.linear.read_noise_levels == pytest.approx(READ, abs=0.08)
-    assert (np.abs(noise.correlation) < DEVIATIONS * noise.correlation_std).all()
+    near = noise.correlation
+    assert (np.abs([near.x, near.y]) < DEVIATIONS * np.array([near.std_x, near.std_y])).all()
     assert noise.widening() == pytest.approx(1.0, abs=0.05)
     assert (found.moving, found.frozen, found.n_copies) == (0.0, 0.0, 0)
     assert found.frame_ratio == pytest.approx(1.0, abs=0.03)
@@ -76,7 +77,8 @@ def test_the_deviations_are_true() -> None:
     for seed in range(12):
         noise = calibrate_noise(shots(room(np.random.default_rng(seed), shape=(160, 240)), 5, seed)).noise
         errors.append((noise.variance_levels2 - line(noise.levels)) / noise.std_levels2)
-        correlations.append(noise.correlation / noise.correlation_std)
+        near = noise.correlation
+        correlations.append([near.x / near.std_x, near.y / near.std_y])
     # about 100 and 48 errors of rms 1; the 16 % of their standard deviations and neighbours' overlap are in the limits
     assert 0.75 < np.sqrt(np.mean(np.square(np.concatenate(errors)))) < 1.35
     assert 0.65 < np.sqrt(np.mean(np.square(correlations))) < 1.45
@@ -121,9 +123,10 @@ def test_a_demosaiced_image_has_correlated_noise() -> None:
     true = [[(large[..., :-k] * large[..., k:]).mean() / square for k in (1, 2)],
             [(large[:, :-k] * large[:, k:]).mean() / square for k in (1, 2)]]  # fmt: skip
     # 0.015: rounding, which is independent and 1 % of the variance, and shot noise that differs from place to place
-    assert noise.correlation == pytest.approx(np.array(true), abs=0.015)
-    assert noise.correlation[0, 0] > 0.2
-    assert noise.diagonal == pytest.approx((large[:, :-1, :-1] * large[:, 1:, 1:]).mean() / square, abs=0.015)
+    near = noise.correlation
+    assert np.array([near.x, near.y]) == pytest.approx(np.array(true), abs=0.015)
+    assert near.x[0] > 0.2
+    assert near.diagonal == pytest.approx((large[:, :-1, :-1] * large[:, 1:, 1:]).mean() / square, abs=0.015)
     v, u = np.mgrid[-10:11, -10:11]
     for sigma_px in (1.5, 2.0, 3.0):  # the centres of lights: 10 % for what is beyond the lags that are kept
         weight = u * np.exp(-(u**2 + v**2) / (2.0 * sigma_px**2))

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field
 
 from armsight.errors import BadFile, UsageError
-from armsight.store.schema import Strict, validated
+from armsight.store.codec import Strict, validated
 from armsight.store.yamls import parse_yaml, read_yaml
 
 PREFIX = "ARMSIGHT_"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from numbers import Real
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array, require_kind, require_number
+from armsight.records.fields import Shape
 
 Array = NDArray[np.float64]
 
@@ -143,8 +145,8 @@ class ToolPoint:
     """A named point of the tool: xyz_m (3,) in flange axes, std_m (3,) of its coordinates, infinite where not known."""
 
     name: str
-    xyz_m: Array
-    std_m: Array
+    xyz_m: Annotated[Array, Shape((3,))]
+    std_m: Annotated[Array, Shape((3,), endless=True)] = field(default_factory=lambda: np.full(3, math.inf))
 
     def __post_init__(self) -> None:
         if not self.name:

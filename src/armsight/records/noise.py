@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.records.checks import frozen_array
+from armsight.records.fields import Bounds, Shape
 
 Array = NDArray[np.float64]
 
@@ -18,6 +20,8 @@ ROUNDING_LEVELS2 = 1.0 / 12.0
 
 LAGS = (1, 2)
 """Distances in px of the neighbours whose correlation is kept, along x and along y."""
+
+OF_LAGS = Shape((len(LAGS),))
 
 LEVELS = 256
 """Grey levels of an 8-bit image."""
@@ -40,37 +44,53 @@ class LinearNoise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NeighbourCorrelation:
+    """Correlation of a pixel's noise with its neighbours' at LAGS along x and along y (2,), and with the next pixel
+    along a diagonal, mean of both; std: standard deviations of these."""
+
+    x: Annotated[Array, OF_LAGS]
+    y: Annotated[Array, OF_LAGS]
+    diagonal: float = 0.0
+    std_x: Annotated[Array, OF_LAGS] = field(default_factory=lambda: np.zeros(len(LAGS)))
+    std_y: Annotated[Array, OF_LAGS] = field(default_factory=lambda: np.zeros(len(LAGS)))
+    std_diagonal: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "std_x", "std_y"):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (len(LAGS),)))
+        size, least_std = self.largest, min(self.std_x.min(), self.std_y.min(), self.std_diagonal)
+        if not (size <= 1.0 and least_std >= 0.0 and self.std_diagonal < inf):
+            raise Inconsistent("noise: a correlation is not between -1 and 1, or its standard deviation is negative")
+
+    @property
+    def largest(self) -> float:
+        """The largest of them in size."""
+        return float(np.abs([*self.x, *self.y, self.diagonal]).max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseModel:
     """Temporal noise of single pixels, rounding included, as photon transfer finds it (EMVA 1288).
 
     levels: (n,) grey levels, increasing. variance_levels2, std_levels2: (n,) variance there in grey levels squared, and
-    its standard deviation. correlation, correlation_std: (2, 2) of a pixel's noise with its neighbour's; rows: along x,
-    along y; columns: LAGS. diagonal, diagonal_std: with the next pixel along a diagonal, mean of both. linear: given
-    where variance_levels2 is a line over levels.
+    its standard deviation. linear: given where variance_levels2 is a line over levels.
     """
 
-    levels: Array
-    variance_levels2: Array
-    std_levels2: Array
-    correlation: Array
-    correlation_std: Array
-    diagonal: float
-    diagonal_std: float
-    n_frames: int
+    levels: Annotated[Array, Shape((None,))]
+    variance_levels2: Annotated[Array, Shape((None,))]
+    std_levels2: Annotated[Array, Shape((None,))]
+    correlation: NeighbourCorrelation
+    n_frames: Annotated[int, Bounds(least=1, most=1_000_000)]
     linear: LinearNoise | None = None
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.levels))
         for name in ("levels", "variance_levels2", "std_levels2"):
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), (n,)))
-        for name in ("correlation", "correlation_std"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (2, len(LAGS))))
         if n == 0 or (np.diff(self.levels) <= 0.0).any() or self.levels[0] < 0.0 or self.levels[-1] > LEVELS - 1:
             raise Inconsistent(f"noise: the levels are not one or more between 0 and {LEVELS - 1}, increasing")
-        if (self.variance_levels2 < 0.0).any() or (self.std_levels2 < 0.0).any() or (self.correlation_std < 0.0).any():
+        if (self.variance_levels2 < 0.0).any() or (self.std_levels2 < 0.0).any():
             raise Inconsistent("noise: a variance or a standard deviation is negative")
-        if not (np.abs(self.correlation).max() <= 1.0 and abs(self.diagonal) <= 1.0 and 0.0 <= self.diagonal_std < inf):
-            raise Inconsistent("noise: a correlation is not between -1 and 1, or its standard deviation is negative")
         if self.n_frames < 2:
             raise Inconsistent(f"noise: {self.n_frames} frames show none")
 
@@ -103,7 +123,7 @@ class NoiseModel:
         t2 = np.square(np.array(LAGS, float)) / sigma_px**2  # (2,)
         across = np.exp(-t2 / 4.0)
         along = (1.0 - t2 / 2.0) * across
-        x, y = self.correlation
+        x, y = self.correlation.x, self.correlation.y
         sums = [(1.0 + 2.0 * x @ a) * (1.0 + 2.0 * y @ b) for a, b in ((along, across), (across, along))]
-        corners = 4.0 * (self.diagonal - x[0] * y[0]) * along[0] * across[0]
+        corners = 4.0 * (self.correlation.diagonal - x[0] * y[0]) * along[0] * across[0]
         return np.maximum(np.array(sums, float) + float(corners), 0.0)

@@ -1,7 +1,7 @@
 """Files, written so that a crash cannot eat them."""
 
 from armsight.store.atomic import json_text, sha256, write_bytes, write_json, write_text
-from armsight.store.noise import add_noise, noise_mapping
+from armsight.store.noise import add_noise
 from armsight.store.rigs import (
     CameraFile,
     read_camera,
@@ -59,7 +59,6 @@ __all__ = [
     "board_text",
     "is_zoom_camera",
     "json_text",
-    "noise_mapping",
     "parse_board",
     "read_camera",
     "read_camera_file",

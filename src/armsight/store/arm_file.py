@@ -13,88 +13,55 @@ from pydantic import Field
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, Joint, JointType, ToolPoint
 from armsight.records import NamedCovariance
-from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees, looks_like_mm
-from armsight.store.schema import (
+from armsight.store.codec import (
     CovarianceModel,
     Finite,
-    Origin,
     PoseModel,
-    Strict,
     covariance_mapping,
+    mapping,
     named,
     pose_mapping,
-    read_document,
+    record_of,
+    structure,
     validated,
-    write_document,
 )
+from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees, looks_like_mm
+from armsight.store.schema import Origin, read_document, write_document
 
 ARM_FORMAT = "armsight/arm"
 
 
-class JointModel(Strict):
+class JointModel(structure(Joint)):  # type: ignore[misc]  # made of the record's fields
     """One joint; a limit that is missing or null is none."""
 
-    name: str
-    type: str
-    a_m: Finite = 0.0
-    alpha_rad: Finite = 0.0
-    d_m: Finite = 0.0
-    theta_rad: Finite = 0.0
-    beta_rad: Finite = 0.0
-    lower: float | None = None
-    upper: float | None = None
-    sign: Finite = 1.0
-    max_speed: Finite | None = None
-    stall_effort: Finite | None = None
-    compliance: Finite = 0.0
-    mass_kg: Finite = 0.0
-    com_m: list[Finite] = Field(default=[0.0, 0.0, 0.0], min_length=3, max_length=3)
+    record = Joint
     coupled: dict[str, Finite] | None = None
     std: dict[str, Finite] | None = None
 
-    def joint(self) -> Joint:
-        """Return the record; Inconsistent where no joint can be like this."""
-        values = self.model_dump(exclude={"coupled", "std", "lower", "upper"})
-        self._check_units()
-        return Joint(
-            **values,
-            lower=-math.inf if self.lower is None else self.lower,
-            upper=math.inf if self.upper is None else self.upper,
+
+def _check_units(joint: Joint) -> None:
+    """Raise Inconsistent where angles in radians are degrees, or lengths in metres millimetres."""
+    lengths = [name for name, value in (("a_m", joint.a_m), ("d_m", joint.d_m)) if looks_like_mm(value)]
+    if lengths:
+        raise Inconsistent(
+            f"joint {joint.name}: {' and '.join(lengths)} look like millimetres",
+            consequence="Taken as metres the arm would be a thousand times its size",
+            cure="Write metres",
+        )
+    angles = {"alpha_rad": joint.alpha_rad, "theta_rad": joint.theta_rad, "beta_rad": joint.beta_rad}
+    limits = [value for value in (joint.lower, joint.upper) if math.isfinite(value)]
+    wrong = [name for name, value in angles.items() if looks_like_degrees(value)]
+    if joint.type is JointType.REVOLUTE and limits_look_like_degrees(limits):
+        wrong += ["lower and upper"]
+    if wrong:
+        raise Inconsistent(
+            f"joint {joint.name}: {', '.join(wrong)} look like degrees",
+            consequence="Taken as radians they would be other angles",
+            cure="Write radians; a joint without end has no lower and upper",
         )
 
-    def _check_units(self) -> None:
-        """Raise Inconsistent where angles in radians are degrees, or lengths in metres millimetres."""
-        lengths = [name for name, value in (("a_m", self.a_m), ("d_m", self.d_m)) if looks_like_mm(value)]
-        if lengths:
-            raise Inconsistent(
-                f"joint {self.name}: {' and '.join(lengths)} look like millimetres",
-                consequence="Taken as metres the arm would be a thousand times its size",
-                cure="Write metres",
-            )
-        angles = {"alpha_rad": self.alpha_rad, "theta_rad": self.theta_rad, "beta_rad": self.beta_rad}
-        limits = [value for value in (self.lower, self.upper) if value is not None]
-        wrong = [name for name, value in angles.items() if looks_like_degrees(value)]
-        if self.type == JointType.REVOLUTE.value and limits_look_like_degrees(limits):
-            wrong += ["lower and upper"]
-        if wrong:
-            raise Inconsistent(
-                f"joint {self.name}: {', '.join(wrong)} look like degrees",
-                consequence="Taken as radians they would be other angles",
-                cure="Write radians; a joint without end has no lower and upper",
-            )
 
-
-class ToolPointModel(Strict):
-    """A named point of the tool in flange axes; a standard deviation that is null is not known."""
-
-    name: str
-    xyz_m: list[Finite] = Field(min_length=3, max_length=3)
-    std_m: list[Finite | None] = Field(default=[None, None, None], min_length=3, max_length=3)
-
-    def point(self) -> ToolPoint:
-        """Return the record; Inconsistent where no point can be like this."""
-        std = np.array([math.inf if value is None else value for value in self.std_m])
-        return ToolPoint(name=self.name, xyz_m=np.array(self.xyz_m), std_m=std)
+ToolPointModel = structure(ToolPoint)
 
 
 class ArmModel(Origin):
@@ -108,7 +75,7 @@ class ArmModel(Origin):
     joints: list[JointModel]
     source: str = ""
     covariance: CovarianceModel | None = None
-    tool_points: list[ToolPointModel] = Field(default_factory=list)
+    tool_points: list[ToolPointModel] = Field(default_factory=list)  # type: ignore[valid-type]  # of the record
     down_in_base: list[Finite] | None = Field(default=None, min_length=3, max_length=3)
 
 
@@ -119,7 +86,9 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
         poses = {
             key: pose.pose() for key in ("T_world_base", "T_flange_tool") if (pose := getattr(model, key)) is not None
         }
-        joints = tuple(joint.joint() for joint in model.joints)
+        joints = tuple(map(record_of, model.joints))
+        for joint in joints:
+            _check_units(joint)
         return Arm(
             name=model.name,
             joints=joints,
@@ -131,7 +100,7 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
                 for joint in model.joints
                 for by, share in (joint.coupled or {}).items()
             ),
-            tool_points=tuple(point.point() for point in model.tool_points),
+            tool_points=tuple(map(record_of, model.tool_points)),
             down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
             **poses,
         )
@@ -173,26 +142,14 @@ def _tool_point_mapping(point: ToolPoint) -> dict[str, Any]:
 def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Coupling]) -> dict[str, Any]:
     """Return one joint as arm.yaml holds it; std: standard deviations by '<joint>.<key>'."""
     own = {key.removeprefix(f"{joint.name}."): value for key, value in std.items() if key.startswith(f"{joint.name}.")}
-    content = {
-        "name": joint.name,
-        "type": JointType(joint.type).value,
-        "a_m": joint.a_m,
-        "alpha_rad": joint.alpha_rad,
-        "d_m": joint.d_m,
-        "theta_rad": joint.theta_rad,
-        "beta_rad": joint.beta_rad,
-        "lower": joint.lower if math.isfinite(joint.lower) else None,
-        "upper": joint.upper if math.isfinite(joint.upper) else None,
-        "sign": joint.sign,
-        "max_speed": joint.max_speed,
-        "stall_effort": joint.stall_effort,
-        "compliance": joint.compliance or None,
-        "mass_kg": joint.mass_kg or None,
-        "com_m": list(joint.com_m) if joint.mass_kg else None,
-        "coupled": {c.by: c.share for c in couplings if c.joint == joint.name} or None,
-        "std": own or None,
-    }
-    return {key: value for key, value in content.items() if value is not None}
+    content = mapping(joint)
+    if not joint.mass_kg:
+        del content["com_m"]
+    for key in ("compliance", "mass_kg"):
+        if not content[key]:
+            del content[key]
+    coupled = {c.by: c.share for c in couplings if c.joint == joint.name}
+    return content | ({"coupled": coupled} if coupled else {}) | ({"std": own} if own else {})
 
 
 def read_arm(path: Path) -> Arm:

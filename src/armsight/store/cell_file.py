@@ -8,7 +8,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from armsight.errors import BadFile
-from armsight.store.schema import Finite, Origin, Strict, read_document, validated, write_document
+from armsight.store.codec import Finite, Strict, validated
+from armsight.store.schema import Origin, read_document, write_document
 
 CELL_FORMAT: Literal["armsight/cell"] = "armsight/cell"
 CELL_NAME = "cell.yaml"

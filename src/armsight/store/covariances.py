@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.store.schema import LARGEST, named
+from armsight.store.codec import LARGEST, named
 
 Array = NDArray[np.float64]
 

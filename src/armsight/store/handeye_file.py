@@ -18,6 +18,17 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
 from armsight.store.atomic import write_text
+from armsight.store.codec import (
+    CovarianceModel,
+    Finite,
+    PoseModel,
+    Strict,
+    Vector3,
+    covariance_mapping,
+    named,
+    pose_mapping,
+    validated,
+)
 from armsight.store.covariances import (
     CAMERA_COVARIANCE,
     DEVIATIONS,
@@ -27,20 +38,7 @@ from armsight.store.covariances import (
     has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
-from armsight.store.schema import (
-    CovarianceModel,
-    Finite,
-    Origin,
-    PoseModel,
-    Strict,
-    Vector3,
-    covariance_mapping,
-    named,
-    pose_mapping,
-    read_document,
-    validated,
-    write_document,
-)
+from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.tables import Table, cells, parse_table
 from armsight.store.tracks import POSITION, QUATERNION
 

@@ -5,18 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import Field
-
-from armsight.control.guard import Box, JointLimit, Limits
+from armsight.control.guard import Box, Limits
 from armsight.errors import Inconsistent
-from armsight.store.schema import Finite, Origin, Strict, Vector3, named, read_document, validated, write_document
+from armsight.store.codec import mapping, named, record_of, structure, validated
+from armsight.store.schema import Origin, read_document, write_document
 from armsight.units import DEG, MM, MS
 
 LIMITS_FORMAT = "armsight/limits"
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, le=1e6)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, le=1e6)]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -62,53 +59,14 @@ MOST_M = 30.0
 """Of a corner: no arm stands so far from its box, a linear axis of 10 m is a long one; millimetres go beyond it."""
 
 
-class BoxModel(Strict):
-    """A box in base axes."""
-
-    lower_m: Vector3
-    upper_m: Vector3
-    name: str = "box"
+Limit = structure(Limits)
 
 
-class JointLimitModel(Strict):
-    """One joint, in rad or m and per s, s^2, s^3; what is not there is the arm's own, or the guard's default."""
-
-    lower: Finite | None = None
-    upper: Finite | None = None
-    speed: Positive | None = None
-    acceleration: Positive | None = None
-    jerk: Positive | None = None
-
-
-class LimitsModel(Origin):
+class LimitsModel(Origin, Limit):  # type: ignore[valid-type, misc]  # made of the record's fields
     """limits.yaml; every key but the format may be left out for its default."""
 
+    record = Limits
     format: Literal["armsight/limits"] = "armsight/limits"
-    speed_m_s: Positive | None = None
-    turn_rad_s: Positive | None = None
-    acceleration_m_s2: Positive | None = None
-    turn_acceleration_rad_s2: Positive | None = None
-    jerk_m_s3: Positive | None = None
-    turn_jerk_rad_s3: Positive | None = None
-    joints: Annotated[list[JointLimitModel], Field(min_length=1)] | None = None
-    workspace: BoxModel | None = None
-    forbidden: list[BoxModel] | None = None
-    margin_m: NotNegative | None = None
-    singularity: NotNegative | None = None
-    enable_age_s: Positive | None = None
-    target_age_s: Positive | None = None
-    silent_cycles: Positive | None = None
-    late_cycles: Positive | None = None
-    lost_s: Positive | None = None
-    calm_cycles: Annotated[int, Field(ge=0, le=100_000)] | None = None
-    lag_s: Positive | None = None
-    following: Positive | None = None
-    following_m: Positive | None = None
-    jump_m: Positive | None = None
-    jump_rad: Positive | None = None
-    retreat: list[Finite] | None = None
-    retreat_after_s: NotNegative | None = None
-    retreat_speed: Positive | None = None
 
 
 def limits_from_mapping(content: Mapping[str, Any], where: str = "limits") -> Limits:
@@ -116,24 +74,21 @@ def limits_from_mapping(content: Mapping[str, Any], where: str = "limits") -> Li
     with named(where):
         _check_values(content)
     model = validated(LimitsModel, content, where)
-    names = {field.name for field in dataclasses.fields(Limits)}
-    given = {name: getattr(model, name) for name in names if getattr(model, name) is not None}
     with named(where):
-        _check_units(given)
-        if model.joints is not None:
-            given["joints"] = tuple(_joint(joint, k + 1) for k, joint in enumerate(model.joints))
-        if model.workspace is not None:
-            given["workspace"] = _box(model.workspace, "workspace")
-        if model.forbidden is not None:
-            given["forbidden"] = tuple(_box(box, f"forbidden[{k}]") for k, box in enumerate(model.forbidden))
-        return Limits(**given)
+        limits: Limits = record_of(model)
+        _check_units(limits)
+        for key, boxes in (("workspace", [limits.workspace]), ("forbidden", limits.forbidden)):
+            for k, box in enumerate(boxes):
+                if box is not None:
+                    _check_corners(box, key if key == "workspace" else f"{key}[{k}]")
+        return limits
 
 
-def _check_units(given: Mapping[str, Any]) -> None:
+def _check_units(limits: Limits) -> None:
     """Raise Inconsistent for values that no arm has: they are in another unit, and would keep nothing."""
     for key, plausible in PLAUSIBLE.items():
-        value = given.get(key)
-        if value is None or value <= plausible.most:
+        value = getattr(limits, key)
+        if value <= plausible.most:
             continue
         unit, small = plausible.unit, plausible.small
         like = f": it looks like {small}" if small else ""
@@ -158,19 +113,10 @@ def _check_values(content: Any, key: str = "") -> None:
         _check_values(value, at)
 
 
-def _joint(model: JointLimitModel, number: int) -> JointLimit:
-    with named(f"joint {number}"):
-        return JointLimit(**model.model_dump(exclude_none=True))
-
-
 def limits_mapping(limits: Limits) -> dict[str, Any]:
     """Return limits as limits.yaml has them, all of them written out."""
-    content = {field.name: getattr(limits, field.name) for field in dataclasses.fields(limits)}
-    content["joints"] = [_joint_mapping(joint) for joint in limits.joints] or None
-    content["workspace"] = None if limits.workspace is None else _box_mapping(limits.workspace)
-    content["forbidden"] = [_box_mapping(box) for box in limits.forbidden]
-    content["retreat"] = None if limits.retreat is None else limits.retreat.tolist()
-    return content
+    content = mapping(limits)
+    return content if limits.joints else {key: value for key, value in content.items() if key != "joints"}
 
 
 def read_limits(path: Path) -> Limits:
@@ -183,26 +129,14 @@ def write_limits(path: Path, limits: Limits, *, inputs: Sequence[Path] = ()) -> 
     write_document(path, LIMITS_FORMAT, limits_mapping(limits), inputs)
 
 
-def _box(model: BoxModel, key: str) -> Box:
-    """Return a box of the file; Inconsistent, with its key, where it is inside out or its corners are in mm."""
-    called = key if model.name == BoxModel.model_fields["name"].default else f"{key} {model.name}"
-    corners = [*model.lower_m, *model.upper_m]
-    furthest = max(corners, key=abs)
+def _check_corners(box: Box, key: str) -> None:
+    """Raise Inconsistent, with the box's key, where its corners are in mm."""
+    called = key if box.name == "box" else f"{key} {box.name}"
+    furthest = max((*box.lower_m.tolist(), *box.upper_m.tolist()), key=abs)
     if abs(furthest) > MOST_M:
-        lower, upper = ([float(f"{v * MM:.4g}") for v in corner] for corner in (model.lower_m, model.upper_m))
+        lower, upper = ([float(f"{v * MM:.4g}") for v in corner] for corner in (box.lower_m, box.upper_m))
         raise Inconsistent(
             f"{called}: a corner at {furthest:g} m is further away than any arm: it looks like mm",
             consequence="As it stands it would limit nothing, and nothing is moved",
             cure=f"Write m (from mm: lower_m: {lower}, upper_m: {upper}); an endless wall may be {MOST_M:g} m off",
         )
-    with named(called):
-        return Box(lower_m=model.lower_m, upper_m=model.upper_m, name=model.name)  # type: ignore[arg-type]  # it copies
-
-
-def _box_mapping(box: Box) -> dict[str, Any]:
-    return {"name": box.name, "lower_m": box.lower_m.tolist(), "upper_m": box.upper_m.tolist()}
-
-
-def _joint_mapping(joint: JointLimit) -> dict[str, Any]:
-    rows = {field.name: getattr(joint, field.name) for field in dataclasses.fields(joint)}
-    return {key: value for key, value in rows.items() if value is not None and abs(value) != float("inf")}

@@ -11,7 +11,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.store.atomic import read_bytes, write_text
-from armsight.store.schema import named
+from armsight.store.codec import named
 from armsight.store.tables import MAX_BYTES, cells, number, parse_table, word
 from armsight.store.tracks import POSITION, QUATERNION
 

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from armsight.errors import BadFile
 from armsight.optics import SIDES, Camera, MountedZoom, Plate, Rig, RigKind, at_zoom
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel
-from armsight.store.noise import NoiseKey, noise_mapping
-from armsight.store.schema import (
+from armsight.store.codec import (
     CovarianceModel,
     Finite,
-    Origin,
     PoseModel,
     Strict,
     covariance_mapping,
+    mapping,
     named,
     pose_mapping,
-    read_document,
+    record_of,
+    structure,
     validated,
-    write_document,
 )
+from armsight.store.noise import NoiseKey
+from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.timing import TimingKey, timing_mapping
 from armsight.store.zoom import (
     CAMERA_FORMAT,
@@ -40,26 +41,22 @@ SMALLEST_BASELINE_M = 1e-4
 """Two cameras nearer than this see no depth at any distance a rig is used at: a wrong file, not a rig."""
 
 
-class PlateModel(Strict):
-    """The glass plate of a mirror rig."""
-
-    thickness_m: Finite
-    index: Finite = 1.5
+PlateModel = structure(Plate)
 
 
 class RigCameraModel(IntrinsicsModel):
     """A camera with its place in the rig, its noise where known, and the glass plate it looks through, if any."""
 
     T_rig_camera: PoseModel
-    noise: NoiseKey | None = None
-    plate: PlateModel | None = None
+    noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
+    plate: PlateModel | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
     zoom: MountedZoomModel | None = None
 
     def camera(self) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
         plain = IntrinsicsModel.camera(self)
-        return plain if self.plate is None else replace(plain, plate=Plate(**self.plate.model_dump()))
+        return plain if self.plate is None else replace(plain, plate=record_of(self.plate))
 
 
 class SidesModel(Strict):
@@ -85,7 +82,7 @@ class CameraModel(Origin, IntrinsicsModel):
     format: Literal["armsight/camera"] = "armsight/camera"
     rms_px: Finite | None = None
     covariance: CovarianceModel | None = None
-    noise: NoiseKey | None = None
+    noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
 
 
@@ -134,7 +131,7 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
             side: {
                 **camera_mapping(rig.camera(side)),
                 "T_rig_camera": pose_mapping(rig.T_rig_camera(side)),
-                **({} if noise is None else {"noise": noise_mapping(noise)}),
+                **({} if noise is None else {"noise": mapping(noise)}),
                 **({} if timing is None else {"timing": timing_mapping(timing)}),
                 **({} if zoom is None else {"zoom": {"at": zoom.at, "settings": settings_mapping(zoom.lens)}}),
             }
@@ -147,7 +144,7 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
 
 def camera_mapping(camera: Camera) -> dict[str, Any]:
     """Return a camera's size and intrinsics as files hold them."""
-    plate = {} if camera.plate is None else {"plate": asdict(camera.plate)}
+    plate = {} if camera.plate is None else {"plate": mapping(camera.plate)}
     return {"width": camera.width, "height": camera.height, **intrinsics_mapping(camera), **plate}
 
 
@@ -190,7 +187,7 @@ def read_camera_file(path: Path) -> CameraFile:
 
 
 def _noise(model: CameraModel | RigCameraModel) -> NoiseModel | None:
-    return None if model.noise is None else model.noise.noise()
+    return None if model.noise is None else record_of(model.noise)
 
 
 def _timing(model: CameraModel | RigCameraModel) -> CameraTiming | None:
@@ -223,7 +220,7 @@ def write_camera(
         **camera_mapping(camera),
         "rms_px": rms_px,
         "covariance": covariance_mapping(covariance) if covariance else None,
-        "noise": noise_mapping(noise) if noise else None,
+        "noise": mapping(noise) if noise else None,
         **({} if timing is None else {"timing": timing_mapping(timing)}),
     }
     write_document(path, CAMERA_FORMAT, content, inputs)

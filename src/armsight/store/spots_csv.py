@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadFile
 from armsight.records.tracks import SpotTrack
 from armsight.store.atomic import read_bytes
-from armsight.store.schema import LARGEST
+from armsight.store.codec import LARGEST
 from armsight.store.tables import MAX_BYTES, Table, cells, number, parse_table, word
 
 REQUIRED = ("t_s", "u_px", "v_px")

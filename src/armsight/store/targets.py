@@ -15,19 +15,18 @@ from pydantic import Field
 from armsight.errors import BadFile, UsageError
 from armsight.records import Colour, NamedCovariance, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.target import BLUE, GREEN, RED
-from armsight.store.schema import (
+from armsight.store.codec import (
     LARGEST,
     CovarianceModel,
-    Finite,
-    Origin,
-    Strict,
     Vector3,
     covariance_mapping,
+    mapping,
     named,
-    read_document,
+    record_of,
+    structure,
     validated,
-    write_document,
 )
+from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.yamls import read_yaml
 
 Array = NDArray[np.float64]
@@ -58,18 +57,7 @@ Side = Annotated[int, Field(ge=2, le=MAX_BOARD)]
 SpotName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")]
 
 
-class ColourModel(Strict):
-    """A colour by hue range in degrees, least saturation and value in 0..1."""
-
-    hue_deg: Annotated[list[Finite], Field(min_length=2, max_length=2)]
-    min_saturation: Finite = 0.3
-    min_value: Finite = 0.3
-
-    def colour(self) -> Colour:
-        """Return the record; Inconsistent where a bound is out of range."""
-        return Colour(
-            hue_deg=(self.hue_deg[0], self.hue_deg[1]), min_saturation=self.min_saturation, min_value=self.min_value
-        )
+ColourModel = structure(Colour)
 
 
 class LitModel(Origin):
@@ -82,7 +70,7 @@ class LitModel(Origin):
     std_m: Annotated[dict[SpotName, Vector3], Field(max_length=200)] | None = None
     covariance: CovarianceModel | None = None
     diameter_m: Positive | None = None
-    colour: Literal["red", "green", "blue"] | ColourModel | None = None
+    colour: Literal["red", "green", "blue"] | ColourModel | None = None  # type: ignore[valid-type]  # of the record
 
 
 class SquaresModel(Origin):
@@ -199,7 +187,9 @@ def _of_kalibr(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
 
 
 def _lit(model: LitModel, where: str) -> Target:
-    colour = COLOURS[model.colour] if isinstance(model.colour, str) else model.colour.colour() if model.colour else None
+    colour = (
+        COLOURS[model.colour] if isinstance(model.colour, str) else record_of(model.colour) if model.colour else None
+    )
     if (model.spots_m is None) == (model.labels is None):
         raise BadFile(
             f"{where}: a target of kind spots needs exactly one of spots_m and labels",
@@ -296,19 +286,8 @@ def target_mapping(target: Target) -> dict[str, Any]:
 
 
 def _colour_value(colour: Colour) -> str | dict[str, Any]:
-    content = {
-        "hue_deg": list(colour.hue_deg),
-        "min_saturation": colour.min_saturation,
-        "min_value": colour.min_value,
-    }
-    for name, known in COLOURS.items():
-        if (known.hue_deg, known.min_saturation, known.min_value) == (
-            colour.hue_deg,
-            colour.min_saturation,
-            colour.min_value,
-        ):
-            return name
-    return content
+    content = mapping(colour)
+    return next((name for name, known in COLOURS.items() if mapping(known) == content), content)
 
 
 def read_target(path: Path) -> Target:

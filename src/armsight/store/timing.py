@@ -2,52 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from armsight.records import NamedCovariance
-from armsight.records.timing import TIMING, CameraTiming
-from armsight.store.schema import CovarianceModel, Finite, Strict, covariance_mapping
-
-
-class TimingStdModel(Strict):
-    """Standard deviations of a camera's timing, each by itself."""
-
-    readout_s: Finite | None = Field(default=None, ge=0.0)
-    exposure_s: Finite | None = Field(default=None, ge=0.0)
-    delay_s: Finite | None = Field(default=None, ge=0.0)
-    drift_ppm: Finite | None = Field(default=None, ge=0.0)
-    jitter_s: Finite | None = Field(default=None, ge=0.0)
+from armsight.errors import Inconsistent
+from armsight.records import CameraTiming, NamedCovariance
+from armsight.records.timing import TIMING
+from armsight.store.codec import Finite, mapping, record_of, structure
 
 
-class TimingKey(Strict):
-    """A camera's timing; times in s. covariance counts before std."""
+class TimingKey(structure(CameraTiming)):  # type: ignore[misc]  # made of the record's fields
+    """A camera's timing; times in s. std: standard deviations, each by itself; covariance counts before it."""
 
-    readout_s: Finite = 0.0
-    exposure_s: Finite = 0.0
-    delay_s: Finite = 0.0
-    drift_ppm: Finite = 0.0
-    jitter_s: Finite = 0.0
-    std: TimingStdModel | None = None
-    covariance: CovarianceModel | None = None
+    record = CameraTiming
+    std: dict[str, Finite | None] | None = None
 
     def timing(self) -> CameraTiming:
         """Return the record; Inconsistent where no camera can be like this."""
-        return CameraTiming(**{name: getattr(self, name) for name in TIMING}, covariance=self._covariance())
-
-    def _covariance(self) -> NamedCovariance | None:
-        if self.covariance is not None:
-            return self.covariance.covariance()
-        given = {} if self.std is None else self.std.model_dump(exclude_none=True)
-        return NamedCovariance(names=tuple(given), matrix=np.diag(np.square([*given.values()]))) if given else None
+        timing: CameraTiming = record_of(self)
+        given = {name: value for name, value in (self.std or {}).items() if value is not None}
+        unknown = [name for name in self.std or () if name not in TIMING]
+        if unknown or any(value < 0.0 for value in given.values()):
+            raise Inconsistent(f"timing.std: of {', '.join(TIMING)}, none negative, not {self.std}")
+        if timing.covariance is not None or not given:
+            return timing
+        covariance = NamedCovariance(names=tuple(given), matrix=np.diag(np.square([*given.values()])))
+        return replace(timing, covariance=covariance)
 
 
 def timing_mapping(timing: CameraTiming) -> dict[str, Any]:
     """Return a camera's timing as files hold it."""
-    content: dict[str, Any] = {name: getattr(timing, name) for name in TIMING}
-    if timing.covariance is not None:
-        content["std"] = timing.std
-        content["covariance"] = covariance_mapping(timing.covariance)
-    return content
+    content = mapping(timing)
+    return content if timing.covariance is None else content | {"std": timing.std}

@@ -13,7 +13,8 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field
 
 from armsight.errors import BadFile, UsageError
-from armsight.store.schema import Origin, Strict, read_document, validated, write_document
+from armsight.store.codec import Strict, validated
+from armsight.store.schema import Origin, read_document, write_document
 
 FORMAT = "armsight/tokens"
 TOKEN_BYTES = 32

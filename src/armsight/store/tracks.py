@@ -19,6 +19,7 @@ from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
+from armsight.store.codec import LARGEST, named
 from armsight.store.covariances import (
     COVARIANCE,
     DEVIATIONS,
@@ -31,7 +32,6 @@ from armsight.store.covariances import (
     pose_covariances,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
-from armsight.store.schema import LARGEST, named
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, read_table, word
 
 POSITION = ("x_m", "y_m", "z_m")

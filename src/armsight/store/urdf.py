@@ -16,7 +16,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
 from armsight.store.atomic import disk_errors, read_bytes, write_text
-from armsight.store.schema import named
+from armsight.store.codec import named
 from armsight.store.urdf_elements import Mass, masses, numbers, origin_of, together
 
 Array = NDArray[np.float64]

@@ -11,18 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile
 from armsight.records import NamedCovariance, Saveable
-from armsight.store.schema import (
-    CovarianceModel,
-    Finite,
-    Origin,
-    PoseModel,
-    covariance_mapping,
-    named,
-    pose_mapping,
-    read_document,
-    validated,
-    write_document,
-)
+from armsight.store.codec import CovarianceModel, Finite, PoseModel, covariance_mapping, named, pose_mapping, validated
+from armsight.store.schema import Origin, read_document, write_document
 
 WORLD_FORMAT = "armsight/world"
 

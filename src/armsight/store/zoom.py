@@ -12,19 +12,19 @@ from pydantic import Field, model_validator
 from armsight.errors import BadFile
 from armsight.optics import Camera, LensKind, ZoomLens, ZoomSetting
 from armsight.records import CameraTiming, NoiseModel
-from armsight.store.noise import NoiseKey, noise_mapping
-from armsight.store.schema import (
+from armsight.store.codec import (
     Count,
     CovarianceModel,
     Finite,
-    Origin,
     Strict,
     covariance_mapping,
+    mapping,
     named,
-    read_document,
+    record_of,
     validated,
-    write_document,
 )
+from armsight.store.noise import NoiseKey
+from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.timing import TimingKey, timing_mapping
 
 CAMERA_FORMAT = "armsight/camera"
@@ -106,7 +106,7 @@ class ZoomCameraModel(Origin):
     width: Count
     height: Count
     zoom: Settings
-    noise: NoiseKey | None = None
+    noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
 
 
@@ -143,7 +143,7 @@ def zoom_camera_from_mapping(content: Mapping[str, Any], where: str) -> ZoomCame
     with named(where):
         return ZoomCameraFile(
             lens=_lens(model.zoom, model.width, model.height),
-            noise=None if model.noise is None else model.noise.noise(),
+            noise=None if model.noise is None else record_of(model.noise),
             timing=None if model.timing is None else model.timing.timing(),
             inputs=[item.model_dump() for item in model.inputs],
         )
@@ -156,7 +156,7 @@ def write_zoom_camera(path: Path, file: ZoomCameraFile, *, inputs: Sequence[Path
         "width": width,
         "height": height,
         "zoom": settings_mapping(file.lens),
-        "noise": noise_mapping(file.noise) if file.noise else None,
+        "noise": mapping(file.noise) if file.noise else None,
         "timing": timing_mapping(file.timing) if file.timing else None,
     }
     write_document(path, CAMERA_FORMAT, content, inputs, earlier=file.inputs)

@@ -26,6 +26,7 @@ from armsight.records import (
     board_target,
     spot_target,
 )
+from armsight.records.noise import NeighbourCorrelation
 
 CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
 RIG = converged_rig(CAMERA, CAMERA, 0.1, 0.08, -0.08)
@@ -230,10 +231,7 @@ def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() ->
         levels=np.array([10.0, 200.0]),
         variance_levels2=np.array([2.0, 21.0]),
         std_levels2=np.array([0.1, 0.5]),
-        correlation=np.zeros((2, 2)),
-        correlation_std=np.zeros((2, 2)),
-        diagonal=0.0,
-        diagonal_std=0.0,
+        correlation=NeighbourCorrelation(x=np.zeros(2), y=np.zeros(2)),
         n_frames=10,
         linear=LinearNoise(read_noise_levels=1.0, gain_levels=0.1),
     )

@@ -21,6 +21,7 @@ from armsight.records import (
     board_target,
     spot_target,
 )
+from armsight.records.noise import NeighbourCorrelation
 
 
 def test_a_record_neither_shares_nor_yields_its_arrays() -> None:
@@ -102,10 +103,7 @@ def make_noise(linear: LinearNoise | None = None, near: float = 0.0) -> NoiseMod
         levels=np.array([10.0, 20.0, 120.0]),
         variance_levels2=np.array([2.0, 3.0, 13.0]),
         std_levels2=np.full(3, 0.1),
-        correlation=np.array([[near, near / 4], [near, near / 4]]),
-        correlation_std=np.full((2, 2), 0.001),
-        diagonal=near**2,
-        diagonal_std=0.001,
+        correlation=NeighbourCorrelation(x=[near, near / 4], y=[near, near / 4], diagonal=near**2),
         n_frames=20,
         linear=linear,
     )

@@ -10,6 +10,7 @@ from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.cell_file import CellFile
+from armsight.store.codec import validated
 from armsight.store.covariances import POINT_COVARIANCE
 from armsight.store.handeye_file import HandEyeModel, TipModel
 from armsight.store.interpret.read import is_ours
@@ -19,7 +20,6 @@ from armsight.store.limits_file import limits_from_mapping
 from armsight.store.path_file import parse_path
 from armsight.store.picks_file import parse_picks
 from armsight.store.rigs import CameraModel, rig_from_mapping
-from armsight.store.schema import validated
 from armsight.store.spots_csv import parse_spot_track
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping

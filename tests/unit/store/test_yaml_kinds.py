@@ -23,6 +23,8 @@ from armsight.records import (
     spot_target,
     unmeasured_target,
 )
+from armsight.records.by_value import same_value
+from armsight.records.noise import NeighbourCorrelation
 from armsight.records.target import GREEN
 from armsight.store.schema import read_document
 from armsight.store.worlds import POSE_NAMES
@@ -101,19 +103,21 @@ def make_noise(linear: bool):
         levels=[1.0, 50.0 + 1 / 3, 200.0],
         variance_levels2=rng.random(3) * 7,
         std_levels2=rng.random(3) / 7,
-        correlation=rng.random((2, 2)) / 3,
-        correlation_std=rng.random((2, 2)) / 300,
-        diagonal=-1 / 7,
-        diagonal_std=1 / 700,
+        correlation=NeighbourCorrelation(
+            x=rng.random(2) / 3,
+            y=rng.random(2) / 3,
+            diagonal=-1 / 7,
+            std_x=rng.random(2) / 300,
+            std_y=rng.random(2) / 300,
+            std_diagonal=1 / 700,
+        ),
         n_frames=20,
         linear=LinearNoise(read_noise_levels=1 / 3, gain_levels=0.1) if linear else None,
     )
 
 
 def assert_same_noise(a, b):
-    for name in ("levels", "variance_levels2", "std_levels2", "correlation", "correlation_std"):
-        assert np.array_equal(getattr(a, name), getattr(b, name)), name
-    assert (a.diagonal, a.diagonal_std, a.n_frames, a.linear) == (b.diagonal, b.diagonal_std, b.n_frames, b.linear)
+    assert same_value(a, b)
 
 
 @pytest.mark.parametrize("linear", [False, True])

@@ -47,8 +47,8 @@ from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
 from armsight.store.atomic import disk_errors
+from armsight.store.codec import pose_mapping
 from armsight.store.interpret import OURS, TableFormat
-from armsight.store.schema import pose_mapping
 from armsight.store.tables import cells
 from armsight.store.urdf import delete_urdf, urdf_text
 from armsight.store.worlds import write_world

@@ -46,6 +46,7 @@ from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, T
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
+from armsight.store.codec import pose_mapping
 from armsight.store.covariances import UNCORRELATED
 from armsight.store.handeye_file import (
     named_poses,
@@ -54,7 +55,6 @@ from armsight.store.handeye_file import (
     write_tip,
 )
 from armsight.store.interpret import OURS, TableFormat
-from armsight.store.schema import pose_mapping
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, known, load
 from armsight.errors import DeviceNotFound
 from armsight.store.atomic import read_bytes
-from armsight.store.schema import named, validated
+from armsight.store.codec import named, validated
 from armsight.store.yamls import MAX_BYTES, parse_yaml
 
 MODEL = "scenario"

@@ -21,7 +21,7 @@ from armsight.optics import Rig
 from armsight.records import Target
 from armsight.report.mastering_report import mastering_report
 from armsight.store import read_rig, read_world, write_text
-from armsight.store.schema import pose_mapping
+from armsight.store.codec import pose_mapping
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
 from armsight.units import read_value

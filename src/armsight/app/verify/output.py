@@ -20,7 +20,7 @@ from armsight.app.schemas.verify import (
 )
 from armsight.kinematics import Arm
 from armsight.report.html import figure_of
-from armsight.store.schema import pose_mapping
+from armsight.store.codec import pose_mapping
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
 from armsight.units import DEG, MM

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.camera_noise.stationary import Survey, survey
 from armsight.calibrate.camera_noise.stills import BLOCK_PX, Image, Stills, block_sums, require_change, to_pixels
 from armsight.errors import Degenerate, NotEnoughData
-from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NoiseModel
+from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -107,10 +107,14 @@ def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
         levels=levels,
         variance_levels2=variance,
         std_levels2=std,
-        correlation=correlation[:4].reshape(2, 2),
-        correlation_std=correlation_std[:4].reshape(2, 2),
-        diagonal=float(correlation[4]),
-        diagonal_std=float(correlation_std[4]),
+        correlation=NeighbourCorrelation(
+            x=correlation[:2],
+            y=correlation[2:4],
+            diagonal=float(correlation[4]),
+            std_x=correlation_std[:2],
+            std_y=correlation_std[2:4],
+            std_diagonal=float(correlation_std[4]),
+        ),
         n_frames=len(stills.frames),
         linear=linear,
     )
@@ -304,7 +308,7 @@ def _advice(stills: Stills, seen: Survey, noise: NoiseModel) -> tuple[str, ...]:
         f"the scene has grey levels from {low:.0f} to {high:.0f} only: beyond, the noise is a guess": high < 180.0,
         "neighbouring pixels share their noise, so the line's gain is not that of single electrons": noise.linear
         is not None
-        and float(np.abs(noise.correlation).max()) > SHARED,
+        and float(np.abs([*noise.correlation.x, *noise.correlation.y]).max()) > SHARED,
         "the noise is below what rounding to whole grey levels lets one see": bool(
             np.median(noise.variance_levels2) < DARK_NOISE_LEVELS2
         ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from armsight.control.guard.fit import check_fit
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm
 from armsight.records import Saveable, frozen_array
+from armsight.records.fields import Bounds, NotNegative, Positive, Shape, require_bounds
 from armsight.units import DEG
 
 Array = NDArray[np.float64]
@@ -34,8 +36,8 @@ ENABLE_AGE_S = 0.15
 class Box:
     """An axis-parallel box in base axes, corners lower_m (3,) and upper_m (3,); name: what messages call it."""
 
-    lower_m: Array
-    upper_m: Array
+    lower_m: Annotated[Array, Shape((3,))]
+    upper_m: Annotated[Array, Shape((3,))]
     name: str = "box"
 
     def __post_init__(self) -> None:
@@ -60,9 +62,9 @@ class JointLimit:
 
     lower: float = -math.inf
     upper: float = math.inf
-    speed: float | None = None
-    acceleration: float | None = None
-    jerk: float | None = None
+    speed: Positive | None = None
+    acceleration: Positive | None = None
+    jerk: Positive | None = None
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -71,31 +73,7 @@ class JointLimit:
                 consequence="The joint could not move",
                 cure="Give the smaller one as lower",
             )
-        for key in ("speed", "acceleration", "jerk"):
-            value = getattr(self, key)
-            if value is not None:
-                _positive(f"a joint's {key}", value)
-
-
-POSITIVE = (
-    "speed_m_s",
-    "turn_rad_s",
-    "acceleration_m_s2",
-    "turn_acceleration_rad_s2",
-    "jerk_m_s3",
-    "turn_jerk_rad_s3",
-    "enable_age_s",
-    "target_age_s",
-    "silent_cycles",
-    "late_cycles",
-    "lost_s",
-    "lag_s",
-    "following",
-    "following_m",
-    "jump_m",
-    "jump_rad",
-    "retreat_speed",
-)
+        require_bounds(self, "a joint's ")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,39 +91,34 @@ class Limits(Saveable):
     to, at the share retreat_speed of all speeds, when the target has been away for retreat_after_s.
     """
 
-    speed_m_s: float = 0.1
-    turn_rad_s: float = 60.0 * DEG
-    acceleration_m_s2: float = 2.0
-    turn_acceleration_rad_s2: float = 20.0
-    jerk_m_s3: float = 100.0
-    turn_jerk_rad_s3: float = 1000.0
-    joints: tuple[JointLimit, ...] = ()
+    speed_m_s: Positive = 0.1
+    turn_rad_s: Positive = 60.0 * DEG
+    acceleration_m_s2: Positive = 2.0
+    turn_acceleration_rad_s2: Positive = 20.0
+    jerk_m_s3: Positive = 100.0
+    turn_jerk_rad_s3: Positive = 1000.0
+    joints: Annotated[tuple[JointLimit, ...], Bounds(least=1)] = ()
     workspace: Box | None = None
     forbidden: tuple[Box, ...] = ()
-    margin_m: float = 0.005
-    singularity: float = 0.03
-    enable_age_s: float = ENABLE_AGE_S
-    target_age_s: float = 0.15
-    silent_cycles: float = 3.0
-    late_cycles: float = 0.5
-    lost_s: float = 0.5
-    calm_cycles: int = 5
-    lag_s: float = 0.3
-    following: float = 0.02
-    following_m: float = 0.005
-    jump_m: float = 0.02
-    jump_rad: float = 0.1
-    retreat: Array | None = None
-    retreat_after_s: float = 1.0
-    retreat_speed: float = 0.25
+    margin_m: NotNegative = 0.005
+    singularity: NotNegative = 0.03
+    enable_age_s: Positive = ENABLE_AGE_S
+    target_age_s: Positive = 0.15
+    silent_cycles: Positive = 3.0
+    late_cycles: Positive = 0.5
+    lost_s: Positive = 0.5
+    calm_cycles: Annotated[int, Bounds(least=0, most=100_000)] = 5
+    lag_s: Positive = 0.3
+    following: Positive = 0.02
+    following_m: Positive = 0.005
+    jump_m: Positive = 0.02
+    jump_rad: Positive = 0.1
+    retreat: Annotated[Array, Shape((None,))] | None = None
+    retreat_after_s: NotNegative = 1.0
+    retreat_speed: Positive = 0.25
 
     def __post_init__(self) -> None:
-        for key in POSITIVE:
-            _positive(key, getattr(self, key))
-        for key in ("margin_m", "singularity", "retreat_after_s", "calm_cycles"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise Inconsistent(f"{key} is {value:g}, which is no number from 0 on")
+        require_bounds(self)
         object.__setattr__(self, "joints", tuple(self.joints))
         object.__setattr__(self, "forbidden", tuple(self.forbidden))
         if self.retreat is not None:
@@ -207,12 +180,3 @@ def _of(rows: tuple[JointLimit, ...], key: str, default: Array) -> Array:
     return np.array(
         [d if getattr(row, key) is None else getattr(row, key) for row, d in zip(rows, default, strict=True)]
     )
-
-
-def _positive(key: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise Inconsistent(
-            f"{key} is {value:g}, which is not a positive number",
-            consequence="The robot is not moved",
-            cure="Give a positive number, or leave the key away for the default",
-        )

@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
+from armsight.store.codec import named
 from armsight.store.foreign.numbers import (
     array_of,
     fisheye_coefficients,
@@ -27,7 +28,6 @@ from armsight.store.foreign.numbers import (
     rotation_of,
     value_at,
 )
-from armsight.store.schema import named
 from armsight.store.yamls import dump_yaml, read_yaml
 
 

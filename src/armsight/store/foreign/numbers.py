@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_matrix
-from armsight.store.schema import LARGEST
+from armsight.store.codec import LARGEST
 
 Array = NDArray[np.float64]
 

@@ -26,6 +26,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
+from armsight.store.codec import named
 from armsight.store.foreign.numbers import (
     array_of,
     brown_conrady,
@@ -39,7 +40,6 @@ from armsight.store.foreign.numbers import (
     value_at,
 )
 from armsight.store.foreign.rectification import rectification
-from armsight.store.schema import named
 from armsight.store.yamls import read_yaml
 
 Array = NDArray[np.float64]
