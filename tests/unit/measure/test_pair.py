@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import BadImage, Inconsistent
+from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.geometry import pose_difference
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import SpotSettings
+from armsight.measure.tracker import TargetTracker
 from armsight.optics import Camera, converged_rig
 from armsight.records import (
     BoardView,
@@ -150,6 +151,20 @@ def test_frames_of_another_size_are_refused_with_both_sizes() -> None:
     left, right = frames(pose_at(0).apply(X), 0, width=650)
     with pytest.raises(Inconsistent, match="650x480 px, the rig's left camera 640x480 px"):
         measure_pair(SETUP, left, right)
+
+
+def test_a_tracker_goes_on_after_what_shows_nothing() -> None:
+    """Views exchanged once, a frame that cannot be read: lost with the reason, and the next pair is measured."""
+    tracker = TargetTracker(SETUP)
+    left, right = frames(pose_at(1).apply(X), 1)
+    exchanged = tracker.take(right, left)
+    assert exchanged.pose.status is PoseStatus.LOST and exchanged.cause is Unseen.SWAPPED
+    assert tracker.swapped is not None and "swapped" in tracker.swapped.cause
+    broken = tracker.take(replace(left, unreadable="cut off"), right)
+    assert broken.cause is Unseen.UNREADABLE and broken.pose.why.endswith("cut off") and tracker.swapped is None
+    assert_pose(tracker.take(left, right), pose_at(1))
+    with pytest.raises(Inconsistent, match="650x480 px, the rig's left camera 640x480 px"):
+        tracker.take(*frames(pose_at(0).apply(X), 0, width=650))
 
 
 def test_the_same_call_gives_the_same_answer() -> None:

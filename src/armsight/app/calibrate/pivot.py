@@ -17,8 +17,9 @@ from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, TipRecording
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import NotEnoughData
-from armsight.measure.poses.pipeline import Setup, measure_pair
+from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
+from armsight.measure.tracker import TargetTracker
 from armsight.records import PoseStatus, Progress, Silent, TargetPose
 from armsight.store import read_rig, write_poses
 from armsight.store.handeye_file import write_tip
@@ -74,11 +75,9 @@ def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecord
 
 
 def _poses(setup: Setup, pairs: PairSource) -> Iterator[TargetPose]:
-    track = None
+    tracker = TargetTracker(setup)
     for left, right in pairs:
-        measured = measure_pair(setup, left, right, track)
-        track = measured.track
-        yield measured.pose
+        yield tracker.take(left, right).pose
 
 
 def pivoted(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armsight.app.live.followed import FollowedCell, FollowedPairs
 from armsight.app.live.views import RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
-from armsight.app.measure.run import lost_pair, target_of
+from armsight.app.measure.run import target_of
 from armsight.app.schemas.live import Counts, LiveView
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.clock import Clock
@@ -25,6 +25,7 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
+from armsight.measure.tracker import lost_pair
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.store import World, read_rig, read_world

@@ -24,7 +24,7 @@ from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frame_times import frame_times
-from armsight.app.sources.frames import is_recording, open_pairs, open_source, recordings_in, require_size
+from armsight.app.sources.frames import is_recording, open_pairs, open_source, recordings_in
 from armsight.drivers import (
     AUTOMATIC,
     CameraSettings,
@@ -36,16 +36,17 @@ from armsight.drivers import (
     read_image,
 )
 from armsight.drivers.live import MAX_SKEW_S
-from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pairs import SLACK_PX
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.poses.slack import rig_slack_px
 from armsight.measure.settings import METHODS, SpotSettings
-from armsight.optics import SIDES, Rig, RigKind
-from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
+from armsight.measure.tracker import TargetTracker
+from armsight.optics import Rig, RigKind
+from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
 from armsight.store import World, parse_board, read_target, read_world
 
 Pair = tuple[Frame, Frame]
@@ -205,70 +206,37 @@ def _steps(
     measure_all = _singly if alone else _tracked
     done = seen = 0
     swapped: list[Inconsistent] = []
-    with closing(_generator(pairs)) as source:
-        checked = (_sized(setup.rig, pair) for pair in islice(source, limit))
-        with closing(measure_all(setup, checked)) as steps:
-            for step in steps:
-                yield step
-                done += 1
-                seen += step.measured.pose.status is not PoseStatus.LOST
-                swapped += [step.swapped] if step.swapped else []
-                if not seen and len(swapped) >= SWAPPED_ENOUGH:
-                    raise swapped[0]
-                progress.update(done, total, MEASURING)
-                if progress.cancelled():
-                    raise Cancelled(f"stopped after {done} pairs")
+    with closing(_generator(pairs)) as source, closing(measure_all(setup, islice(source, limit))) as steps:
+        for step in steps:
+            yield step
+            done += 1
+            seen += step.measured.pose.status is not PoseStatus.LOST
+            swapped += [step.swapped] if step.swapped else []
+            if not seen and len(swapped) >= SWAPPED_ENOUGH:
+                raise swapped[0]
+            progress.update(done, total, MEASURING)
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {done} pairs")
     if not seen and swapped:
         raise swapped[0]
 
 
 def _tracked(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
     """Measure one pair after the other: each tells the next where to look, so that few are searched as a whole."""
-    track: Track | None = None
+    tracker = TargetTracker(setup)
     for pair in pairs:
-        step = _one(setup, pair, track)
-        track = step.measured.track
-        yield step
+        yield _one(tracker, pair)
 
 
 def _singly(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
     """Measure pairs in threads, each by itself: a board, or single shots, which tell nothing of each other."""
-    return ordered_map(lambda pair: _one(setup, pair, None), pairs)
+    return ordered_map(lambda pair: _one(TargetTracker(setup), pair), pairs)
 
 
-def _one(setup: Setup, pair: Pair, track: Track | None) -> Step:
+def _one(tracker: TargetTracker, pair: Pair) -> Step:
     start_s = time.perf_counter()
-    swapped = None
-    unreadable = [f"{frame.source}: {frame.unreadable}" for frame in pair if frame.unreadable]
-    if unreadable:
-        return Step(pair=pair, measured=lost_pair(pair, unreadable[0], Unseen.UNREADABLE), ms=0.0)
-    try:
-        measured = measure_pair(setup, *pair, track)
-    except Inconsistent as error:  # sizes were checked before: the views look exchanged, which one frame cannot decide
-        measured, swapped = lost_pair(pair, error.cause, Unseen.SWAPPED), error
-    return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=swapped)
-
-
-def lost_pair(pair: Pair, why: str, cause: Unseen = Unseen.OTHER) -> Measured:
-    """Return the record of a pair that gave nothing."""
-    none = Spots.none()
-    return Measured(
-        pose=TargetPose(t_s=0.5 * (pair[0].t_s + pair[1].t_s), status=PoseStatus.LOST, parent="rig", why=why),
-        points=Points(names=(), xyz_m=np.empty((0, 3)), covariance_m2=np.empty((0, 3, 3))),
-        left=none,
-        right=none,
-        names=(),
-        left_seen=none,
-        right_seen=none,
-        cause=cause,
-    )
-
-
-def _sized(rig: Rig, pair: Pair) -> Pair:
-    """Return the pair, or raise Inconsistent where a frame's size is not its camera's."""
-    for side, frame in zip(SIDES, pair, strict=True):
-        require_size(rig, side, frame, "The calibration says nothing about such frames, so measuring stops here")
-    return pair
+    measured = tracker.take(*pair)
+    return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=tracker.swapped)
 
 
 def _free(job: MeasureJob, rig: Rig) -> bool:

@@ -12,17 +12,15 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from armsight.app.measure.run import lost_pair
 from armsight.app.servo.job import ServoDevices
-from armsight.app.sources.frames import require_size
 from armsight.clock import Clock
 from armsight.control.events import QueueSink
 from armsight.control.servo import ServoSource
 from armsight.control.servo.delay import CameraDelay
-from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData
+from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
-from armsight.optics import SIDES
+from armsight.measure.poses.pipeline import Measured, Setup
+from armsight.measure.tracker import TargetTracker, lost_pair
 from armsight.records import Frame, PoseStatus, TargetPose
 
 JOIN_S = 2.0
@@ -62,7 +60,7 @@ class Vision:
         self._clock: Clock = devices.clock
         self._latency_s = latency_s
         self._sink = sink
-        self._track: Track | None = None
+        self._tracker = TargetTracker(setup)
         self._last: tuple[Frame, Frame] | None = None
         self._noisy = False
         self._ahead_s = math.inf  # the clock's time at the cameras' zero
@@ -101,16 +99,9 @@ class Vision:
         return self._noisy and any(np.array_equal(a.image, b.image) for a, b in zip(last, pair, strict=True))
 
     def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
-        for side, frame in zip(SIDES, pair, strict=True):
-            require_size(self._setup.rig, side, frame, "The calibration says nothing about such frames")
         if self._stands(pair):
             return lost_pair(pair, "a camera sends the same picture again")
-        try:
-            measured = measure_pair(self._setup, *pair, self._track)
-        except Inconsistent as error:  # the views look exchanged, which one frame cannot decide
-            measured = lost_pair(pair, error.cause)
-        self._track = measured.track
-        return measured
+        return self._tracker.take(*pair)
 
 
 class VisionThread:

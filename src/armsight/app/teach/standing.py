@@ -10,18 +10,19 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.measure.run import lost_pair, target_of
+from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.teach import TeachOutput
 from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import open_pairs, open_source, require_size
+from armsight.app.sources.frames import open_pairs, open_source
 from armsight.app.teach.job import Begun, TeachJob, save, saved
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.drivers import CameraSettings, PairSource
-from armsight.errors import Inconsistent, UsageError
-from armsight.measure.poses.pipeline import Setup, Track, measure_pair
+from armsight.errors import UsageError
+from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
-from armsight.optics import SIDES, Rig
+from armsight.measure.tracker import TargetTracker
+from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent, Target, TargetPose
 from armsight.store import World, read_poses, read_rig, read_world
 
@@ -132,17 +133,11 @@ def _taught(
     seen: Seen,
 ) -> str:
     """Give every pair's pose to the recorder; return why it ended."""
-    track: Track | None = None
+    tracker = TargetTracker(setup)
     first_s: float | None = None
     told_s = -1.0
     for pair in pairs:
-        for side, frame in zip(SIDES, pair, strict=True):
-            require_size(setup.rig, side, frame, "The calibration says nothing about such frames")
-        try:
-            measured = measure_pair(setup, *pair, track)
-        except Inconsistent as error:  # the views look exchanged, which one frame cannot decide
-            measured = lost_pair(pair, error.cause)
-        track, pose = measured.track, measured.pose
+        pose = tracker.take(*pair).pose
         recorder.observe(pose, pose.t_s)
         seen(pose)
         first_s = pose.t_s if first_s is None else first_s

@@ -10,16 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.measure.run import lost_pair
 from armsight.app.record.recorder import Recorder
-from armsight.app.sources.frames import require_size
 from armsight.app.verify.joint_reader import JointReader
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot
-from armsight.errors import Inconsistent, StaleData
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
-from armsight.optics import SIDES
+from armsight.errors import StaleData
+from armsight.measure.poses.pipeline import Measured, Setup
+from armsight.measure.tracker import TargetTracker
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.store.recording import ImageFormat, RecordingWriter
 from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Limits, Watch
@@ -105,7 +103,7 @@ class Supervision:
         self._watch = Watch(job.limits)
         self._reader = JointReader(devices.robot, clock)
         self._recorder: Recorder | None = None
-        self._track: Track | None = None
+        self._tracker = TargetTracker(self._setup)
         self._ahead_s = np.inf  # the clock's time at the cameras' zero
         self._seen_s: float | None = None
         self._blind = False
@@ -130,7 +128,7 @@ class Supervision:
         begun_s = time.perf_counter()
         newest_s = max(pair[0].t_s, pair[1].t_s)
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self.job.latency_s)
-        measured = self._measured(pair)
+        measured = self._tracker.take(*pair)
         pose = measured.pose
         zero_s = self._ahead_s if self.devices.origin_s is None else self.devices.origin_s()
         compared, lost = self._compared(pose, pose.t_s + zero_s)
@@ -152,16 +150,6 @@ class Supervision:
             return True
         by_time = self.job.seconds_s is not None and span_s >= self.job.seconds_s
         return by_time or (self.job.limit is not None and n >= self.job.limit)
-
-    def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
-        for side, frame in zip(SIDES, pair, strict=True):
-            require_size(self._setup.rig, side, frame, "The calibration says nothing about such frames")
-        try:
-            measured = measure_pair(self._setup, *pair, self._track)
-        except Inconsistent as error:  # the views look exchanged, which one frame cannot decide
-            measured = lost_pair(pair, error.cause)
-        self._track = measured.track
-        return measured
 
     def _compared(self, pose: TargetPose, at_s: float) -> tuple[Compared | None, str]:
         """Return the comparison, or what is lost."""

@@ -183,10 +183,10 @@ def check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
         camera = setup.rig.camera(side)
         if (frame.width, frame.height) != (camera.width, camera.height):
             raise Inconsistent(
-                f"{frame.source}: the {side} image is {frame.width}x{frame.height} px, "
-                f"the rig's {side} camera {camera.width}x{camera.height} px",
-                consequence="Its pixels have no rays",
-                cure="Use frames of the size the rig was calibrated with, or calibrate at this size",
+                f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
+                f"{camera.width}x{camera.height} px",
+                consequence="The calibration says nothing about such frames, so measuring stops here",
+                cure="Record at the resolution of the calibration, or calibrate at this one",
             )
 
 
