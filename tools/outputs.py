@@ -118,6 +118,9 @@ VARIES: tuple[tuple[re.Pattern[str], str], ...] = (
         r"\1<time>",
     ),
     (re.compile(r"\b\d+(\.\d+)? (ms|s|min)\b"), "<time>"),
+    (re.compile(r",? ?\b\d+(\.\d+)? a second"), ""),
+    (re.compile(r"(\"(?:ms_per_frame|seconds_s)\": )(\{[^}]*\}|[-+.\de]+)"), r"\1<time>"),
+    (re.compile(r"(ms per pair, [^│]*│ *)[.\d]+"), r"\1<time>"),
     (re.compile(r"\b[0-9a-f]{64}\b"), "<hash>"),
 )
 """What two runs of one program write differently, and what stands for it."""
