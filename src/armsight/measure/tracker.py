@@ -23,7 +23,7 @@ class TargetTracker:
     def take(self, left: Frame, right: Frame) -> Measured:
         """Return what is measured; a pose that is lost, with the reason, where a frame cannot be read or the views look
         exchanged. Raises Inconsistent where a frame is not of the size of the rig's camera."""
-        check_sizes(self._setup, left, right)
+        check_sizes(self._setup.rig, left, right)
         self.swapped = None
         unreadable = [f"{frame.source}: {frame.unreadable}" for frame in (left, right) if frame.unreadable]
         if unreadable:

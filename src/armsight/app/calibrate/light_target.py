@@ -13,12 +13,13 @@ from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
-from armsight.errors import Cancelled, Inconsistent, UsageError
+from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.pairs import pair_spots
+from armsight.measure.poses.pipeline import check_sizes
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.optics import SIDES, PackedRig, Rig
+from armsight.optics import PackedRig, Rig
 from armsight.records import Frame, Progress, Silent, Spots
 from armsight.store import read_rig, write_target
 
@@ -90,7 +91,7 @@ def _lit_frames(
     total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
     found: Iterable[Pair] = islice(pairs, limit)
     for left, right in found:
-        _require_sizes(rig, left, right)
+        check_sizes(rig, left, right, "The calibration says nothing about such frames; no target is given")
         overlaid = left is right
         at_left = find_spots(left.image, settings)
         at_right = at_left if overlaid else find_spots(right.image, settings)
@@ -103,15 +104,3 @@ def _lit_frames(
     moving = without_standing(lefts)
     others = moving if overlaid else without_standing(rights)
     return [lit_frame(packed, *frame, overlaid=overlaid) for frame in zip(names, moving, others, strict=True)]
-
-
-def _require_sizes(rig: Rig, left: Frame, right: Frame) -> None:
-    for side, frame in zip(SIDES, (left, right), strict=True):
-        camera = rig.camera(side)
-        if (frame.width, frame.height) != (camera.width, camera.height):
-            raise Inconsistent(
-                f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
-                f"{camera.width}x{camera.height} px",
-                consequence="The calibration says nothing about such frames; no target is given",
-                cure="Record at the resolution of the calibration, or calibrate at this one",
-            )

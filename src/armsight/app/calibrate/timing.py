@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.schemas.timing import BothCounts, BothPixels, BothSeconds, TimingOutput
-from armsight.app.sources.frames import camera_source, require_size
+from armsight.app.sources.frames import camera_source
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import Cancelled, UsageError
+from armsight.measure.poses.pipeline import check_size
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
@@ -156,7 +157,7 @@ def _seen(
         text, side, fps=job.fps, origin_of=job.left, origin_s=origin_s, settings=job.camera_settings
     ) as source:
         for frame in source:
-            require_size(rig, side, frame, "No timing is given")
+            check_size(rig, side, frame, "No timing is given")
             stamps.append(frame.t_s)
             found.append(find_spots(frame.image, settings))
             progress.update(len(found), source.total or 0, f"looking for lights, {side}")

@@ -158,7 +158,7 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
                 raise Cancelled("the frames were not read to the end", consequence="Nothing was written")
             progress.update(number + 1, max(wanted) + 1, "looking for the beacon")
             if number in wanted:
-                check_sizes(setup, left, right)
+                check_sizes(setup.rig, left, right)
                 at_left, at_right = (find_spots(frame.image, setup.settings) for frame in (left, right))
                 spots.append((number, at_left, at_right))
     seen, notes = _beacons(setup, spots)

@@ -33,7 +33,6 @@ from armsight.drivers import (
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
-from armsight.optics import Rig
 from armsight.records import Frame
 from armsight.store.bags import is_bag
 from armsight.store.recording import Recording
@@ -203,18 +202,6 @@ def camera_source(
         settings.require_none(text)
         return BagFrames(text, colour=colour, origin_of=origin_of)
     return open_source(text, colour=colour, fps=fps, origin_s=origin_s, settings=settings)
-
-
-def require_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
-    """Raise Inconsistent, with the consequence, where a frame is not of the size of the rig's camera."""
-    camera = rig.camera(side)
-    if (frame.width, frame.height) != (camera.width, camera.height):
-        raise Inconsistent(
-            f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
-            f"{camera.width}x{camera.height} px",
-            consequence=consequence,
-            cure="Record at the resolution of the calibration, or calibrate at this one",
-        )
 
 
 def open_pairs(

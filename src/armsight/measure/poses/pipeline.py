@@ -20,7 +20,7 @@ from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, nex
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
-from armsight.optics import RIG_PARAMETERS, SIDES, Camera, parallel_rig
+from armsight.optics import RIG_PARAMETERS, SIDES, Camera, Rig, parallel_rig
 from armsight.records import Frame, NamedCovariance, NotSeen, PoseStatus, Spots, spot_target, unmeasured_target
 
 __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pair = tuple[Frame, Frame]
 
+NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"
 _BEYOND = "the spots fit the target, but by far not as well as they claim"
 
 
@@ -42,7 +43,7 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     where left and right are swapped. What can happen to a good recording (a light hidden, a reflection, nobody
     there) raises nothing: the status and `why` of the pose say it.
     """
-    check_sizes(setup, left, right)
+    check_sizes(setup.rig, left, right)
     measured = _measure(setup, left, right, track)
     if (
         setup.target.is_board
@@ -177,17 +178,22 @@ def warm_up() -> None:
                 raise NotConverged(f"the check at start-up failed: {measured.pose.why}", cure="Install armsight anew")
 
 
-def check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
-    """Raise Inconsistent where a frame is not of the size of the rig's camera."""
+def check_sizes(rig: Rig, left: Frame, right: Frame, consequence: str = NOT_OF_THE_RIG) -> None:
+    """Raise Inconsistent, with the consequence, where a frame is not of the size of the rig's camera."""
     for side, frame in zip(SIDES, (left, right), strict=True):
-        camera = setup.rig.camera(side)
-        if (frame.width, frame.height) != (camera.width, camera.height):
-            raise Inconsistent(
-                f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
-                f"{camera.width}x{camera.height} px",
-                consequence="The calibration says nothing about such frames, so measuring stops here",
-                cure="Record at the resolution of the calibration, or calibrate at this one",
-            )
+        check_size(rig, side, frame, consequence)
+
+
+def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
+    """Raise Inconsistent, with the consequence, where a frame is not of the size of the camera at a side."""
+    camera = rig.camera(side)
+    if (frame.width, frame.height) != (camera.width, camera.height):
+        raise Inconsistent(
+            f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
+            f"{camera.width}x{camera.height} px",
+            consequence=consequence,
+            cure="Record at the resolution of the calibration, or calibrate at this one",
+        )
 
 
 def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
