@@ -37,7 +37,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.truth.emulated_links import Model
 from tests.truth.lossy_links import ARM, SPEED_TOLERANCE, WINDOW, Found, Restless, judge, limits_of
 
-from armsight.app.robot.beside import run_beside
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
@@ -176,7 +176,7 @@ def run(kind: str, args: argparse.Namespace) -> None:
         with beside(others):
             if kind == "rtde" and args.jitter:
                 ready.wait(60.0)
-            said = run_beside(lambda: driven(kind, device, args.time_s, args.seed, limits), lambda: None)
+            said = run_with_progress(lambda: driven(kind, device, args.time_s, args.seed, limits), lambda: None)
         out, _ = twin.communicate("")
         record = np.load(file)
         found, by_log = Found(), Found()
@@ -226,7 +226,7 @@ def simulated(args: argparse.Namespace) -> None:
 
     try:
         with beside([context.Process(target=busy, daemon=True) for _ in range(args.busy)]):
-            loop, timing, off, cycles, missed = run_beside(jogged, lambda: None)
+            loop, timing, off, cycles, missed = run_with_progress(jogged, lambda: None)
     finally:
         program.kill()
     print(

@@ -16,8 +16,8 @@ from nicegui import Client
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from armsight.app.operator.operator_session import OperatorSession
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.seat import Seat
 from armsight.app.robot.service import Service
 from armsight.console import application, texts, uploads
 from armsight.console.headers import SAID
@@ -44,7 +44,7 @@ def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Any:
     drive, watch = add_token(tokens, "ann", "drive"), add_token(tokens, "eve", "watch")
     host, log = fakes.FakeHost(), fakes.KeptLog()
     service = Service(host, log)
-    robot = RobotCell(robot="fake:0", service=service, seat=Seat(service), limits=Limits())
+    robot = RobotCell(robot="fake:0", service=service, seat=OperatorSession(service), limits=Limits())
     auth = Authenticator(read_tokens(tokens))
     app = create_app(service, auth)
     console = Console(folder=folder, robot=robot)

@@ -108,7 +108,7 @@ def test_who_has_lost_the_lease_moves_nothing(guarded, host, service):
     with opened(url, say.DRIVE_PATH, tokens.drive) as line:
         session = message(line)["session"]
         host.tick(1000)  # silent for so long that another may drive
-        service.desk.take("another")
+        service.authority.take("another")
         told = answer(line, type="joint_goal", session=session, seq=1, q=[0.1, 0.1])
         assert told["type"] == "refused"
     assert [what for what in host.told if what[0] == "post"] == []
@@ -198,7 +198,7 @@ def test_a_fault_within_tells_the_caller_nothing_of_it(service, said, monkeypatc
     def broken(*_: object) -> None:
         raise RuntimeError("/home/secret/place")
 
-    monkeypatch.setattr(service.desk, "state", broken)
+    monkeypatch.setattr(service.authority, "state", broken)
     with background(service) as url:
         told = said(url, f"GET {say.STATE_PATH} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
     assert told.startswith(b"HTTP/1.1 500") and b"secret" not in told

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from armsight import priority
-from armsight.app.robot.beside import run_beside
+from armsight.app.robot.with_progress import run_with_progress
 
 LINUX = pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="the system has no such order")
 ENOUGH_S = 1.0
@@ -57,7 +57,7 @@ def test_the_loop_alone_goes_first_and_nothing_that_it_starts() -> None:
     def loop() -> tuple[bool, object, str]:
         return first(), in_a_thread(first), subprocess.run(child, check=True, capture_output=True).stdout.decode()
 
-    assert run_beside(loop, lambda: None) == (True, False, f"{os.SCHED_OTHER}\n")
+    assert run_with_progress(loop, lambda: None) == (True, False, f"{os.SCHED_OTHER}\n")
     assert not first() and not in_a_thread(first)
 
 
@@ -66,7 +66,7 @@ def test_what_the_loop_starts_would_go_first_without_the_systems_word(monkeypatc
     if not allowed():
         pytest.skip("the system does not allow it")
     monkeypatch.setattr(os, "SCHED_RESET_ON_FORK", 0)  # a planted fault
-    assert run_beside(lambda: in_a_thread(first), lambda: None)
+    assert run_with_progress(lambda: in_a_thread(first), lambda: None)
 
 
 def works(until: Callable[[], bool]) -> float:
@@ -96,7 +96,7 @@ def test_a_loop_that_does_not_sleep_goes_first_no_more_and_later_again(monkeypat
         act(*threads)
         return took_s, first()
 
-    took_s, again = run_beside(loop, lambda: None)
+    took_s, again = run_with_progress(loop, lambda: None)
     assert took_s < ENOUGH_S and again
     assert resource.getrlimit(resource.RLIMIT_RTTIME)[0] == round(1e6 * priority.WORKS_S), "it counts anew"
 
@@ -145,7 +145,7 @@ def test_a_loop_that_sleeps_stays_first() -> None:
             time.sleep(1e-4)
         return first()
 
-    assert run_beside(loop, lambda: None)
+    assert run_with_progress(loop, lambda: None)
 
 
 @LINUX
@@ -153,7 +153,7 @@ def test_a_loop_without_a_bound_would_be_found(monkeypatch: pytest.MonkeyPatch) 
     if not allowed():
         pytest.skip("the system does not allow it")
     monkeypatch.setattr(priority, "_put_back", lambda *_: None)  # a planted fault: nobody takes the priority away
-    took_s = run_beside(lambda: works(lambda: not first()), lambda: None)
+    took_s = run_with_progress(lambda: works(lambda: not first()), lambda: None)
     assert took_s >= ENOUGH_S
 
 

@@ -61,8 +61,8 @@ def serve(
     with CommandUI(as_json=False, until_stopped=True) as face:
         from armsight.app.robot.event_log import default_log
         from armsight.errors import UsageError
+        from armsight.server.serve_robot import serve_robot
         from armsight.server.web_server import ServeOptions
-        from armsight.server.whole import serve_robot
 
         if add_token is not None:
             _add_token(face, tokens, add_token)

@@ -37,7 +37,7 @@ def jog_card(robot: RobotCell) -> None:
 
 def _keys(robot: RobotCell, frame: str) -> list[TextElement]:
     """Return the labels that tell the joints' values; none where the tool is led."""
-    description = robot.service.desk.robot
+    description = robot.service.authority.robot
     joints = frame == "joints"
     names = [texts.JOG_JOINT.format(n=i + 1) for i in range(description.n_joints)] if joints else texts.JOG_AXES
     labels = []

@@ -129,7 +129,7 @@ def _robot_bar(robot: RobotCell) -> None:
     bar.props.update(
         {
             "data-robot": ui.context.client.id,
-            "data-instance": robot.service.desk.instance,
+            "data-instance": robot.service.authority.instance,
             "data-gone": texts.GONE,
             "data-stale": texts.STALE,
             "data-shared": texts.SHARED,

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from armsight.app.operator.seat import Push
+from armsight.app.operator.operator_session import Push
 from armsight.drivers.remote.protocol import MAX_JOINTS
 from armsight.errors import UsageError
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
 from starlette.requests import HTTPConnection
 
-from armsight.app.operator.seat import Person, Seat
+from armsight.app.operator.operator_session import OperatorSession, Person
 from armsight.console import texts
 from armsight.console.layout import SIGNS
 from armsight.console.messages import BROWSER, Beat, Override, Reset, Stop, robot_message
@@ -57,7 +57,7 @@ def add_robot_link(server: FastAPI, console: Console) -> None:
 class RobotLink:
     """One browser's connection to the seat."""
 
-    def __init__(self, seat: Seat, socket: WebSocket, browser: str) -> None:
+    def __init__(self, seat: OperatorSession, socket: WebSocket, browser: str) -> None:
         self._seat, self._socket, self._browser = seat, socket, browser
         self._person = person_of(socket)
         self._key = secrets.token_hex(16)  # names its enable on the line for stops, while the seat lets it

@@ -22,7 +22,7 @@ from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.timing import TimingStep
 from armsight.app.live.followed import FollowedCell
-from armsight.app.live.measurement import COMPLEX, LiveJob, Look, require_kind
+from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, require_kind
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_desk import PathDesk
@@ -56,7 +56,7 @@ class Console:
     folder: Path
     cell: CellFile = field(default_factory=CellFile)
     station: Station | None = None
-    look: Look = field(default_factory=Look)
+    look: DetectionSettings = field(default_factory=DetectionSettings)
     last_recording: Path | None = None
     history: deque[Array] = field(default_factory=lambda: deque(maxlen=HISTORY))
     """(7,) each: t_s, then as values_of."""
@@ -98,7 +98,7 @@ class Console:
         self.cell = cell
         self.refusal = ""
         self.close()
-        self.look = Look()
+        self.look = DetectionSettings()
         self._forget_steps()
         if job is not None:
             self.station = Station(job)
@@ -203,7 +203,7 @@ class Console:
             self.steps.pop(name, None)
         self._alignment = None
 
-    def set_look(self, look: Look) -> None:
+    def set_look(self, look: DetectionSettings) -> None:
         """Look for lights in another way, on the screen and in the station."""
         self.look = look
         if self.station is not None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from armsight.app.operator.work import Bench, Work
+from armsight.app.operator.job_runner import BackgroundJob, JobRunner
 from armsight.console import texts
 from armsight.console.layout import TICK_S, button, set_attribute, set_text, text_of
 
@@ -14,10 +14,10 @@ from armsight.console.layout import TICK_S, button, set_attribute, set_text, tex
 class Working:
     """The line of one kind of work; `ended` is called once its result is there, also of work found on loading."""
 
-    def __init__(self, bench: Bench, name: str, ended: Callable[[Work], None]) -> None:
+    def __init__(self, bench: JobRunner, name: str, ended: Callable[[BackgroundJob], None]) -> None:
         """Put it onto the page that is being built; name: of the work."""
         self._bench, self._name, self._ended = bench, name, ended
-        self._shown: Work | None = None
+        self._shown: BackgroundJob | None = None
         self._browser = ui.context.client.id
         self._said = text_of("p", role="status", testid="work").classes("hint")
         with ui.element("div").classes("row") as self._asking:
@@ -29,7 +29,7 @@ class Working:
         ui.timer(TICK_S, self._tick)
         self._tick()
 
-    def _work(self) -> Work | None:
+    def _work(self) -> BackgroundJob | None:
         return self._bench.named(self._name)
 
     def _answer(self, *, yes: bool) -> None:

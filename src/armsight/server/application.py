@@ -28,7 +28,7 @@ async def known(request: Request) -> Identity:
     if isinstance(found, Identity):
         known_as(request.scope, found.who)
         return found
-    request.app.state.service.desk.note("warning", f"{address_of(request)} was kept out: {found.why}")
+    request.app.state.service.authority.note("warning", f"{address_of(request)} was kept out: {found.why}")
     raise HTTPException(found.status, found.why, headers={"WWW-Authenticate": "Bearer"})
 
 
@@ -38,8 +38,8 @@ Known = Annotated[Identity, Depends(known)]
 def create_app(service: Service, auth: Authenticator) -> FastAPI:
     """Return the application; other pages, such as the console's, may be mounted on it (app.mount, nicegui.run_with).
 
-    service: the robot's desk, host and log; it is opened and closed by the caller, and its events are pumped while the
-    application runs. A page mounted here drives through service.desk, as the connections do.
+    service: the robot's control authority, host and log; it is opened and closed by the caller, and its events are
+    pumped while the application runs. A page mounted here drives through service.authority, as the connections do.
     """
     app = FastAPI(
         title="armsight robot server",
@@ -54,7 +54,7 @@ def create_app(service: Service, auth: Authenticator) -> FastAPI:
     @app.get(say.STATE_PATH, summary="The state of robot and loop")
     async def state(_: Known) -> say.StateMessage:
         try:
-            return service.desk.state()
+            return service.authority.state()
         except ArmsightError as error:
             raise HTTPException(503, str(error)) from error
 

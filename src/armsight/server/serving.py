@@ -80,7 +80,7 @@ def background(service: Service, options: ServeOptions | None = None, *, with_st
 
 def _connections(service: Service | None) -> Connections:
     """Return the limits of callers; what is closed is told in the robot's log, where there is one."""
-    return Connections((lambda _: None) if service is None else (lambda what: service.desk.note("warning", what)))
+    return Connections((lambda _: None) if service is None else (lambda what: service.authority.note("warning", what)))
 
 
 def _url(options: ServeOptions, listener: socket.socket) -> str:

@@ -12,7 +12,7 @@ from starlette.responses import PlainTextResponse
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from armsight._version import __version__
-from armsight.app.robot.desk import Lease
+from armsight.app.robot.control_authority import Lease
 from armsight.app.robot.host import SETPOINT_S
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
@@ -51,7 +51,7 @@ class Connection:
         role: Literal["watch", "drive"],
     ) -> None:
         self._service = service
-        self._desk = service.desk
+        self._desk = service.authority
         self._auth = auth
         self._socket = socket
         self._caller = caller

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import COMPLEX, LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, LiveMeasurement, Moment
 from armsight.app.live.station import Shown
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.live.views import complex_view
@@ -86,7 +86,9 @@ def near(curve: np.ndarray, place: np.ndarray) -> np.ndarray:
 def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[Moment]) -> None:
     spot = next(one for one in complex_view(seen[0].view).spots if (one.name, one.view) == ("A", "right"))
     measurement = LiveMeasurement(job(cell), ManualClock())
-    measurement.look(Look(masked={COMPLEX: ((spot.u_px - 9, spot.v_px - 9, spot.u_px + 9, spot.v_px + 9),)}))
+    measurement.look(
+        DetectionSettings(masked={COMPLEX: ((spot.u_px - 9, spot.v_px - 9, spot.u_px + 9, spot.v_px + 9),)})
+    )
     view = complex_view(moments(measurement)[0].view)
     assert min(np.hypot(one.u_px - spot.u_px, one.v_px - spot.v_px) for one in view.spots) > 9.0
     assert view != complex_view(seen[0].view)
@@ -96,7 +98,7 @@ def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
     bare = LiveMeasurement(LiveJob(left=str(cell / "image")), ManualClock())
     assert len(complex_view(moments(bare)[0].view).spots) == 6
     masked = LiveMeasurement(LiveJob(left=str(cell / "image")), ManualClock())
-    masked.look(Look(masked={COMPLEX: ((0.0, 0.0, 5000.0, 5000.0),)}))
+    masked.look(DetectionSettings(masked={COMPLEX: ((0.0, 0.0, 5000.0, 5000.0),)}))
     assert complex_view(moments(masked)[0].view).spots == []
 
 

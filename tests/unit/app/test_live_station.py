@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, Moment
 from armsight.app.live.station import Station
 from armsight.clock import ManualClock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
@@ -56,7 +56,7 @@ def test_nothing_is_looked_for_under_a_mask(scene: Any) -> None:
     light = moments(measurement)[0].view.left.spots[0]
     box = (light.u_px - 15.0, light.v_px - 15.0, light.u_px + 15.0, light.v_px + 15.0)
     measurement = LiveMeasurement(job(scene), ManualClock())
-    measurement.look(Look(masked={"left": (box,)}))
+    measurement.look(DetectionSettings(masked={"left": (box,)}))
     view = moments(measurement)[0].view
     assert light.name not in {spot.name for spot in view.left.spots}
     assert view.status != "ok"

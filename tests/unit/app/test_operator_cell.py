@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
+from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.placing import arm_points, flange_pose, rig_pose
 from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
-from armsight.app.operator.work import Bench
 from armsight.app.robot.channels import JointTrack
 from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import ManualClock
@@ -146,7 +146,7 @@ def test_a_wrong_change_leaves_the_path_as_it_is(tmp_path):
 
 
 def test_one_piece_of_work_at_a_time_and_its_question_waits_for_an_answer():
-    bench, go = Bench(), threading.Event()
+    bench, go = JobRunner(), threading.Event()
     work = bench.begin("play", "a", lambda work: (go.wait(10.0), work.ask("Move?"))[1])
     with pytest.raises(DeviceFailed, match="play is still under way"):
         bench.begin("identify", "b", lambda work: None)
@@ -160,7 +160,7 @@ def test_one_piece_of_work_at_a_time_and_its_question_waits_for_an_answer():
 
 
 def test_work_that_fails_says_why_and_a_question_that_is_cancelled_is_a_no():
-    bench = Bench()
+    bench = JobRunner()
 
     def fail(_):
         raise UsageError("this cannot be", cure="Do otherwise")

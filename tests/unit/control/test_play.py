@@ -13,7 +13,7 @@ from armsight.app.robot.opening import open_robot
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
-from armsight.control.play import PathSource, PlaySettings, PlaySight, PlayWatch, Weave, plan_path
+from armsight.control.play import CameraPlacement, PathSource, PlaySettings, PlayWatch, Weave, plan_path
 from armsight.control.play.track import Leg
 from armsight.control.servo import Mount
 from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
@@ -310,7 +310,7 @@ def test_the_watch_compares_the_tip_with_where_it_was_told_to_be_at_the_exposure
     camera = RigidTransform.from_components([0.2, 0.1, 0.3], Rotation.from_rotvec([0.2, 0.4, 0.1]))
     target = RigidTransform.from_components([0.0, 0.05, 0.6], Rotation.from_rotvec([0.0, 0.2, 0.3]))
     tip = RigidTransform.from_translation([0.0, 0.0, 0.15])
-    sight = PlaySight(mount=mount, T_parent_camera=camera, T_parent_target=target)
+    sight = CameraPlacement(mount=mount, T_parent_camera=camera, T_parent_target=target)
     watch = PlayWatch(sight, tip, stop_m=0.002, arm_lag_s=0.03, cycle_s=0.01)
     start = RigidTransform.from_components([0.5, 0.0, 0.4], Rotation.from_rotvec([3.0, 0.1, 0.0]))
     velocity = np.array([0.05, 0.0, 0.0])

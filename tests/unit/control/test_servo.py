@@ -43,7 +43,7 @@ def settings(mount: Mount = Mount.EYE_IN_HAND, **more) -> ServoSettings:
     return ServoSettings(**{**known, **more})
 
 
-class Bench:
+class JobRunner:
     """An arm at rest, of which the servo knows readings, and a target that moves before its cameras."""
 
     def __init__(self, source: ServoSource) -> None:
@@ -91,8 +91,8 @@ class Bench:
         return self.wanted
 
 
-def bench(**more) -> Bench:
-    return Bench(ServoSource(ARM, RIG, TARGET, settings(**more), CYCLE_S))
+def bench(**more) -> JobRunner:
+    return JobRunner(ServoSource(ARM, RIG, TARGET, settings(**more), CYCLE_S))
 
 
 @pytest.mark.parametrize("mount", list(Mount))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.app.robot.desk import SILENT_S
+from armsight.app.robot.control_authority import SILENT_S
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
@@ -20,7 +20,7 @@ def make(kind, **fields):
 
 @pytest.fixture
 def desk(service):
-    return service.desk
+    return service.authority
 
 
 @pytest.fixture

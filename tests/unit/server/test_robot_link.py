@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from armsight.app.operator.seat import Seat
+from armsight.app.operator.operator_session import OperatorSession
 from armsight.console import robot_link
 from armsight.console.messages import LONGEST, Beat, JogKey
 from armsight.console.robot_link import RobotLink, add_robot_link
@@ -51,7 +51,7 @@ NO_MESSAGES = [
 
 @pytest.fixture
 def link(service):
-    made = RobotLink(Seat(service), SimpleNamespace(scope={}), "a")
+    made = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), "a")
     made.state()
     return made
 
@@ -104,7 +104,7 @@ def test_reading_without_the_schema_would_be_found(service, host, monkeypatch):
 
     def found(said):
         host.told.clear()
-        fresh = RobotLink(Seat(service), SimpleNamespace(scope={}), "a")
+        fresh = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), "a")
         try:
             return not refuses(fresh, host, said)
         except Exception:
@@ -131,7 +131,7 @@ SAID = st.text(max_size=60) | (VALUES | NEARLY).map(json.dumps)
 def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable(service, host, said):
     host.told.clear()
     host.t_s += 20.0  # whoever drove before is silent for long
-    link = RobotLink(Seat(service), SimpleNamespace(scope={}), "a")
+    link = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), "a")
     link.state()
     link.take(said)
     assert 0.01 <= link.state()["override"] <= 1.0
@@ -155,14 +155,14 @@ def test_bytes_and_a_page_that_goes_end_nothing_but_the_connection(service, host
         sent.append(json.loads(text))
 
     socket = SimpleNamespace(scope={}, receive=receive, send_text=send_text)
-    asyncio.run(RobotLink(Seat(service), socket, "a").serve())
+    asyncio.run(RobotLink(OperatorSession(service), socket, "a").serve())
     assert ("stop", "stopped by operator") in host.told and sent
 
 
 @pytest.mark.parametrize("query", ["", *[f"browser={name}" for name in ("", "x" * 65, "a%20b", "%00", "%C2%B2")]])
 def test_a_page_without_a_name_is_refused(service, query):
     pages, sent = FastAPI(), []
-    add_robot_link(pages, SimpleNamespace(robot=SimpleNamespace(seat=Seat(service))))
+    add_robot_link(pages, SimpleNamespace(robot=SimpleNamespace(seat=OperatorSession(service))))
 
     async def receive():
         return {"type": "websocket.connect"}

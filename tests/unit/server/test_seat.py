@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.app.operator.seat import FRESH_S, LOST_S, Person, Push, Seat
-from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.operator_session import FRESH_S, LOST_S, OperatorSession, Person, Push
+from armsight.app.operator.session_robot import SessionRobot
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, UsageError
@@ -16,7 +16,7 @@ ANN, BEN = Person(who="ann"), Person(who="ben")
 
 @pytest.fixture
 def seat(service):
-    return Seat(service)
+    return OperatorSession(service)
 
 
 def told(host, kind):
@@ -181,7 +181,7 @@ class HostClock:
 
 
 def robot_of(seat, host, *, waits, cancelled=lambda: False, browser="a"):
-    return SeatRobot(seat, lambda: browser, HostClock(host), waits=waits, cancelled=cancelled)
+    return SessionRobot(seat, lambda: browser, HostClock(host), waits=waits, cancelled=cancelled)
 
 
 def test_work_moves_only_while_its_browser_holds_the_enable(seat, host):

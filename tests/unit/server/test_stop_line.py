@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from armsight.app.operator.seat import FRESH_S, Person, Seat
+from armsight.app.operator.operator_session import FRESH_S, OperatorSession, Person
 from armsight.app.robot.channels import LineChannels, granted
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
@@ -123,7 +123,7 @@ def test_pages_of_a_port_that_browsers_leave_away(tmp_path, origin, port, own):
 
 
 def test_a_pages_enable_counts_on_the_line_only_while_it_does_on_the_page(service, host):
-    seat, line = Seat(service), host.line.grant
+    seat, line = OperatorSession(service), host.line.grant
 
     def beat(enable, age_s=0.0):
         seat.beat("a", ANN, enable=enable, seen_s=host.t_s - age_s, number=1, key="key")

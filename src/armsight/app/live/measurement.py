@@ -75,7 +75,7 @@ class LiveJob:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class DetectionSettings:
     """How spots are looked for, as the person sets it on the picture.
 
     threshold, inverted: as SpotSettings has them. masked: per picture (left, right, or complex), rectangles
@@ -111,7 +111,7 @@ class LiveMeasurement:
         require_kind(job, self.rig)
         self._pairs = pairs or _opened(job, colour)
         self._paced = pairs is None and not job.live
-        self._look = Look()
+        self._look = DetectionSettings()
         self._setup: Setup | None = None
         self._sides = (SpotSettings(), SpotSettings())
         self._sizes: tuple[tuple[int, int], ...] = ()
@@ -123,7 +123,7 @@ class LiveMeasurement:
         """Where the frames come from; to be opened with `with`."""
         return self._pairs
 
-    def look(self, how: Look) -> None:
+    def look(self, how: DetectionSettings) -> None:
         """Look for spots in another way from the next pair on. Raises UsageError for what cannot be."""
         self._settings(how)  # refused here, not in the loop
         self._look, self._sizes = how, ()
@@ -194,12 +194,12 @@ class LiveMeasurement:
             self._sizes = sizes
         return self._setup
 
-    def _settings(self, look: Look) -> SpotSettings:
+    def _settings(self, look: DetectionSettings) -> SpotSettings:
         colour = None if self.target is None else self.target.colour
         return SpotSettings(threshold=look.threshold, inverted=look.inverted, colour=colour)
 
     def _setup_of(
-        self, look: Look, sizes: tuple[tuple[int, int], ...]
+        self, look: DetectionSettings, sizes: tuple[tuple[int, int], ...]
     ) -> tuple[Setup | None, tuple[SpotSettings, SpotSettings]]:
         settings, overlaid = self._settings(look), self._job.complex
         names = (COMPLEX, COMPLEX) if overlaid else SIDES

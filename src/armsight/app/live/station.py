@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, Moment
 from armsight.app.live.recording import LiveRecording, RecordingState
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.live import LiveView
@@ -150,7 +150,7 @@ class Station:
             self._reader.join()
         self._process = self._reader = self._commands = None
 
-    def look(self, how: Look) -> None:
+    def look(self, how: DetectionSettings) -> None:
         """Look for spots in another way from now on."""
         self._send(how)
 
@@ -291,7 +291,7 @@ class _Worker:
 
     def _do(self, command: object) -> None:
         match command:
-            case Look():
+            case DetectionSettings():
                 with suppress(UsageError):  # the page refuses what cannot be before it asks
                     self._measurement.look(command)
             case _Record(None):

@@ -13,11 +13,11 @@ from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
-from armsight.app.operator.work import Work
 from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace
@@ -116,18 +116,18 @@ def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> Plan
     Raises UsageError, Inconsistent, Degenerate, NotEnoughData where the arm's place before the cameras is not known.
     """
     clock = SystemClock()
-    still = SeatRobot(robot.seat, lambda: "", clock, waits=False, cancelled=lambda: True)
+    still = SessionRobot(robot.seat, lambda: "", clock, waits=False, cancelled=lambda: True)
     done = _identify(asked, robot, station, still, OperatorCallbacks(), Silent(), clock, propose=True)
     return done.plan if isinstance(done, ProposedPlanOutput) else PlanOutput.model_validate(done.plan)
 
 
-def run(asked: IdentifyRequest, robot: RobotCell, station: Station, work: Work) -> IdentifyOutput:
+def run(asked: IdentifyRequest, robot: RobotCell, station: Station, work: BackgroundJob) -> IdentifyOutput:
     """Make the sweeps while the operator holds the enable; write FOLDER/arm.yaml and its report.
 
     Raises as run_identify_live.
     """
     clock = SystemClock()
-    moved = SeatRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    moved = SessionRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
     person = OperatorCallbacks(confirm=work.ask)
     done = _identify(asked, robot, station, moved, person, work, clock, propose=False)
     if not isinstance(done, IdentifyOutput):
@@ -139,7 +139,7 @@ def _identify(
     asked: IdentifyRequest,
     robot: RobotCell,
     station: Station,
-    moved: SeatRobot,
+    moved: SessionRobot,
     person: OperatorCallbacks,
     progress: Progress,
     clock: Clock,

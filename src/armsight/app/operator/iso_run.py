@@ -13,11 +13,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.teach import seen
-from armsight.app.operator.work import Work
 from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import VerifyJob, run_verify
@@ -207,7 +207,7 @@ def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Leg:
     return Leg(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 
-def run(asked: IsoRequest, robot: RobotCell, station: Station, work: Work) -> IsoDone:
+def run(asked: IsoRequest, robot: RobotCell, station: Station, work: BackgroundJob) -> IsoDone:
     """Visit the poses while the operator holds the enable, and judge what was seen.
 
     What was measured before an early end is kept and judged. Raises as plan; NotEnoughData where no pose was visited
@@ -218,7 +218,7 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, work: Work) -> Is
     if not work.ask(f"The arm visits five poses in a cube of {side_mm:.0f} mm, {asked.cycles} times. Is the way free?"):
         raise NotEnoughData("it was not begun", consequence="Nothing was moved")
     clock = SystemClock()
-    moved = SeatRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    moved = SessionRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
     out = asked.folder / time.strftime("iso-%Y%m%d-%H%M%S")
     with moved:
         override = max(robot.seat.override, 0.01)

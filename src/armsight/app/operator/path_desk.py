@@ -11,10 +11,10 @@ from types import MappingProxyType
 import numpy as np
 
 from armsight.app.live.station import Station
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.watched import watcher_of
-from armsight.app.operator.work import Work
 from armsight.app.path.check import check
 from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
@@ -128,7 +128,9 @@ def check_path(asked: PlayRequest, robot: RobotCell) -> PathCheckOutput:
     )
 
 
-def play(asked: PlayRequest, robot: RobotCell, desk: PathDesk, station: Station | None, work: Work) -> PlayOutput:
+def play(
+    asked: PlayRequest, robot: RobotCell, desk: PathDesk, station: Station | None, work: BackgroundJob
+) -> PlayOutput:
     """Run the path while the operator holds the enable, at the seat's override; station: watches it where it can.
 
     Raises as run_play.
@@ -136,7 +138,7 @@ def play(asked: PlayRequest, robot: RobotCell, desk: PathDesk, station: Station 
     desk.require()
     clock = SystemClock()
     seat = robot.seat
-    moved = SeatRobot(seat, lambda: work.browser, clock, waits=False, cancelled=work.cancelled)
+    moved = SessionRobot(seat, lambda: work.browser, clock, waits=False, cancelled=work.cancelled)
     job = PlayJob(
         robot=robot.robot,
         path=asked.folder / FILE,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell
-from armsight.app.operator.seat import Seat
-from armsight.app.operator.work import Bench
+from armsight.app.operator.job_runner import JobRunner
+from armsight.app.operator.operator_session import OperatorSession
 from armsight.app.robot.channels import JointTrack
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.event_log import RecordingLog, default_log
@@ -37,10 +37,10 @@ class RobotCell:
 
     robot: str
     service: Service
-    seat: Seat
+    seat: OperatorSession
     limits: Limits
     followed: FollowedCell | None = None
-    bench: Bench = field(default_factory=Bench)
+    bench: JobRunner = field(default_factory=JobRunner)
 
     def joints(self) -> Array:
         """Return the newest values (n,) in rad or m. Raises as reading."""
@@ -71,11 +71,11 @@ def open_robot_cell(robot: str, folder: Path) -> Iterator[RobotCell]:
     folder.mkdir(parents=True, exist_ok=True)
     with RecordingLog(folder / default_log()) as log, ProcessHost(spec, track) as host:
         service = Service(host, log)
-        service.desk.note("info", f"{robot} is at the operator's desk")
+        service.authority.note("info", f"{robot} is at the operator's desk")
         made = RobotCell(
             robot=robot,
             service=service,
-            seat=Seat(service),
+            seat=OperatorSession(service),
             limits=kept,
             followed=None if scenario is None or track is None else FollowedCell(scenario, track),
         )
@@ -83,7 +83,7 @@ def open_robot_cell(robot: str, folder: Path) -> Iterator[RobotCell]:
             yield made
         finally:
             made.bench.close()
-            service.desk.note("info", "the console ends")
+            service.authority.note("info", "the console ends")
             service.pump()
 
 

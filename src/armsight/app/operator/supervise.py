@@ -12,9 +12,9 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
+from armsight.app.operator.operator_session import Person
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.seat import Person
 from armsight.app.operator.teach import LEAST_CYCLE_S
 from armsight.app.operator.teach import seen as pose_of_view
 from armsight.app.schemas.verify_live import VerifyLiveOutput
@@ -71,7 +71,7 @@ class StationSupervisor:
         self.out = folder / time.strftime("supervised-%Y%m%d-%H%M%S")
         self._robot, self._station = robot, station
         self._in_world = bool(cell.world)
-        self._history = JointHistory(max(robot.service.desk.robot.cycle_s, LEAST_CYCLE_S))
+        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
         self._watch = Watch(limits)
         self._log = LiveLog(limits=limits)
         self._last: tuple[Compared | None, str] = (None, "")

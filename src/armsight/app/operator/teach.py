@@ -55,7 +55,7 @@ class TeachDesk:
         tip = cell_path(folder, cell.tip, "tip")
         self._job = TeachJob(out=self.out, tip=tip, every=EVERY, mean=True)
         self._robot, self._station, self._clock = robot, station, clock
-        self._history = JointHistory(max(robot.service.desk.robot.cycle_s, LEAST_CYCLE_S))
+        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
         place = _place(folder, cell, robot, self._history)
         self.recorder = PathRecorder(place, self._job.T_target_tip(), every=EVERY, mean=True)
         self._points = 0

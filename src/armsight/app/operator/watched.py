@@ -14,8 +14,8 @@ from armsight.app.live.station import Shown, Station
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.teach import seen as pose_of_view
-from armsight.app.play.eyes import Seen
 from armsight.app.play.job import load_sight
+from armsight.app.play.target_monitor import Seen
 from armsight.clock import Clock
 from armsight.control.events import QueueSink
 from armsight.errors import ArmsightError, DeviceFailed

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.servo.job import LATENCY_S, ServoJob
 from armsight.control.guard import Guard, Limits
-from armsight.control.play import PathPlan, PlaySettings, PlaySight, Weave, plan_path
+from armsight.control.play import CameraPlacement, PathPlan, PlaySettings, Weave, plan_path
 from armsight.control.servo import Mount
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import Arm
@@ -167,10 +167,10 @@ def _check_speeds(job: PlayJob, limits: Limits) -> None:
             )
 
 
-def load_sight(handeye: Path) -> PlaySight:
+def load_sight(handeye: Path) -> CameraPlacement:
     """Return how the cameras tell where the flange is. Raises BadFile."""
     found = read_handeye(handeye)
-    return PlaySight(
+    return CameraPlacement(
         mount=Mount(found.setup.value),
         T_parent_camera=found.T_parent_camera,
         T_parent_target=found.T_parent_target,

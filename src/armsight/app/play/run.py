@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.warm_up import prepare
-from armsight.app.play.eyes import Eyes, Watcher
 from armsight.app.play.job import PlayJob, check, load_plan, tipped_guard
 from armsight.app.play.played import PlayedSource, PlayTally, Show, play_output
-from armsight.app.robot.beside import run_beside
+from armsight.app.play.target_monitor import TargetMonitor, Watcher
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.play import PlayOutput
 from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.run import LAG_CYCLES
@@ -114,7 +114,7 @@ class PlaySession:
             return tally(status) or self._failed() is not None
 
         if self._eyes is None or not self._eyes.stepped:
-            return run_beside(lambda: loop.run(until=until), tell)
+            return run_with_progress(lambda: loop.run(until=until), tell)
         every = max(1, round(TOLD_S / self._guard.cycle_s))
 
         def telling(status: LoopStatus) -> bool:
@@ -152,7 +152,7 @@ def run_play(
         )
     watcher: Watcher | None = None
     if job.watched:
-        watcher = eyes = Eyes(job, devices)
+        watcher = eyes = TargetMonitor(job, devices)
         robot, clock = eyes.devices.robot, eyes.devices.clock
     elif opened is not None:
         robot, clock, watcher = opened

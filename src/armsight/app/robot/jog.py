@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
-from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import EventSink, NoSink
@@ -112,7 +112,7 @@ def jog_robot(
                 if loop.status is not None:
                     progress.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
 
-            run_beside(lambda: loop.run(until=watcher), tell)
+            run_with_progress(lambda: loop.run(until=watcher), tell)
         with beside_outside(outside):
             _check_end(loop.status, robot, stuck=watcher.stuck)
         sent = start if loop.status is None else loop.status.q_sent

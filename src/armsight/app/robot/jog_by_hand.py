@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from armsight.app.kinematics import load_arm
-from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, recording
 from armsight.app.robot.opening import open_robot
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.enable import Enable
@@ -107,7 +107,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
 
     hand.start()
     try:
-        run_beside(lambda: loop.run(until=done), tell)
+        run_with_progress(lambda: loop.run(until=done), tell)
     finally:
         hand.end()
         hand.join()

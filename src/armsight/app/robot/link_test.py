@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.opening import open_robot
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.jitter import Jitter
@@ -43,7 +43,7 @@ def test_robot(
     arm = opened or open_robot(robot, clock, driver_settings(robot, rsi_config=rsi_config))
     with arm:
         start_s, told = clock.now_s(), progress
-        jitter, reading, silence_s = run_beside(
+        jitter, reading, silence_s = run_with_progress(
             lambda: _watched(arm, for_s, told.cancelled, clock),
             lambda: told.update(min(for_s, clock.now_s() - start_s), for_s),
         )

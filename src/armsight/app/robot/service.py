@@ -1,4 +1,4 @@
-"""All that a process which serves a robot shares: the desk, the loop's host, the log, and who listens."""
+"""All that a process which serves a robot shares: the control authority, the loop's host, the log, and who listens."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from threading import RLock
 from typing import Any, Protocol
 
-from armsight.app.robot.alone import alone
-from armsight.app.robot.desk import Desk, DeskLog
+from armsight.app.robot.control_authority import AuthorityLog, ControlAuthority
 from armsight.app.robot.host import Host, LoopCommand, LoopEvent
+from armsight.app.robot.synchronized import synchronized
 from armsight.app.robot.token_bucket import TokenBucket
 from armsight.drivers.remote import protocol as say
 from armsight.records import JointReading
@@ -27,7 +27,7 @@ BURST = 100.0
 """Warnings kept: more of them a second come from a flood, are counted, and must not fill the disk."""
 
 
-class Log(DeskLog, Protocol):
+class Log(AuthorityLog, Protocol):
     """Where all is kept."""
 
     @property
@@ -96,7 +96,7 @@ class Service:
         self._subscriptions: set[Subscription] = set()
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, BURST, host.now_s()), 0
         self._tell_dropped, self._told_failed = 1, False
-        self.desk = Desk(host, self, instance=secrets.token_hex(8), lock=self.lock)
+        self.authority = ControlAuthority(host, self, instance=secrets.token_hex(8), lock=self.lock)
 
     @contextmanager
     def events(self) -> Iterator[Subscription]:
@@ -108,7 +108,7 @@ class Service:
         finally:
             self._subscriptions.discard(mine)
 
-    @alone
+    @synchronized
     def pump(self) -> None:
         """Fetch what the loop did, keep it and tell it; to be called some times a second."""
         for record in self.host.records():
@@ -122,7 +122,7 @@ class Service:
                 self._log.joints(record)
         self._look_at_the_log()
 
-    @alone
+    @synchronized
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""
         if level == "warning" and not self._warnings.pay(t_s):
@@ -133,7 +133,7 @@ class Service:
             self._left_out = 0
         self._keep(t_s, level, message)
 
-    @alone
+    @synchronized
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
         """Keep a command."""
         self._log.command(t_s, who, kind, values)

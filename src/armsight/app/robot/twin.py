@@ -13,7 +13,7 @@ from typing import IO, Any, cast
 
 from armsight import errors
 from armsight.app.kinematics import load_arm
-from armsight.app.robot.beside import run_beside
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import SystemClock
 from armsight.drivers import load
 from armsight.errors import ArmsightError, DeviceFailed
@@ -50,7 +50,7 @@ def run_twin(
             while twin.messages:
                 warn(f"{name} twin: {twin.messages.pop(0)}")
 
-        run_beside(lambda: twin.run(on), tell_messages)
+        run_with_progress(lambda: twin.run(on), tell_messages)
         tell_messages()
 
 

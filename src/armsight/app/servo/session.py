@@ -9,9 +9,9 @@ from contextlib import ExitStack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.beside import run_beside
 from armsight.app.robot.guarding import noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.servo.job import ServoDevices, ServoJob
 from armsight.app.servo.outcome import RecordedSource, Show, Tally, servo_output
@@ -124,7 +124,7 @@ class ServoSession:
             return ended or self._failed() is not None
 
         if self._devices.stepped is None:
-            return run_beside(lambda: loop.run(for_s=for_s, until=until), tell)
+            return run_with_progress(lambda: loop.run(for_s=for_s, until=until), tell)
         every = max(1, round(TOLD_S / self._guard.cycle_s))
 
         def telling(status: LoopStatus) -> bool:

@@ -10,7 +10,7 @@ from nicegui import run, ui
 
 from armsight.app.operator import identify as work_of
 from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest, Range, SweepFit
-from armsight.app.operator.work import Work
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
 from armsight.console.fields import number, ticked, whole_number
@@ -137,7 +137,7 @@ class _Identify:
         set_text(self._said, words)
         set_attribute(self._said, "data-level", level)
 
-    def _show(self, work: Work) -> None:
+    def _show(self, work: BackgroundJob) -> None:
         """Show the table and the fits of sweeps that are done."""
         done: IdentifyOutput = work.result
         self._table.clear()

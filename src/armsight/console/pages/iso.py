@@ -9,7 +9,7 @@ from nicegui import run, ui
 
 from armsight.app.operator import iso_run
 from armsight.app.operator.iso_run import WORK, IsoDone, IsoPlan, IsoRequest
-from armsight.app.operator.work import Work
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.console import texts
 from armsight.console.fields import number, whole_number
 from armsight.console.jog import jog_card
@@ -81,7 +81,7 @@ class _Iso:
         set_text(self._said, words)
         set_attribute(self._said, "data-level", level)
 
-    def _show(self, work: Work) -> None:
+    def _show(self, work: BackgroundJob) -> None:
         """Show the figures of a run that is done."""
         done: IsoDone = work.result
         self._table.clear()

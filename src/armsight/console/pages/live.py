@@ -11,7 +11,7 @@ from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 from numpy.typing import NDArray
 
-from armsight.app.live.measurement import COMPLEX, Look
+from armsight.app.live.measurement import COMPLEX, DetectionSettings
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import SideView
 from armsight.console import texts
@@ -246,7 +246,7 @@ def _search(console: Console) -> None:
     text_of("p", texts.MASK_HELP).classes("hint")
     said = text_of("p", role="alert").classes("hint")
 
-    def look(change: Callable[[], Look]) -> None:
+    def look(change: Callable[[], DetectionSettings]) -> None:
         """Look in another way, or tell why not."""
         try:
             console.set_look(change())
@@ -271,7 +271,7 @@ def _level(field: ui.number) -> float | None:
     return None if field.value in (None, "") else number(field)
 
 
-def masked(console: Console, said: Any) -> Look:
+def masked(console: Console, said: Any) -> DetectionSettings:
     """Return how lights are looked for with a rectangle more, as the page tells it. Raises UsageError."""
     box = drawn(said)
     if box.side not in console.pictures:

@@ -8,9 +8,9 @@ from typing import Any
 from nicegui import run, ui
 
 from armsight.app.operator import path_desk
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.path_desk import TOOLS, WORK, PathDesk, PlayRequest
 from armsight.app.operator.teach import TeachDesk
-from armsight.app.operator.work import Work
 from armsight.app.schemas.paths import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts
@@ -293,7 +293,7 @@ class _Play:
         figures = {"s": at.s_m / MM, "length": at.length_m / MM, "speed": at.speed_m_s / MM}
         set_text(self._at, texts.PLAY_AT.format(stage=stage, **figures))
 
-    def _ended(self, work: Work) -> None:
+    def _ended(self, work: BackgroundJob) -> None:
         done: PlayOutput = work.result
         why = texts.PLAY_END if done.finished else done.stopped_by
         told = texts.PLAY_DONE.format(share=done.share, length=done.length_m / MM, time=done.took_s, why=why)

@@ -26,7 +26,7 @@ AGREE = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlaySight:
+class CameraPlacement:
     """How the cameras tell where the flange is.
 
     On the flange (EYE_IN_HAND) they see a target that stands: T_parent_camera in flange, T_parent_target in base.
@@ -64,7 +64,7 @@ class PlayWatch:
 
     def __init__(
         self,
-        sight: PlaySight,
+        sight: CameraPlacement,
         T_flange_tip: RigidTransform,
         *,
         stop_m: float | None,

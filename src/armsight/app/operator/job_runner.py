@@ -26,7 +26,7 @@ class WorkState:
     question: str = ""
 
 
-class Work:
+class BackgroundJob:
     """One piece of work in a thread of its own; the Progress of what it does. Any thread may call this."""
 
     def __init__(self, name: str, browser: str) -> None:
@@ -42,7 +42,7 @@ class Work:
         self._cancelled = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def begin(self, act: Callable[[Work], Any]) -> None:
+    def begin(self, act: Callable[[BackgroundJob], Any]) -> None:
         """Do it in a thread."""
         self._thread = threading.Thread(target=self._run, args=(act,), name=self.name, daemon=True)
         self._thread.start()
@@ -99,7 +99,7 @@ class Work:
         if self._thread is not None:
             self._thread.join(timeout_s)
 
-    def _run(self, act: Callable[[Work], Any]) -> None:
+    def _run(self, act: Callable[[BackgroundJob], Any]) -> None:
         try:
             self.result = act(self)
         except ArmsightError as error:
@@ -108,14 +108,14 @@ class Work:
             self.failure = f"{type(error).__name__}: {error}"
 
 
-class Bench:
+class JobRunner:
     """Where work is done: one at a time; the last one stays until the next begins."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.work: Work | None = None
+        self.work: BackgroundJob | None = None
 
-    def begin(self, name: str, browser: str, act: Callable[[Work], Any]) -> Work:
+    def begin(self, name: str, browser: str, act: Callable[[BackgroundJob], Any]) -> BackgroundJob:
         """Begin work. Raises DeviceFailed where other work runs."""
         with self._lock:
             if self.work is not None and self.work.running:
@@ -124,11 +124,11 @@ class Bench:
                     consequence=f"{name} is not begun",
                     cure="Wait for its end, or end it",
                 )
-            self.work = Work(name, browser)
+            self.work = BackgroundJob(name, browser)
             self.work.begin(act)
             return self.work
 
-    def named(self, name: str) -> Work | None:
+    def named(self, name: str) -> BackgroundJob | None:
         """Return the work of this name, under way or ended; None where there is none."""
         return self.work if self.work is not None and self.work.name == name else None
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.operator.placing import flange_pose
-from armsight.app.robot.alone import alone
-from armsight.app.robot.desk import EnableLost, Lease
+from armsight.app.robot.control_authority import EnableLost, Lease
 from armsight.app.robot.host import Snapshot
 from armsight.app.robot.service import Service
+from armsight.app.robot.synchronized import synchronized
 from armsight.control.setpoints import CycleState, JointVelocity, ToolTwist
 from armsight.control.sources import JogFrame, JogSource
 from armsight.drivers.remote import protocol as say
@@ -55,7 +55,7 @@ class Push:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeatState:
+class SessionState:
     """The robot as a page shows it.
 
     t_s: now, on the loop's clock. robot: ready, moving, stopped, lost. why: the guard's words. driver: who drives,
@@ -75,7 +75,7 @@ class SeatState:
     q: tuple[float, ...] | None
 
 
-class Seat:
+class OperatorSession:
     """The robot as browsers drive it, one at a time. Every browser has a name of its own; any thread may call this.
 
     The browser that holds the enable has the desk's right to drive; it keeps it until another takes it after ten
@@ -85,7 +85,7 @@ class Seat:
     def __init__(self, service: Service) -> None:
         self.service = service
         self.lock: RLock = service.lock
-        self._desk, self._host = service.desk, service.host
+        self._desk, self._host = service.authority, service.host
         self._browser = ""
         self._lease: Lease | None = None
         self._line_key = ""
@@ -119,7 +119,7 @@ class Seat:
     def override(self, share: float) -> None:
         self._override = min(1.0, max(SLOWEST, share)) if math.isfinite(share) else SLOWEST
 
-    @alone
+    @synchronized
     def beat(
         self,
         browser: str,
@@ -166,13 +166,13 @@ class Seat:
         if self._again:  # said at every beat: who holds on has to know why nothing moves
             raise DeviceFailed("the enable was held on", consequence="The robot is held", cure=LET_GO)
 
-    @alone
+    @synchronized
     def look(self) -> None:
         """Notice a browser that is lost while it held the enable; to be called some times a second."""
         if self._held and self._host.now_s() - self._beat_s > LOST_S:
             self._lose("the browser of the one who drives is silent")
 
-    @alone
+    @synchronized
     def leave(self, browser: str) -> None:
         """Take the end of a browser's connection: where it held the enable, the robot is stopped until it is reset."""
         self._vain.discard(browser)
@@ -183,14 +183,14 @@ class Seat:
         else:
             self._let_go("its page was closed")
 
-    @alone
+    @synchronized
     def stop(self, person: Person) -> None:
         """Stop the robot until it is reset; legal for everyone, always; never raises."""
         self._held, self._pushed = False, None
         self._let_line("")
         self._desk.stop(person.who)
 
-    @alone
+    @synchronized
     def reset(self, browser: str, person: Person) -> None:
         """Take commands again after a stop; the enable has to be held anew. Raises DeviceFailed, UsageError."""
         if browser != self._browser or self._desk.driver is not self._lease:
@@ -201,23 +201,23 @@ class Seat:
         if not self._pressed:  # browsers are silent while nothing is held: the desk waits to hear that it was let go of
             self._perform(say.Heartbeat(session="", seq=1, enable=False))
 
-    @alone
+    @synchronized
     def enabled(self, browser: str) -> bool:
         """Return whether this browser holds the enable now."""
         return self._held and browser == self._browser and self._host.now_s() - self._beat_s <= self._host.enable_age_s
 
-    @alone
+    @synchronized
     def step(self, browser: str, step: Array) -> tuple[Array, tuple[str, ...]]:
         """Move on by step (n,) for work that this browser enables; return where that leads, and what limited it.
 
-        Raises EnableLost where it does not hold the enable, and as Desk.perform.
+        Raises EnableLost where it does not hold the enable, and as ControlAuthority.perform.
         """
         if not self.enabled(browser):
             raise EnableLost("the enable is not held", consequence="Nothing was sent", cure="Hold the enable")
         done = self._perform(say.JointStepMessage(session="", seq=1, step=np.asarray(step).tolist()))
         return np.array(done.q), tuple(done.limited)
 
-    @alone
+    @synchronized
     def hold(self, browser: str) -> None:
         """Let the robot come to rest where this browser drives it."""
         if browser == self._browser:
@@ -228,11 +228,11 @@ class Seat:
         """Return the loop's newest state. Raises DeviceLost where it has ended."""
         return self._host.snapshot()
 
-    @alone
-    def state(self, browser: str) -> SeatState:
+    @synchronized
+    def state(self, browser: str) -> SessionState:
         """Return what a browser shows. Raises DeviceLost where the loop has ended."""
         now = self._desk.state()
-        return SeatState(
+        return SessionState(
             t_s=now.t_s,
             instance=now.instance,
             robot=now.robot,

@@ -13,7 +13,7 @@ from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.run import measuring
 from armsight.app.servo.vision import Vision, VisionThread, probe
 from armsight.control.events import QueueSink
-from armsight.control.play import PlaySight
+from armsight.control.play import CameraPlacement
 from armsight.errors import ArmsightError
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_rig
@@ -25,7 +25,7 @@ Seen = Callable[[TargetPose, float], None]
 class Watcher(Protocol):
     """Tells where cameras see the target while a path is played. stepped: whether their time is simulated."""
 
-    sight: PlaySight
+    sight: CameraPlacement
     stepped: bool
 
     def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
@@ -41,7 +41,7 @@ class Watcher(Protocol):
         ...
 
 
-class Eyes:
+class TargetMonitor:
     """Cameras that watch: robot and cameras of one clock, and what measuring needs. Nothing is open."""
 
     def __init__(self, job: PlayJob, devices: ServoDevices | None) -> None:

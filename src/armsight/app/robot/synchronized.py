@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 Owner = TypeVar("Owner", bound=HasLock)
 
 
-def alone(method: Callable[Concatenate[Owner, Params], Result]) -> Callable[Concatenate[Owner, Params], Result]:
+def synchronized(method: Callable[Concatenate[Owner, Params], Result]) -> Callable[Concatenate[Owner, Params], Result]:
     """Return the method, which waits until no other thread is in one under the same lock."""
 
     @wraps(method)

@@ -47,8 +47,8 @@ def serve_robot(
         if cancelled():
             raise Cancelled("stopped before the robot was served")
         service = Service(host, kept)
-        service.desk.note("info", f"{robot} is served")
+        service.authority.note("info", f"{robot} is served")
         service.pump()  # what the loop told as it took the arm over
         serve(service, options, ready=lambda url: ready(url, service.outside))
-        service.desk.note("info", "the server ends")
+        service.authority.note("info", "the server ends")
         service.pump()

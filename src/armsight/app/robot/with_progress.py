@@ -14,7 +14,7 @@ TOLD_S = 0.2
 """Time between two tellings."""
 
 
-def run_beside(work: Callable[[], Result], tell: Callable[[], None]) -> Result:
+def run_with_progress(work: Callable[[], Result], tell: Callable[[], None]) -> Result:
     """Return what work returns, or raise what it raises; tell is called now and then meanwhile, from this thread.
 
     work runs before other work of the machine where the system allows that. No cycle of a loop within it waits for the

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.operator.seat import Seat
-from armsight.app.robot.desk import EnableLost
+from armsight.app.operator.operator_session import OperatorSession
+from armsight.app.robot.control_authority import EnableLost
 from armsight.clock import Clock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData, UsageError
@@ -34,7 +34,7 @@ SHORT = 1e-6
 NOT_HELD = "the enable is not held"
 
 
-class SeatRobot:
+class SessionRobot:
     """A robot that moves only while the browser whose work this is holds the enable.
 
     waits: a step asked for without enable waits for it, until cancelled() says to give up; else it leads nowhere, as
@@ -45,10 +45,16 @@ class SeatRobot:
     guarded = True
 
     def __init__(
-        self, seat: Seat, browser: Callable[[], str], clock: Clock, *, waits: bool, cancelled: Callable[[], bool]
+        self,
+        seat: OperatorSession,
+        browser: Callable[[], str],
+        clock: Clock,
+        *,
+        waits: bool,
+        cancelled: Callable[[], bool],
     ) -> None:
         """browser: the one whose work it is, asked at each step."""
-        description = seat.service.desk.robot
+        description = seat.service.authority.robot
         self.name, self.n_joints, self.cycle_s = description.name, description.n_joints, description.cycle_s
         self.takes_poses = False
         self._seat, self._browser, self._clock = seat, browser, clock

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.alone import alone
 from armsight.app.robot.host import Host, Snapshot, flange_pose
+from armsight.app.robot.synchronized import synchronized
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
@@ -34,15 +34,15 @@ RANGE_MARGIN = 1e-9
 """A goal so little (rad or m) beyond a limit is at it: rounding."""
 
 
-class DeskLog(Protocol):
-    """Keeps what happens at the desk; never waits."""
+class AuthorityLog(Protocol):
+    """Keeps what is asked of the control authority; never waits."""
 
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened; level: info, warning or error."""
         ...
 
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
-        """Keep what somebody asked and the desk took."""
+        """Keep what somebody asked and was given."""
         ...
 
 
@@ -63,13 +63,13 @@ class Lease:
     key: str
 
 
-class Desk:
+class ControlAuthority:
     """Takes commands from one driver at a time, and stops from everyone; any thread may call it.
 
     lock: held while a call lasts; shared with whoever else speaks to the host.
     """
 
-    def __init__(self, host: Host, log: DeskLog, *, instance: str, lock: RLock | None = None) -> None:
+    def __init__(self, host: Host, log: AuthorityLog, *, instance: str, lock: RLock | None = None) -> None:
         self.lock = lock or RLock()
         self._host = host
         self._log = log
@@ -100,7 +100,7 @@ class Desk:
         """Who drives; None where nobody does."""
         return self._lease
 
-    @alone
+    @synchronized
     def take(self, who: str) -> Lease:
         """Return the right to drive. Raises DeviceFailed, saying who has it and since when, where it is taken."""
         now_s, held = self._host.now_s(), self._lease
@@ -118,7 +118,7 @@ class Desk:
         self.note("info", f"{who} drives")
         return self._lease
 
-    @alone
+    @synchronized
     def leave(self, lease: Lease, why: str) -> None:
         """Give the right to drive back: the robot is held at once. Does nothing where another has it."""
         if lease is not self._lease:
@@ -129,7 +129,7 @@ class Desk:
         self._host.release(why, lease=lease.number)
         self.note("info", f"{lease.who} no longer drives: {why}")
 
-    @alone
+    @synchronized
     def stop(self, who: str) -> None:
         """Bring the robot to rest until it is reset; legal for everyone, at any time; never raises."""
         self._stopped = True
@@ -137,7 +137,7 @@ class Desk:
         self._host.stop(f"stopped by {who}")
         self.note("warning", f"stopped by {who}")
 
-    @alone
+    @synchronized
     def perform(self, lease: Lease, command: say.Command, *, age_s: float = 0.0) -> say.Accepted:
         """Do what the driver asked age_s ago and return where it leads.
 
@@ -166,7 +166,7 @@ class Desk:
             limited=list(limited),
         )
 
-    @alone
+    @synchronized
     def state(self, reply_to: int | None = None) -> say.StateMessage:
         """Return the state for a client. Raises DeviceLost where the loop has ended."""
         now, now_s = self._host.snapshot(), self._host.now_s()
@@ -196,7 +196,7 @@ class Desk:
             lateness_p99_s=self._host.lateness_p99_s(),
         )
 
-    @alone
+    @synchronized
     def note(self, level: str, message: str) -> None:
         """Keep something that happened."""
         self._log.event(self._host.now_s(), level, message)
