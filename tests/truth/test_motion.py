@@ -200,19 +200,19 @@ def test_measured_poses_enter_the_filter_as_they_claim_and_a_turn_of_one_of_them
 
     C = np.diag(std**2)
     follower = MotionFilter.begin(PACKED, LIGHTS, 0.0, measured(0.0), C)
-    states, surprises = [], []
+    states, sizes = [], []
     for n in range(1, 240):
-        follower, surprise, knocked = follower.add_pose(n / 30.0, measured(n / 30.0), C)
+        follower, mahalanobis2, knocked = follower.add_pose(n / 30.0, measured(n / 30.0), C)
         states.append(follower.state)
-        surprises.append(surprise)
-        assert knocked <= surprise + 1e-9
+        sizes.append(mahalanobis2)
+        assert knocked <= mahalanobis2 + 1e-9
     _, q = errors(states[20:], way)
     assert np.mean(q < 12.59) > 0.88
-    assert 3.0 < np.mean(surprises[20:]) < 9.0 and np.max(surprises[20:]) < 37.0
+    assert 3.0 < np.mean(sizes[20:]) < 9.0 and np.max(sizes[20:]) < 37.0
     wrong = measured(8.0)
     wrong[:3, :3] = Rotation.from_rotvec([0.35, 0.0, 0.0]).as_matrix() @ wrong[:3, :3]
-    _, surprise, knocked = follower.add_pose(8.0, wrong, C)
-    assert surprise > 200.0 and knocked > 37.0
+    _, mahalanobis2, knocked = follower.add_pose(8.0, wrong, C)
+    assert mahalanobis2 > 200.0 and knocked > 37.0
 
 
 PRIOR_S = 2e-4
@@ -243,13 +243,13 @@ def found(seed: int, speed: float) -> tuple[Array, TimingEstimate, Array, Array]
 
 def test_a_moving_target_tells_the_timing_as_well_as_claimed() -> None:
     """Twenty estimates of four unknowns: the mean of chi-square 4 over 20 has a standard deviation of 0.63."""
-    surprise, gain = [], []
+    mahalanobis2, gain = [], []
     for seed in range(20):
         off, timing, _, _ = found(seed, 0.5)
         error = timing.change - off
-        surprise.append(error @ np.linalg.solve(timing.covariance, error))
+        mahalanobis2.append(error @ np.linalg.solve(timing.covariance, error))
         gain.append(np.sqrt(timing.covariance[0, 0]) / PRIOR_S)
-    assert 4.0 - 4 * 0.63 < np.mean(surprise) < 4.0 + 4 * 0.63
+    assert 4.0 - 4 * 0.63 < np.mean(mahalanobis2) < 4.0 + 4 * 0.63
     assert np.median(gain) < 0.2
 
 

@@ -291,8 +291,8 @@ class _Told:
         out = float(self.left_clock(state.t_s)[0, 0]) * np.outer(v, v)
         if self.timing is not None:
             D = state.by_timing[:6]
-            surprise = self.timing.surprise / float(chi2_isf(SURPRISING, len(self.timing.change)))
-            out += max(surprise, 1.0) * (D @ self.timing.covariance @ D.T)
+            excess = self.timing.mahalanobis2 / float(chi2_isf(SURPRISING, len(self.timing.change)))
+            out += max(excess, 1.0) * (D @ self.timing.covariance @ D.T)
         fault = self.check.verdict.second_moment
         if fault is not None:
             S = self.check.slopes[np.abs(self.seen_s - state.t_s).argmin()]
@@ -351,7 +351,7 @@ def _contradicts(timing: TimingEstimate | None, states: Sequence[MotionState | N
     By as much as a fault of rig or target must before a run is called inconsistent.
     """
     moved = [state.by_timing[:6] @ timing.change for state in states if state is not None] if timing else []
-    if timing is None or not moved or not timing.surprise > chi2_isf(TIMING_CHANCE, len(timing.change)):
+    if timing is None or not moved or not timing.mahalanobis2 > chi2_isf(TIMING_CHANCE, len(timing.change)):
         return False
     square = np.mean(np.square(moved), axis=0)
     return bool(square[:3].sum() > INCONSISTENT_M**2 or square[3:].sum() > INCONSISTENT_RAD**2)

@@ -15,7 +15,7 @@ from armsight.optics import PackedRig, Rig
 
 Array = NDArray[np.float64]
 
-MOST_SURPRISE2 = float(chi2_isf(1e-6, 6))
+MOST_MAHALANOBIS2 = float(chi2_isf(1e-6, 6))
 """Squared Mahalanobis distance from where even a knock would have put the target, beyond which it jumped."""
 UNKNOWN_TURN_RAD = 10.0
 """Standard deviation of a rotation of which nothing is known."""
@@ -136,7 +136,7 @@ class TargetTrack:
         if t_s <= now.seen_s:
             return
         after, _, knocked2 = now.filter.add_pose(t_s, T, C)
-        if knocked2 > MOST_SURPRISE2 or self._sudden(now, t_s, T, C, whole=whole):
+        if knocked2 > MOST_MAHALANOBIS2 or self._sudden(now, t_s, T, C, whole=whole):
             self.now = self._begun(t_s, T, C, jumped=True, whole=whole)
             return
         self.now = replace(

@@ -349,7 +349,7 @@ class MotionFilter:
         seen = np.zeros(STATE)
         seen[P:R], seen[R:V] = T[:3, 3], T[:3, :3].ravel()
         xs, Cs, weights = np.empty_like(self.xs), np.empty_like(self.Cs), np.empty_like(self.weights)
-        best, surprise, knocked = levels.step_poses(
+        best, mahalanobis2, knocked = levels.step_poses(
             self.xs,
             self.Cs,
             self.weights,
@@ -365,7 +365,7 @@ class MotionFilter:
             weights,
         )
         after = replace(self, t_s=t_s, seen_s=t_s, xs=xs, Cs=Cs, weights=weights, best=best)
-        return after, surprise, knocked
+        return after, mahalanobis2, knocked
 
     def add(self, view: View) -> MotionFilter:
         """Bring in a view. Raises Inconsistent where it is older than the last one."""

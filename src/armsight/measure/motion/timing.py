@@ -82,7 +82,7 @@ class TimingEstimate:
         object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (4, 4)))
 
     @property
-    def surprise(self) -> float:
+    def mahalanobis2(self) -> float:
         """Squared Mahalanobis distance of the change from none, by how much of it chance explains."""
         gained = self.prior.covariance - self.covariance
         scale = np.sqrt(np.maximum(np.diag(self.prior.covariance), 1e-300))

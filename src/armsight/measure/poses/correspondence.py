@@ -159,13 +159,13 @@ def _decide(
     sets: dict[frozenset[int], list[Assignment]] = {}
     for a in found:
         sets.setdefault(frozenset(a.pair.tolist()), []).append(a)
-    surprises = [_surprise(packed, model, left, right, pairs, group[0]) for group in sets.values()]
-    least = min(surprises)
-    first = pairs.index[list(list(sets)[int(np.argmin(surprises))])]
+    neg2 = [_neg2_log_likelihood(packed, model, left, right, pairs, group[0]) for group in sets.values()]
+    least = min(neg2)
+    first = pairs.index[list(list(sets)[int(np.argmin(neg2))])]
     possible = [
         a
-        for group, surprise in zip(sets.values(), surprises, strict=True)
-        if surprise < least + RIVAL
+        for group, one in zip(sets.values(), neg2, strict=True)
+        if one < least + RIVAL
         or (_apart(pairs.index[group[0].pair], first) and _chance(model, group[0], arrangements) < SECOND)
         for a in _shown(packed, model, group)
     ]
@@ -187,7 +187,9 @@ def _apart(a: Index, b: Index) -> bool:
     return not any(np.isin(a[:, side], b[:, side]).any() for side in range(2))
 
 
-def _surprise(packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, a: Assignment) -> float:
+def _neg2_log_likelihood(
+    packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, a: Assignment
+) -> float:
     """Return -2 log likelihood of an assignment, the slack chosen for it."""
     if a.R is None or a.t_m is None:
         return 0.0
@@ -196,7 +198,7 @@ def _surprise(packed: PackedRig, model: TargetModel, left: Spots, right: Spots, 
     outline = _outlines(model, left, right)
     radius = model.radius_m * np.column_stack([outline[0, index[:, 0]], outline[1, index[:, 1]]])
     return float(
-        kernels.surprise(
+        kernels.neg2_log_likelihood(
             packed.k,
             packed.R,
             packed.t,

@@ -41,7 +41,7 @@ FIRST_WINDOW_PX = 32
 LEAST_WINDOW_PX = 8
 """Half the smallest window, beside the spot itself."""
 
-MOST_SURPRISE2 = float(chi2_isf(1e-6, 6))
+MOST_MAHALANOBIS2 = float(chi2_isf(1e-6, 6))
 """Squared Mahalanobis distance of a pose from where the target's motion puts it, beyond which it is something
 else's."""
 
@@ -95,23 +95,23 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
 class Continuation(NamedTuple):
     """A complete pose brought into the motion before it.
 
-    motion: the filter with it. surprise2, knocked2: squares of how far it was from where that motion, and a knock just
-    now, would put the target, over their uncertainty; 0 where no motion was known.
+    motion: the filter with it. mahalanobis2, knocked2: squares of how far it was from where that motion, and a knock
+    just now, would put the target, over their uncertainty; 0 where no motion was known.
     """
 
     motion: MotionFilter | None
-    surprise2: float = 0.0
+    mahalanobis2: float = 0.0
     knocked2: float = 0.0
 
     @property
     def likely(self) -> bool:
         """Whether the target moved on as it did."""
-        return self.surprise2 <= MOST_SURPRISE2
+        return self.mahalanobis2 <= MOST_MAHALANOBIS2
 
     @property
     def possible(self) -> bool:
         """Whether a knock at the most brought it there."""
-        return self.knocked2 <= MOST_SURPRISE2
+        return self.knocked2 <= MOST_MAHALANOBIS2
 
 
 def continuation(setup: Setup, track: Track | None, t_s: float, solved: Solved) -> Continuation:

@@ -104,7 +104,7 @@ def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_
     F = np.empty((N, N))
     D = np.empty((N, N))
     log = np.empty(K)
-    surprise = 0.0
+    mahalanobis2 = 0.0
     knocked = 0.0
     for m in range(K):
         predict(xs[m], Cs[m], dt, jerk[m], ratio * jerk[m], xs_new[m], Cs_new[m], F)
@@ -114,11 +114,11 @@ def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_
             knocked = pose_distance2(xs_new[m], D, x_seen, cov)
         chi2, logdet = update_pose(xs_new[m], Cs_new[m], x_seen, cov)
         if m == best:
-            surprise = chi2
+            mahalanobis2 = chi2
         log[m] = -0.5 * (chi2 + logdet)
     w_new[:] = w
     likeliest = weigh(xs_new, Cs_new, w_new, log, stick)
-    return likeliest, surprise, knocked
+    return likeliest, mahalanobis2, knocked
 
 
 @kernel

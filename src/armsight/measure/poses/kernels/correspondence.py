@@ -260,7 +260,7 @@ SLACKS = np.array([0.02, 0.05, 0.1, 0.2, 0.3])  # px
 
 
 @kernel
-def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
+def neg2_log_likelihood(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     """Return -2 log likelihood of the spots uv (n, 2, 2), cov (n, 2, 2, 2) of a target at the pose Rp, tp.
 
     radius (n, 2) of flat lights. With the slack of SLACKS that suits it best: what the calibration adds is not known.
