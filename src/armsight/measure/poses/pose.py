@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Unseen
-from armsight.measure.poses.kernels import folds, rig_covariance
 from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.kernels import pose_ambiguity, rig_covariance
 from armsight.measure.poses.pairs import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
@@ -136,7 +136,7 @@ def solve_pose(
         chi2 = rig_covariance.carry_to_pose(
             packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic
         )
-    in_doubt, factor = _widen(packed, spots, xyz_m, folds.depth_chi2(P, S), T, chi2, C)
+    in_doubt, factor = _widen(packed, spots, xyz_m, pose_ambiguity.depth_chi2(P, S), T, chi2, C)
     if systematic is not None:
         C += systematic
     if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
@@ -181,11 +181,13 @@ def _widen(
     factor = misfit_factor(chi2, len(xyz_m))
     C *= factor
     if factor > 1.0:
-        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
+        pose_ambiguity.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
     folded = 1.0
-    if depth_chi2 < folds.PLAIN * factor:
+    if depth_chi2 < pose_ambiguity.PLAIN * factor:
         plane = _plane(xyz_m, normal)
-        folded = folds.fold(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C)
+        folded = pose_ambiguity.fold(
+            packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C
+        )
     return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else "", factor
 
 
