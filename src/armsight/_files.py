@@ -31,6 +31,11 @@ def read_file(path: Path, *, limit: int) -> bytes:
         return file.read(limit + 1)
 
 
+def is_utf8(name: str) -> bool:
+    """Tell whether OpenCV may be given this name of a file: at one that UTF-8 cannot hold it crashes."""
+    return readable(name) == name
+
+
 def readable(text: str) -> str:
     """Return text that UTF-8 can hold: names of files that the locale could not decode are, or lose their letters."""
     try:

@@ -14,6 +14,7 @@ from typing import Self
 import cv2
 import numpy as np
 
+from armsight._files import is_utf8
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings
 from armsight.drivers.lock import DeviceLock
@@ -43,7 +44,9 @@ SETTLED = 30
 
 
 def open_camera(device: str) -> CameraCapture:
-    """Open a camera by number or device file with OpenCV."""
+    """Open a camera by number or device file with OpenCV. Raises DeviceNotFound for a name that it crashes at."""
+    if not is_utf8(device):
+        raise DeviceNotFound(f"there is no camera {device}: its name is not UTF-8", cure="Give its number, or its file")
     capture: CameraCapture = cv2.VideoCapture(int(device) if device.isdecimal() else device)
     return capture
 

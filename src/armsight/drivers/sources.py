@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight._files import is_utf8
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, image_of_8_bits, list_images, read_pixels
 from armsight.drivers.prefetch import ordered_map, read_ahead
 from armsight.errors import BadFile, BadImage, DataRefused, Inconsistent
@@ -47,7 +48,13 @@ class Capture(Protocol):
 
 
 def open_video(path: str) -> Capture:
-    """Open a video file with OpenCV."""
+    """Open a video file with OpenCV. Raises BadFile for a name that it crashes at."""
+    if not is_utf8(path):
+        raise BadFile(
+            f"the name of the video {path} is not UTF-8",
+            consequence="OpenCV cannot open it",
+            cure="Rename it, and the folders that it is in",
+        )
     capture: Capture = cv2.VideoCapture(path)
     return capture
 

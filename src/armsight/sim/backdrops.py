@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight._files import is_utf8
 from armsight.errors import Inconsistent
 from armsight.sim.camera import SimCamera
 from armsight.sim.lens import Lens
@@ -183,7 +184,8 @@ def picture_backdrop(path: str, camera: SimCamera) -> LightImage:
     """Return the light (h, w, c) behind a picture that the camera would deliver, cut and scaled to fill its image."""
     height, width, channels = camera.backdrop.shape
     mode = cv2.IMREAD_COLOR if channels == 3 else cv2.IMREAD_GRAYSCALE
-    picture = cv2.imread(path, mode) if Path(path).is_file() else None  # OpenCV writes of a missing file to stderr
+    there = is_utf8(path) and Path(path).is_file()  # OpenCV writes of a missing file to stderr
+    picture = cv2.imread(path, mode) if there else None
     if picture is None:
         raise Inconsistent(
             f"room.picture: {path} is not a picture that can be read", cure="Give the path of a PNG or JPEG file"

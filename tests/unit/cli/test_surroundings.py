@@ -7,11 +7,19 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import armsight
+from armsight.app.simulate.cells import write_png
+from armsight.drivers.live import open_camera
+from armsight.drivers.sources import open_video
+from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, Inconsistent
+from armsight.records import Frame
+from armsight.sim.backdrops import picture_backdrop
 
 JOINTS = "q1,q2,q3,q4,q5,q6\n0,0,0,0,0,0\n"
 FK = "kinematics fk --arm ur10 --joints joints.csv -o poses.csv --json"
@@ -107,3 +115,27 @@ def test_an_interrupt_during_an_import_is_a_stop(tmp_path: Path, name: str, told
     assert done.returncode == 130
     assert b"stopped" in done.stderr
     assert not told or json.loads(done.stdout)["error"]["exit_code"] == 130
+
+
+def test_opencv_is_given_no_name_that_it_crashes_at(tmp_path: Path) -> None:
+    name = str(tmp_path / "n\udcff")
+    frame = Frame(image=np.full((4, 6), 7, np.uint8), t_s=0.0, sequence=0, source="test")
+    write_png(Path(f"{name}.png"), frame)
+    assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(BadFile, match="UTF-8"):
+        open_video(f"{name}.avi")
+    with pytest.raises(DeviceNotFound, match="UTF-8"):
+        open_camera(name)
+    camera: Any = SimpleNamespace(backdrop=np.zeros((4, 6, 1)))
+    with pytest.raises(Inconsistent, match="is not a picture"):
+        picture_backdrop(f"{name}.png", camera)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a full disk is Linux's")
+def test_a_full_disk_leaves_no_half_of_a_frame(tmp_path: Path) -> None:
+    path = tmp_path / "000000.png"
+    path.symlink_to("/dev/full")
+    frame = Frame(image=np.full((4, 6), 7, np.uint8), t_s=0.0, sequence=0, source="test")
+    with pytest.raises(DeviceFailed, match="No space left"):
+        write_png(path, frame)
+    assert not os.path.lexists(path)

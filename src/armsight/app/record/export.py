@@ -7,13 +7,11 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 
-import cv2
-
 from armsight.app.record.record import RIG_NAME, TARGET_NAME
 from armsight.app.schemas.files import ExportOutput
-from armsight.app.simulate.cells import PNG
+from armsight.app.simulate.cells import write_png
 from armsight.drivers import ordered_map
-from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import BadFile, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, Progress, Silent
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text
@@ -121,8 +119,7 @@ def _frames(recording: Recording, camera: str, folder: Path, progress: Progress)
 
     def write(item: tuple[int, Frame]) -> float:
         path = folder / f"{item[0]:06d}.png"
-        if not cv2.imwrite(str(path), item[1].image, PNG):
-            raise DeviceFailed(f"{path} cannot be written", cure="Check the folder and the free space")
+        write_png(path, item[1])
         return item[1].t_s
 
     stamps: list[float] = []

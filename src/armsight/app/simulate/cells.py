@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -116,6 +117,15 @@ def write_cell_files(cell: Cell, folder: Path, *, seed: int, frames: int, kept: 
 
 
 def write_png(path: Path, frame: Frame) -> None:
-    """Write a frame; DeviceFailed where the disk refuses."""
-    if not cv2.imwrite(str(path), frame.image, PNG):
-        raise DeviceFailed(f"{path} cannot be written", cure="Check the folder and the free space")
+    """Write a frame, of any name; DeviceFailed where the disk refuses, and no half of it is left."""
+    _, content = cv2.imencode(".png", frame.image, PNG)
+    try:
+        path.write_bytes(content.tobytes())
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+        raise DeviceFailed(
+            f"{path}: cannot be written ({error.strerror or error})",
+            consequence="Frames end before this one",
+            cure="Check the folder, its permissions and the free space, or choose another place",
+        ) from error
