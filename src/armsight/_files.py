@@ -31,6 +31,11 @@ def read_file(path: Path, *, limit: int) -> bytes:
         return file.read(limit + 1)
 
 
+def real_path(path: Path) -> Path:
+    """Return where links lead; those in a ring lead nowhere, which what opens them tells: resolve() would crash."""
+    return Path(os.path.realpath(path))
+
+
 def is_utf8(name: str) -> bool:
     """Tell whether OpenCV may be given this name of a file: at one that UTF-8 cannot hold it crashes."""
     return readable(name) == name

@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from armsight._files import real_path
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 
@@ -122,10 +123,10 @@ def _refuse_json(given: Mapping[str, Any]) -> None:
 
 def _refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any]) -> None:
     """Raise UsageError where one of the results, names in a folder, is given as an input."""
-    outputs = {(folder / name).resolve() for name in names}
+    outputs = {real_path(folder / name) for name in names}
     for flag, value in given.items():
         for text in _texts(value) if flag not in WRITTEN else ():
-            if Path(text).exists() and Path(text).resolve() in outputs:
+            if Path(text).exists() and real_path(Path(text)) in outputs:
                 raise UsageError(
                     f"{text} is an input, and would be written over by the result",
                     consequence="Nothing was done",

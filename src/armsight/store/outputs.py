@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from armsight._files import real_path
 from armsight.drivers.lock import DeviceLock
 from armsight.errors import UsageError
 from armsight.store.atomic import STREAM
@@ -42,7 +43,7 @@ def refuse_place(out: Path) -> None:
 
 
 def _written_once(out: Path) -> DeviceLock:
-    place = os.fsencode(out.resolve())
+    place = os.fsencode(real_path(out))
     return DeviceLock(
         str(out),
         key=f"results-{hashlib.sha256(place).hexdigest()[:32]}",

@@ -41,6 +41,8 @@ POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
 POINT_COLUMNS = ("t_s", "spot", "x_m", "y_m", "z_m", "sx_m", "sy_m", "sz_m")
+LATEST_S = 1e11
+"""No time of a frame is later: clocks of today count 1.8e9 s since 1970, which are 1.8e12 ms and 1.8e18 ns."""
 SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")
 
 
@@ -332,6 +334,13 @@ def parse_times(data: bytes, where: str) -> Array:
     """Return the times in the bytes of a times.csv; see read_times."""
     table = parse_table(data, where, ("t_s",), optional=("frame",))
     t_s = table.numbers["t_s"]
+    far = np.flatnonzero(np.abs(t_s) > LATEST_S)
+    if far.size:
+        raise BadFile(
+            f"{table.place(int(far[0]))}, column t_s: {t_s[far[0]]:g} s is more than 3000 years",
+            consequence="This is no time in seconds",
+            cure="Give seconds; milliseconds are divided by 1e3, nanoseconds by 1e9",
+        )
     late = np.flatnonzero(np.diff(t_s) <= 0.0)
     if late.size:
         raise BadFile(

@@ -139,3 +139,10 @@ def test_a_full_disk_leaves_no_half_of_a_frame(tmp_path: Path) -> None:
     with pytest.raises(DeviceFailed, match="No space left"):
         write_png(path, frame)
     assert not os.path.lexists(path)
+
+
+def test_a_link_in_a_ring_is_no_crash(tmp_path: Path) -> None:
+    ring = tmp_path / "ring"
+    ring.symlink_to("ring")
+    assert shell(tmp_path, f"armsight {FK} -o ring").returncode == 0
+    assert ring.read_text().startswith("t_s,"), "the link, which led nowhere, is replaced"

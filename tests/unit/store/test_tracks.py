@@ -208,6 +208,13 @@ def test_joints_and_times_come_back(tmp_path):
     assert shuffled.q.tolist() == [[1.0, 2.0]]
 
 
+def test_times_that_can_be_no_seconds_are_refused():
+    for counted in (b"1.7e12\n1.8e12", b"0\n16666666000000", b"-1e298\n0"):
+        with pytest.raises(BadFile, match="no time in seconds"):
+            parse_times(b"t_s\n" + counted + b"\n", "times.csv")
+    assert parse_times(b"t_s\n1.7e9\n1.8e9\n", "times.csv").tolist() == [1.7e9, 1.8e9]
+
+
 def test_tum_comes_back(tmp_path):
     poses = make_poses()
     assert store.write_tum(tmp_path / "track.tum", poses) == 20

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight._files import real_path
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.kinematics import arm_file, load_arm
 from armsight.app.schemas.arm import (
@@ -107,10 +108,10 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
 def _check_names(job: ArmJob) -> None:
     """Raise UsageError where a file to write is one of those to read."""
     given = (arm_file(job.model), job.points, job.holdout, job.rig, job.world)
-    read = {path.resolve() for path in given if path is not None}
+    read = {real_path(path) for path in given if path is not None}
     written = (job.out, *(job.out.with_suffix(ending) for ending in BESIDE))
     for path in written:
-        if path.resolve() in read:
+        if real_path(path) in read:
             raise UsageError(
                 f"{path} is to be read, and would be written over",
                 consequence="Nothing is written",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight._files import real_path
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
@@ -302,7 +303,9 @@ def _require_named(images: set[str], robot: Mapping[str, RigidTransform], file: 
 def _check_names(job: HandEyeJob) -> None:
     """Raise UsageError where the freed camera would be written over a file that is to be read."""
     freed = freed_camera_path(job.out)
-    if job.free_camera and freed.resolve() in {path.resolve() for path in (job.camera, job.robot) if path is not None}:
+    if job.free_camera and real_path(freed) in {
+        real_path(path) for path in (job.camera, job.robot) if path is not None
+    }:
         raise UsageError(
             f"{freed} is to be read, and the freed camera would be written over it",
             consequence="Nothing is written",

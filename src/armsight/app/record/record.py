@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from armsight._files import real_path
 from armsight.app.record.recorder import Recorder
 from armsight.app.schemas.files import RecordedSkew, RecordOutput, RepairOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
@@ -181,7 +182,7 @@ def _source(job: RecordJob) -> tuple[PairSource, bool]:
     sources = [text for text in (job.left, job.right) if text is not None]
     if not sources:
         raise UsageError("there is nothing to record", cure="Give --left and --right, or --cell")
-    if any(is_recording(text) and recording_path(text).resolve() == job.out.resolve() for text in sources):
+    if any(is_recording(text) and real_path(recording_path(text)) == real_path(job.out) for text in sources):
         raise UsageError(f"{job.out} is both source and result", cure="Choose another name for the result")
     pairs = open_pairs(
         job.left,
@@ -219,7 +220,7 @@ def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> R
     Raises BadFile, NotEnoughData, UsageError, DeviceFailed; then source is as it was.
     """
     if out is not None:
-        if out.resolve() == source.resolve():
+        if real_path(out) == real_path(source):
             raise UsageError(f"{out} is both source and result", cure="Leave -o away to mend a file in its place")
         return _repair_output(repair(source, out, overwrite=overwrite), out)
     made = source.with_name(f".{source.name}.part")

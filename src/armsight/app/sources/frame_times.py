@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from armsight._files import real_path
 from armsight.drivers import FPS, list_images
 from armsight.store import read_times
 
@@ -35,7 +36,7 @@ def frame_times(source: str | None, given: Path | None, fps: float | None) -> Fr
         return FrameTimes()
     if (folder / TIMES).is_file():
         return FrameTimes(times_s=read_times(folder / TIMES).tolist(), told=str(folder / TIMES))
-    beside = folder.resolve().parent / TIMES
+    beside = real_path(folder).parent / TIMES
     if beside.is_file():
         times_s = read_times(beside).tolist()
         if len(times_s) == len(list_images(str(folder))):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight._files import real_path
 from armsight.app.kinematics import load_arm
 from armsight.app.schemas.verify import ComparedRun, VerifyOutput
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
@@ -157,7 +158,7 @@ def _check_usage(job: VerifyJob) -> None:
         raise UsageError(f"--align {job.align} is not known", cure=f"Use one of: {', '.join(Align)}")
     if job.band_m is not None and not (np.isfinite(job.band_m) and job.band_m > 0.0):
         raise UsageError(f"--band {job.band_m:g} is not a positive length", cure="Give the limit band in m: 0.0005")
-    if job.compare is not None and job.compare.resolve() == job.out.resolve():
+    if job.compare is not None and real_path(job.compare) == real_path(job.out):
         raise UsageError("--compare names the folder that is written to", cure="Give the folder of an earlier run")
 
 
