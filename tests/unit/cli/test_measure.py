@@ -184,6 +184,7 @@ def test_nothing_but_dark_or_white_frames_is_refused_with_the_reason(
     )
     assert done.code == 3
     assert "found in none of the 3 pairs" in done.json["error"]["cause"]
+    assert "--rig and --target must be theirs, and left be left" in done.json["error"]["cure"]
     assert done.json["error"]["cure"]
     assert {path.name for path in (tmp_path / "o").iterdir()} == set(FILES)
 

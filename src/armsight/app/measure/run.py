@@ -321,8 +321,8 @@ def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
 
 
 LIGHTS_ON = (
-    "the lights must be on, in both views, and brighter than what is round them. --inverted is for dark spots, --mask "
-    "blackens what is not to be looked at"
+    "the lights must be on, in both views, and brighter than what is round them. Where they are: --rig and --target "
+    "must be theirs, and left be left. --inverted is for dark spots, --mask blackens what is not to be looked at"
 )
 WHOLE_BOARD = "the board must be whole, sharp and evenly lit in both views, and its counts and kind those of --target"
 
