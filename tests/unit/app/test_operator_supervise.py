@@ -37,7 +37,7 @@ class Cell:
         desk = SimpleNamespace(robot=SimpleNamespace(cycle_s=0.01))
         seat = SimpleNamespace(arm=arm, stop=self.stops.append)
         self.robot = SimpleNamespace(
-            service=SimpleNamespace(host=host, desk=desk), seat=seat, joints=lambda: HOME.copy()
+            service=SimpleNamespace(host=host, authority=desk), seat=seat, joints=lambda: HOME.copy()
         )
         self.station = SimpleNamespace(shown=None)
         self.number, self.heard = 0, threading.Event()

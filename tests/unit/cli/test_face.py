@@ -239,9 +239,7 @@ def test_a_number_that_is_none_is_refused_at_every_command(words: tuple[str, ...
 
 
 def test_sizes_that_cannot_be_are_refused() -> None:
-    picks = ("path", "from-picks", "--left", "l.png", "--right", "r.png", "--rig", "r.yaml", "--picks", "p.csv")
     for words in (
-        (*picks, "-o", "p.csv", "--patch-px=-15"),
         ("path", "join", "a.csv", "b.csv", "-o", "c.csv", "--gap-m=-1"),
         ("path", "join", "a.csv", "b.csv", "-o", "c.csv", "--gap-deg=-5"),
     ):

@@ -61,7 +61,8 @@ def test_noise_is_added_to_a_camera_file(armsight: Any, stills: Path, tmp_path: 
     assert file.camera.intrinsics[0] == 533.475
     assert file.noise.levels.tolist() == content["levels"]
     assert file.noise.variance_levels2.tolist() == content["variance_levels2"]
-    assert file.noise.correlation.tolist() == [content["correlation"]["x"], content["correlation"]["y"]]
+    near = file.noise.correlation
+    assert (near.x.tolist(), near.y.tolist()) == (content["correlation"]["x"], content["correlation"]["y"])
     inputs = yaml.safe_load(path.read_text())["inputs"]
     assert (inputs[0]["path"], len(inputs)) == ("left01.png", 7)
 
