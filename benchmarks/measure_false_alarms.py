@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.run import run as measure_run
+from armsight.app.schemas.measure import ConsistencyOutput
 from armsight.app.simulate.cells import CellPairs, load_cell
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck
@@ -60,12 +61,13 @@ class Outcome:
     motion: str
     rig: str
     frames: int
-    check: Consistency
+    check: Consistency | ConsistencyOutput
 
     @property
     def alarm(self) -> bool:
         """Whether it blames something."""
-        return self.check.verdict not in ("ok", "unchecked") or bool(advice(self.check))
+        told = advice(self.check) if isinstance(self.check, Consistency) else self.check.advice
+        return self.check.verdict not in ("ok", "unchecked") or bool(told)
 
     @property
     def quoted(self) -> float:
@@ -173,7 +175,7 @@ def rendered_run(seed: int) -> Outcome | None:
             found, _ = measure_run(setup, CellPairs(cell, frames), Path(folder), progress=Silent())
         except NotEnoughData:
             return None
-    return Outcome(motion="rendered", rig="true", frames=frames, check=found.consistency)  # type: ignore[arg-type]
+    return Outcome(motion="rendered", rig="true", frames=frames, check=found.consistency)
 
 
 def rate(done: Sequence[Outcome]) -> str:

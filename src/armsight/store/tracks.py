@@ -32,7 +32,7 @@ from armsight.store.covariances import (
     pose_covariances,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
-from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, read_table, word
+from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, word
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -349,17 +349,6 @@ def parse_times(data: bytes, where: str) -> Array:
             cure="Give one row per frame, in the order of the frames",
         )
     return t_s
-
-
-def read_points(path: Path) -> Table:
-    """Return the table in a points.csv."""
-    more = (*POINT_COVARIANCE, "status")
-    return read_table(path, POINT_COLUMNS, optional=more, text=("spot", "status"), need_rows=False)
-
-
-def read_spots(path: Path) -> Table:
-    """Return the table in a spots.csv."""
-    return read_table(path, SPOT_COLUMNS, text=("spot", "camera"), need_rows=False)
 
 
 def write_tum(path: Path, poses: Iterable[TargetPose]) -> int:

@@ -10,11 +10,13 @@ from armsight import store
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry import is_close
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
-from armsight.store.covariances import COVARIANCE
+from armsight.store.covariances import COVARIANCE, POINT_COVARIANCE
 from armsight.store.interpret import TableFormat
-from armsight.store.tables import parse_table
+from armsight.store.tables import Table, parse_table, read_table
 from armsight.store.tracks import (
+    POINT_COLUMNS,
     POSE_COLUMNS,
+    SPOT_COLUMNS,
     parse_joints,
     parse_poses,
     parse_times,
@@ -168,6 +170,11 @@ def test_what_is_no_covariance_is_refused_by_its_line(columns, cells):
         parse_poses(text.encode(), "poses.csv")
 
 
+def points_in(path) -> Table:
+    more = (*POINT_COVARIANCE, "status")
+    return read_table(path, POINT_COLUMNS, optional=more, text=("spot", "status"), need_rows=False)
+
+
 def test_points_and_spots_come_back(tmp_path):
     rng = np.random.default_rng(3)
     C = np.array([[1.0, 0.5, 0.2], [0.5, 1.0, -0.3], [0.2, -0.3, 1.0]]) / 9
@@ -184,14 +191,14 @@ def test_points_and_spots_come_back(tmp_path):
     with store.SpotsWriter(tmp_path / "spots.csv") as writer:
         writer.write(0.1, "left", ("A", "B"), spots)
         writer.write(0.1, "right", (), Spots.none())
-    table = store.read_points(tmp_path / "points.csv")
+    table = points_in(tmp_path / "points.csv")
     assert table.text["spot"] == ("A", "B")
     assert np.array_equal(table.stacked(("x_m", "y_m", "z_m")), points.xyz_m)
     assert table.numbers["sx_m"][0] == 1 / 3 and table.text["status"] == ("ok", "ok")
     assert np.allclose(table.stacked(("cov_x_y", "cov_x_z", "cov_y_z")), C[(0, 0, 1), (1, 2, 2)], rtol=1e-15)
     store.restate_points(tmp_path / "points.csv", {0.1: PoseStatus.DOUBTFUL})
-    assert store.read_points(tmp_path / "points.csv").text["status"] == ("doubtful", "doubtful")
-    table = store.read_spots(tmp_path / "spots.csv")
+    assert points_in(tmp_path / "points.csv").text["status"] == ("doubtful", "doubtful")
+    table = read_table(tmp_path / "spots.csv", SPOT_COLUMNS, text=("spot", "camera"))
     assert table.text["camera"] == ("left", "left")
     assert np.array_equal(table.stacked(("u_px", "v_px")), spots.uv_px)
     assert (tmp_path / "spots.csv").read_text().startswith("t_s,camera,spot,u_px,v_px,su_px,sv_px\n")

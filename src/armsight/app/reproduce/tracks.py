@@ -15,7 +15,8 @@ from armsight.geometry import pose_difference
 from armsight.records import PoseStatus
 from armsight.report.reproduce import ComparedRow, Curve, Panel
 from armsight.store import read_poses
-from armsight.store.tracks import read_spots
+from armsight.store.tables import read_table
+from armsight.store.tracks import SPOT_COLUMNS
 
 Array = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ def measured_poses(path: Path) -> dict[int, Array]:
 
 def spots_by_frame(path: Path, times_s: Array) -> dict[tuple[int, str], dict[str, Array]]:
     """Return the pixels (2,) of named spots in a spots.csv by frame (nearest of times_s) and camera."""
-    table = read_spots(path)
+    table = read_table(path, SPOT_COLUMNS, text=("spot", "camera"), need_rows=False)
     uv, t_s = table.stacked(("u_px", "v_px")), table.numbers["t_s"]
     out: dict[tuple[int, str], dict[str, Array]] = {}
     for row, (camera, spot) in enumerate(zip(table.text["camera"], table.text["spot"], strict=True)):
