@@ -96,6 +96,10 @@ def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path)
             np.testing.assert_array_equal(image, seen.image)
     with Recording(path) as recording:
         assert recording.count("/left/calibration") == 1
+    rig = read_rig(tmp_path / "out" / "rig.yaml")
+    with pytest.raises(Inconsistent, match=r"the rig's left camera 1280x720 px.*nothing was recorded"):
+        record_pairs(RecordJob(out=tmp_path / "b.mcap"), Fake(fakes(2)), live=False, rig=rig)
+    assert not (tmp_path / "b.mcap").exists()
 
 
 def test_live_frames_that_find_no_room_are_dropped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

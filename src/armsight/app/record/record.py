@@ -19,6 +19,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.measure.poses.pipeline import check_sizes
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent
 from armsight.store import read_rig, read_target
@@ -84,6 +85,8 @@ def record_pairs(
         first = next(source, None)
         if first is None:
             raise NotEnoughData(f"{pairs.name} gave no pair", consequence="Nothing was recorded")
+        if rig is not None and not any(frame.unreadable for frame in first):
+            check_sizes(rig, *first, "The rig would stand in the recording as that of its frames; nothing was recorded")
         start_s = first[0].t_s
         origin_ns = time.time_ns() - (round(start_s * 1e9) if live else 0)
         writer = RecordingWriter(job.out, origin_ns=origin_ns, overwrite=job.overwrite)
