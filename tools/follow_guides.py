@@ -90,7 +90,7 @@ NOT_HERE: Mapping[str, str] = {
 }
 """Part of a command -> what it needs that is not here."""
 
-KEYS: Mapping[str, str] = {"--with keyboard": "y\nqqq...x", "--wait": "y\n........ "}
+KEYS: Mapping[str, str] = {"--with keyboard": "y\nqqq...x", "--wait": "y\n.... "}
 """Part of a command -> the keys that its reader presses, one a second, once it has asked."""
 QUESTION = b"[y/N]"
 
