@@ -64,8 +64,9 @@ def require_bounds(record: object, of: str = "") -> None:
         value = getattr(record, name)
         if value is not None and not limit.holds(value):
             least = "a positive number" if limit.above == 0.0 else f"a number from {limit.least:g} on"
+            most = "" if limit.most is None or not value > limit.most else f" up to {limit.most:g}"
             raise Inconsistent(
-                f"{of}{name} is {value:g}, which is not {least}",
+                f"{of}{name} is {value:g}, which is not {least}{most}",
                 consequence="It cannot be used",
                 cure="Give one, or leave the key away for the default",
             )

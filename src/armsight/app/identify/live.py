@@ -141,7 +141,8 @@ def identify_observed(
         return ProposedPlanOutput(plan=told, notes=told.notes)
     _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
     sweeps, uneven = even_ones(_swept(job, plan, robot, sweeper))
-    write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
+    if uneven:
+        write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
     return identified(_from_sweeps(job, held), sweeps, rig, uneven, plan=told)
 
 
