@@ -15,6 +15,7 @@ from typing import Any
 from armsight.app.schemas.catalogue import OUTPUTS
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
+from armsight.store.codec import output_model
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 UNITS = {
@@ -86,7 +87,7 @@ def write(docs: Path) -> None:
 
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON schema of a command's object; further keys are allowed, as they may come."""
-    made: dict[str, Any] = _plain(OUTPUTS[name].model_json_schema(mode="serialization"))
+    made: dict[str, Any] = _plain(output_model(OUTPUTS[name]).model_json_schema(mode="serialization"))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made}
 
 

@@ -23,7 +23,6 @@ from armsight.app.convert import (
 from armsight.app.kinematics import convert_arm, draw_arm
 from armsight.app.kinematics import write_formulas as write_formulas_of
 from armsight.app.record.export import export
-from armsight.app.schemas.base import Output
 from armsight.app.schemas.files import ExportOutput, RepairOutput
 from armsight.app.schemas.kinematics import FormulasOutput, ShowOutput
 from armsight.app.tables import convert_table
@@ -31,6 +30,7 @@ from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Progress, checked_array, require_number
+from armsight.records.output import Output
 from armsight.store.foreign import FrameNames
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.recording import Recording, cut

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
-
-from pydantic import ConfigDict, Field
+from typing import Literal
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
-from armsight.api.runs import ARRAYS
 from armsight.app.calibrate.camera_noise import NoiseJob, find_noise
 from armsight.app.calibrate.light_target import TargetJob, calibrate_lit_target
 from armsight.app.calibrate.mirrors import MirrorsJob
@@ -20,36 +17,37 @@ from armsight.app.schemas.handeye import LightTargetOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.drivers import CameraSettings
 from armsight.optics import Camera, Rig
-from armsight.records import ByValue, NoiseModel, Progress, Target
+from armsight.records import NoiseModel, Progress, Target
+from armsight.records.output import output
 from armsight.store import read_rig, read_target
 
 
-class TargetResult(ByValue, LightTargetOutput):
+@output
+class TargetResult(LightTargetOutput):
     """What `calibrate_target` found: its figures, and `target`."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    target: Annotated[Target, Field(exclude=True, repr=False)]
+    target: Target
 
 
-class TimingResult(ByValue, TimingOutput):
+@output
+class TimingResult(TimingOutput):
     """What `calibrate_timing` found: its figures, and `rig`, the rig with its cameras' timing."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    rig: Annotated[Rig, Field(exclude=True, repr=False)]
+    rig: Rig
 
 
-class NoiseResult(ByValue, NoiseOutput):
+@output
+class NoiseResult(NoiseOutput):
     """What `calibrate_noise` found: its figures, and `model`, as `CameraResult.save` and Rig(noise=...) take it."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    model: Annotated[NoiseModel, Field(exclude=True, repr=False)]
+    model: NoiseModel
 
 
-class ZoomRigResult(ByValue, ZoomRigOutput):
+@output
+class ZoomRigResult(ZoomRigOutput):
     """What `calibrate_zoom_rig` found: its figures, and `rig`."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    rig: Annotated[Rig, Field(exclude=True, repr=False)]
+    rig: Rig
 
 
 @speaks_python
@@ -85,7 +83,7 @@ def calibrate_target(
     """
     with Given(out, name="target.yaml") as given:
         done = calibrate_lit_target(given.job(TargetJob, locals(), limit=frames, out=given.out), progress)
-        return TargetResult(**dict(done), target=read_target(given.out))
+        return done.extended(TargetResult, target=read_target(given.out))
 
 
 @speaks_python
@@ -123,7 +121,7 @@ def calibrate_timing(
     """
     with Given(out, name="rig.yaml") as given:
         done = calibrate_cameras_timing(given.job(TimingJob, locals(), limit=frames, out=given.out), progress)
-        return TimingResult(**dict(done), rig=read_rig(given.out))
+        return done.extended(TimingResult, rig=read_rig(given.out))
 
 
 @speaks_python
@@ -173,7 +171,7 @@ def calibrate_zoom_rig(
     with Given(out, name="rig.yaml") as given:
         values = {"rig": rig, "zoom_left": zoom_left, "zoom_right": zoom_right}
         done = zoom_rig(given.job(ZoomRigJob, values, left=left, right=right, out=given.out))
-        return ZoomRigResult(**dict(done), rig=read_rig(given.out))
+        return done.extended(ZoomRigResult, rig=read_rig(given.out))
 
 
 @speaks_python

@@ -6,9 +6,7 @@ Nothing moves unasked: `confirm` is True, or a function that is given the motion
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal
-
-from pydantic import ConfigDict, Field
+from typing import Any, Literal
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import (
@@ -22,7 +20,6 @@ from armsight.api.given import (
     TargetLike,
 )
 from armsight.api.links import Confirm, RobotLike, as_question, name_of
-from armsight.api.runs import ARRAYS
 from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
 from armsight.app.schemas.play import PlayOutput
@@ -39,17 +36,18 @@ from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot
 from armsight.errors import UsageError
-from armsight.records import ByValue, Progress, TaughtPath
+from armsight.records import Progress, TaughtPath
+from armsight.records.output import output
 from armsight.store import read_rig
 from armsight.store.path_file import read_path
 from armsight.units import DEG
 
 
-class TeachResult(ByValue, TeachOutput):
+@output
+class TeachResult(TeachOutput):
     """What `teach` found: its figures, and `taught`, the path."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    taught: Annotated[TaughtPath, Field(exclude=True, repr=False)]
+    taught: TaughtPath
 
 
 @speaks_python
@@ -207,7 +205,7 @@ def teach(
             following, devices = _servo_job(given, values)
             done = teach_following(job, following, as_question(confirm), progress=progress, devices=devices)
         parent = done.parent if done.parent in ("world", "base") else "world"
-        return TeachResult(**dict(done), taught=read_path(given.out / PATH, parent=parent))
+        return done.extended(TeachResult, taught=read_path(given.out / PATH, parent=parent))
 
 
 @speaks_python

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Literal
 
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field
 
 from armsight.api.arrays import as_path
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Source, TableLike
-from armsight.api.runs import ARRAYS
 from armsight.app.path.check import check as run_check
 from armsight.app.path.export import ExportJob, export_path
 from armsight.app.path.picks import PicksJob, path_from_picks
@@ -18,18 +16,19 @@ from armsight.app.path.tools import smooth_path
 from armsight.app.schemas.paths import PathCheckOutput, PathExportOutput, PathPicksOutput
 from armsight.control import paths as tools
 from armsight.control.guard import Limits
-from armsight.records import ByValue, Progress, Silent, TaughtPath, checked_array, require_kind, require_number
+from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind, require_number
+from armsight.records.output import output
 from armsight.store.path_file import read_path
 from armsight.units import DEG
 
 __all__ = ["angle", "check", "export", "fillet", "from_picks", "join", "offset", "resample", "reverse", "smooth"]
 
 
-class PicksResult(ByValue, PathPicksOutput):
+@output
+class PicksResult(PathPicksOutput):
     """What `from_picks` found: its figures, and `taught`, the path."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    taught: Annotated[TaughtPath, Field(exclude=True, repr=False)]
+    taught: TaughtPath
 
 
 def smooth(
@@ -181,7 +180,7 @@ def from_picks(
         pictures = {"left": given.picture("left", left), "right": given.picture("right", right)}
         job = given.job(PicksJob, {**locals(), **pictures}, side=view, out=given.out)
         done = path_from_picks(job, progress or Silent())
-        return PicksResult(**dict(done), taught=read_path(given.out))
+        return done.extended(PicksResult, taught=read_path(given.out))
 
 
 def _check(path: object, **numbers: float) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.display import Row as Row
-from armsight.app.display import as_html, as_text
 from armsight.records import ByValue
+from armsight.records.output import Row as Row
+from armsight.records.output import as_html, as_text
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field
 
 from armsight.api.arrays import Array, as_path
 from armsight.api.checks import speaks_python
@@ -41,7 +41,8 @@ from armsight.app.verify.run import ERRORS, VerifyJob, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.drivers.live import MAX_SKEW_S
-from armsight.records import ByValue, Progress, one_of, require_number
+from armsight.records import Progress, one_of, require_number
+from armsight.records.output import output
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
@@ -51,28 +52,25 @@ from armsight.store.saving import file_to_write
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-ARRAYS: ConfigDict = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, arbitrary_types_allowed=True)
-"""Of results that hold arrays or records beside the figures."""
-
 Columns = dict[str, Any]
 
 
-class MeasureResult(ByValue, MeasureOutput):
+@output
+class MeasureResult(MeasureOutput):
     """What `measure` found: the figures of measure.json, and `poses`, the track."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    poses: Annotated[PoseTrack, Field(exclude=True, repr=False)]
+    poses: PoseTrack
 
     def plot(self) -> go.Figure:
         """Return a plotly figure of the poses over time."""
         return self.poses.plot()
 
 
-class VerifyResult(ByValue, VerifyOutput):
+@output
+class VerifyResult(VerifyOutput):
     """What `verify` found: the figures of verify.json, and `errors`, columns by row of what was compared."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    errors: Annotated[Columns, Field(exclude=True, repr=False)]
+    errors: Columns
 
     def plot(self) -> go.Figure:
         """Return a plotly figure of each row's error of place, mm."""
@@ -83,11 +81,11 @@ class VerifyResult(ByValue, VerifyOutput):
         return figure
 
 
-class JoinResult(ByValue, JoinOutput):
+@output
+class JoinResult(JoinOutput):
     """What `join` found: its figures, and `table`, the columns of the rows that belong together."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    table: Annotated[Columns, Field(exclude=True, repr=False)]
+    table: Columns
 
 
 @speaks_python
@@ -160,7 +158,7 @@ def measure(
         job = given.job(MeasureJob, locals(), limit=frames, zoom=(zoom_left, zoom_right), out=given.out)
         done = run_measure(job, progress)
         poses = PoseTrack(poses=read_poses(given.out / POSES))
-        return MeasureResult(**dict(done), poses=poses)
+        return done.extended(MeasureResult, poses=poses)
 
 
 @speaks_python
@@ -285,7 +283,7 @@ def verify(
     """
     with Given(out) as given:
         done = run_verify(given.job(VerifyJob, locals(), out=given.out))
-        return VerifyResult(**dict(done), errors=read_columns((given.out / ERRORS).read_bytes()))
+        return done.extended(VerifyResult, errors=read_columns((given.out / ERRORS).read_bytes()))
 
 
 @speaks_python
@@ -332,7 +330,8 @@ def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | 
         if distance_m is not None:
             require_number("distance_m", distance_m)
         job = CompareJob(**files, out=None if out is None else as_path(out, "out"), distance_m=distance_m)
-        return run_compare(job).model_copy(update={n: n for n, p in files.items() if p.is_relative_to(given.folder)})
+        done = run_compare(job)
+        return done.extended(CompareOutput, **{n: n for n, p in files.items() if p.is_relative_to(given.folder)})
 
 
 @speaks_python
@@ -382,8 +381,9 @@ def join(
     """
     with Given(out, name="joined.csv") as given:
         job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
-        done = run_join(job).model_copy(update={"file": None} if out is None else {})
-        return JoinResult(**dict(done), table=read_columns(read_bytes(given.out, limit=10**9)))
+        done = run_join(job)
+        done = replace(done, file=None) if out is None else done
+        return done.extended(JoinResult, table=read_columns(read_bytes(given.out, limit=10**9)))
 
 
 def read_columns(data: bytes) -> Columns:

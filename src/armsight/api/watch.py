@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
-from armsight.api.runs import ARRAYS
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, run_identify_live
 from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -22,16 +20,17 @@ from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S,
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
-from armsight.records import ByValue, Progress, checked_array, require_count, require_kind, require_number
+from armsight.records import Progress, checked_array, require_count, require_kind, require_number
+from armsight.records.output import output
 from armsight.store.arm_file import read_arm
 from armsight.verify.supervision import Limits
 
 
-class LiveIdentification(ByValue, IdentifyOutput):
+@output
+class LiveIdentification(IdentifyOutput):
     """What `identify_arm_live` found: its figures, and `arm`."""
 
-    model_config: ClassVar[ConfigDict] = ARRAYS
-    arm: Annotated[Arm, Field(exclude=True, repr=False)]
+    arm: Arm
 
 
 @speaks_python
@@ -95,7 +94,7 @@ def identify_arm_live(
         job = given.job(LiveJob, locals(), out=given.out)
         done = run_identify_live(job, OperatorCallbacks(confirm=as_question(confirm)), progress)
         return (
-            done if isinstance(done, ProposedPlanOutput) else LiveIdentification(**dict(done), arm=read_arm(given.out))
+            done if isinstance(done, ProposedPlanOutput) else done.extended(LiveIdentification, arm=read_arm(given.out))
         )
 
 

@@ -22,6 +22,7 @@ from armsight.records import Progress, Silent
 from armsight.report.measure import INSIDE_95
 from armsight.report.series import SCALE, errors_of
 from armsight.store import rig_from_mapping, target_from_mapping
+from armsight.store.atomic import write_json
 
 Array = NDArray[np.float64]
 
@@ -62,15 +63,15 @@ def demo(
     errors = errors_of(poses, truth)
     compared = np.isfinite(errors.distance2)
     real = measure_pictures(out / FOLDER, progress) if pictures else None
-    result = DemoOutput(
-        **dict(summary),
+    result = summary.extended(
+        DemoOutput,
         truth=_pose_errors(errors.values[compared] * SCALE, errors.std[compared] * SCALE),
         inside_95=float(np.mean(errors.distance2[compared] <= INSIDE_95)) if compared.any() else None,
         seconds_s=time.perf_counter() - start_s,
         assumptions=list(made.assumptions),
         pictures=real,
     )
-    result.write(out / "demo.json")
+    write_json(out / "demo.json", result.to_dict())
     return result
 
 

@@ -29,7 +29,7 @@ from armsight.cli import discard
 from armsight.errors import ArmsightError, Cancelled, DataRefused, DeviceFailed, UsageError
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.base import Output
+    from armsight.records.output import Output
 
 UNFORESEEN = 1
 PRIVATE = 0o600

@@ -188,9 +188,10 @@ def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
         face.say(f"- {text}")
     for item in done.rejected[:8]:
         face.say(f"  left out: {item.name}: {item.why}")
+    from armsight.geometry import xyz_quat
+
     for proposed in done.proposals or ():
-        pose = proposed.T_base_flange
-        xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in (pose.xyz_m, pose.quat_xyzw))
+        xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in xyz_quat(proposed.T_base_flange))
         face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(proposed.expected_std_m / MM, 2)} mm")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 

@@ -11,7 +11,9 @@ from armsight.cli.command_ui import CommandUI, own_command
 from armsight.units import DEG, MM, MS, NOTHING
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedFile
+    from scipy.spatial.transform import RigidTransform
+
+    from armsight.app.schemas.base import PointStd, PoseStd, RejectedFile
     from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput, ZoomOutput, ZoomRigOutput
     from armsight.app.schemas.machine import AccuracyPlan, DoctorOutput
     from armsight.app.schemas.measure import DemoOutput, MeasureOutput, PoseErrors
@@ -66,12 +68,10 @@ def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
     return [[axis, figure(value / MM, 6), figure(deviation / MM, 2)] for axis, value, deviation in named]
 
 
-def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
+def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: place in mm and rotation vector in degrees, each with its standard deviation."""
-    from scipy.spatial.transform import Rotation  # what only prints help does without it
-
-    places = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.xyz_m, std)]
-    turns = zip("xyz", Rotation.from_quat(pose.quat_xyzw).as_rotvec(), std.rotation_rad, strict=True)
+    places = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.translation.tolist(), std)]
+    turns = zip("xyz", pose.rotation.as_rotvec(), std.rotation_rad, strict=True)
     return places + [
         [f"rotation vector {axis}, deg", figure(value / DEG, 6), figure(deviation / DEG, 2)]
         for axis, value, deviation in turns

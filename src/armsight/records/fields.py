@@ -15,6 +15,15 @@ MOST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
+class Doc:
+    """What a field means; unit: where its name does not end in it; key: its name in JSON, where it is another."""
+
+    meaning: str
+    unit: str = ""
+    key: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Bounds:
     """A number above `above`, from `least` to `most`; of a tuple: the fewest entries in a file that has it."""
 

@@ -21,7 +21,10 @@ from armsight.errors import BadFile, DataRefused
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import NamedCovariance
 from armsight.records.fields import Bounds, Shape
+from armsight.records.output import Output, keys
 from armsight.store.atomic import plain
+
+Kind = TypeVar("Kind", bound=Output)
 
 MAX_SHOWN = 5
 """Errors told at once; more of them have the same cause."""
@@ -57,6 +60,13 @@ class PoseModel(Strict):
     def pose(self) -> RigidTransform:
         """Return it as a RigidTransform; Inconsistent where the quaternion is none."""
         return pose_from_quat(self.xyz_m, self.quat_xyzw)
+
+
+class PoseOutput(BaseModel):
+    """The pose of one frame in another; the key says which: T_a_b is the pose of b in a."""
+
+    xyz_m: tuple[float, float, float] = Field(description="Position, m, in the first frame's axes.")
+    quat_xyzw: tuple[float, float, float, float] = Field(description="Orientation as a unit quaternion, scalar last.")
 
 
 class CovarianceModel(Strict):
@@ -108,6 +118,61 @@ def structure(kind: type) -> type[Strict]:
     model = create_model(kind.__name__, __base__=Strict, __doc__=kind.__doc__, **held)
     model.record = kind
     return model
+
+
+def output_model(kind: type[Output]) -> type[BaseModel]:
+    """Return the model of a result's keys as its JSON object holds them; its JSON schema is the result's."""
+    of: Any = kind  # a class can be hashed
+    return _output_model(of)
+
+
+@cache
+def _output_model(kind: Any) -> type[BaseModel]:
+    held: dict[str, Any] = {}
+    for key in keys(kind):
+        extra: Any = {"unit": key.doc.unit} if key.doc.unit else None
+        field = Field(None if key.optional else ..., description=key.doc.meaning, json_schema_extra=extra)
+        held[key.name] = (_shown(key.hint), field)
+    return create_model(kind.__name__, __doc__=kind.__doc__, __config__=ConfigDict(extra="forbid"), **held)
+
+
+def _shown(hint: Any) -> Any:
+    """Return the type that the JSON object of a result holds for a field."""
+    parts = typing.get_args(hint)
+    if typing.get_origin(hint) is Annotated:
+        return _shown(parts[0])
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return typing.Union[tuple(map(_shown, parts))]  # noqa: UP007  # of a tuple that is known at run time only
+    if typing.get_origin(hint) in (list, tuple, dict):
+        return typing.get_origin(hint)[tuple(one if one is Ellipsis else _shown(one) for one in parts)]
+    if isinstance(hint, type) and issubclass(hint, Output):
+        return output_model(hint)
+    return PoseOutput if hint is RigidTransform else hint
+
+
+def read_output(kind: type[Kind], content: Mapping[str, Any], where: str) -> Kind:
+    """Return the result that a JSON object holds; BadFile that names each wrong key."""
+    found: Kind = _result(kind, validated(output_model(kind), content, where))
+    return found
+
+
+def _result(hint: Any, value: Any) -> Any:
+    """Return a value of a result's field from the model's: the arm of a union that the model was made from."""
+    if isinstance(value, PoseOutput):
+        return pose_from_quat(value.xyz_m, value.quat_xyzw)
+    if isinstance(value, BaseModel):
+        kind = next(one for one in _outputs_in(hint) if output_model(one) is type(value))
+        return kind(**{key.attribute: _result(key.hint, getattr(value, key.name)) for key in keys(kind)})
+    if isinstance(value, list | tuple):
+        return type(value)(_result(hint, one) for one in value)
+    return {name: _result(hint, one) for name, one in value.items()} if isinstance(value, dict) else value
+
+
+def _outputs_in(hint: Any) -> Iterator[type[Output]]:
+    if isinstance(hint, type) and not isinstance(hint, types.GenericAlias) and issubclass(hint, Output):
+        yield hint
+    for inner in typing.get_args(hint):
+        yield from _outputs_in(inner)
 
 
 def _endless(default: object) -> Any:

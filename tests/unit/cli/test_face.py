@@ -10,7 +10,7 @@ import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -19,11 +19,14 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
-from armsight.app.schemas.base import Output, PoseOutput, PoseStd
+from armsight.app.schemas.base import PoseStd
 from armsight.cli.command_ui import Bar, CommandUI, time_left
 from armsight.cli.commands import app
 from armsight.cli.options import Quantity
 from armsight.cli.tables import parameter, pose_rows
+from armsight.geometry import pose_from_quat
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 HEAVY = ("numba", "cv2", "plotly", "scipy", "pydantic", "numpy")
 
@@ -117,10 +120,13 @@ def test_a_log_that_cannot_be_written_does_not_hide_the_error(monkeypatch: pytes
 
 
 def test_no_number_that_is_not_finite_gets_into_json(capsys: pytest.CaptureFixture[str]) -> None:
+    @output
     class Sample(Output):
-        a_m: float
-        b: list[float]
-        c: dict[str, tuple[int, int | None]]
+        """A result."""
+
+        a_m: Annotated[float, Doc("No number.")]
+        b: Annotated[list[float], Doc("Numbers.")]
+        c: Annotated[dict[str, tuple[int, int | None]], Doc("Counts.")]
 
     with CommandUI(as_json=True) as face:
         face.result(Sample(a_m=float("nan"), b=[1.0, float("inf")], c={"d": (1, None)}))
@@ -182,7 +188,7 @@ def test_the_time_left_is_of_the_pace_after_the_first_step_and_in_words() -> Non
 def test_labels_are_of_the_unit_that_is_shown_and_poses_have_their_rotation() -> None:
     assert parameter("j2.theta_rad", np.pi / 2) == ["j2.theta, deg", "90.00"]
     assert parameter("j2.a_m", 0.001) == ["j2.a, mm", "1.000"]
-    pose = PoseOutput(xyz_m=[0.1, 0.0, 0.0], quat_xyzw=[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    pose = pose_from_quat([0.1, 0.0, 0.0], [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
     std = PoseStd(x_m=1e-4, y_m=1e-4, z_m=1e-4, rx_rad=1e-3, ry_rad=1e-3, rz_rad=1e-3)
     rows = {name: value for name, value, _ in pose_rows(pose, std)}
     assert float(rows["x, mm"]) == 100.0 and float(rows["rotation vector z, deg"]) == 90.0

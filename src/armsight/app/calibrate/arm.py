@@ -28,7 +28,7 @@ from armsight.app.schemas.arm import (
     RobotWorldOutput,
     ToolErrors,
 )
-from armsight.app.schemas.base import PoseOutput, PoseStd, RejectedRow
+from armsight.app.schemas.base import PoseStd, RejectedRow
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -48,7 +48,6 @@ from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
 from armsight.store.atomic import disk_errors
-from armsight.store.codec import pose_mapping
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells
 from armsight.store.urdf import delete_urdf, urdf_text
@@ -97,8 +96,8 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     urdf = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
-    return ArmOutput(
-        **dict(arm_output(result)),
+    return arm_output(result).extended(
+        ArmOutput,
         proposals=None if proposal is None else nominal.readings(proposal.q).tolist(),
         expected_std=None if proposal is None else proposal.expected_std,
         urdf=None if urdf is None else str(urdf),
@@ -274,7 +273,7 @@ def world_of(result: WorldCalibration) -> World:
 def world_output(result: WorldCalibration) -> RobotWorldOutput:
     """Return where the rig stands as --json gives it."""
     return RobotWorldOutput(
-        T_base_rig=PoseOutput(**pose_mapping(result.T_base_rig)),
+        T_base_rig=result.T_base_rig,
         std=PoseStd(**result.covariance.std()),
         residual_rms_m=result.residual_rms_m,
         n_used=len(result.residual_m) - len(result.rejected),

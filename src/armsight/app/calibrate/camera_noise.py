@@ -100,8 +100,8 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
 
 def noise_output(found: NoiseCalibration) -> MeasuredNoise:
     """Return a camera's noise and how it was found as --json gives it."""
-    return MeasuredNoise(
-        **dict(_as_in_files(found.noise)),
+    return _as_in_files(found.noise).extended(
+        MeasuredNoise,
         n_given=found.n_frames,
         n_copies=found.n_copies,
         brightness_rms=found.brightness_rms,

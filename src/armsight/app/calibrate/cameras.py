@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any, cast
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
@@ -22,6 +23,7 @@ from armsight.drivers import AUTOMATIC, CameraSettings, ImageReading, is_live
 from armsight.errors import Cancelled, NotEnoughData, UsageError
 from armsight.optics import LensKind
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
+from armsight.records.output import keys
 from armsight.store import parse_board, write_camera, write_rig
 
 Rejected = tuple[str, str]
@@ -227,7 +229,7 @@ def stereo_output(result: StereoCalibration, rejected: Sequence[Rejected], *, n_
         std={**_std(result.rig.covariance), "baseline_m": result.baseline_std_m},
         holdout_rms_px=result.holdout_rms_px,
         holdout_epipolar_rms_px=result.holdout_epipolar_rms_px,
-        metric=dict(result.metric),
+        metric=cast(dict[Any, float | None], dict(result.metric)),
         metric_is_left_out=result.metric_is_left_out,
         alignment=alignment_output(result),
         advice=list(result.advice),
@@ -236,7 +238,8 @@ def stereo_output(result: StereoCalibration, rejected: Sequence[Rejected], *, n_
 
 def alignment_output(result: StereoCalibration) -> AlignmentOutput:
     """Return how parallel the pair stands, as --json gives it."""
-    return AlignmentOutput(**{name: getattr(result.parallelism, name) for name in AlignmentOutput.model_fields})
+    found = result.parallelism
+    return AlignmentOutput(**{key.attribute: getattr(found, key.attribute) for key in keys(AlignmentOutput)})
 
 
 def report_path(out: Path) -> Path:

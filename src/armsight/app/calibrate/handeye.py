@@ -14,7 +14,7 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
-from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
+from armsight.app.schemas.base import PointStd, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
     HandEyeNoise,
     HandEyeOutput,
@@ -44,10 +44,10 @@ from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
+from armsight.records.output import keys
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
-from armsight.store.codec import pose_mapping
 from armsight.store.covariances import UNCORRELATED
 from armsight.store.handeye_file import (
     named_poses,
@@ -110,7 +110,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
     output = handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
-    return output.model_copy(update={"camera_file": camera_file})
+    return replace(output, camera_file=camera_file)
 
 
 def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:
@@ -159,7 +159,7 @@ def handeye_output(
     scale = result.scale
     return HandEyeOutput(
         setup=str(result.setup),
-        **{name: _pose(pose) for name, pose in named_poses(result).items()},
+        **named_poses(result),  # type: ignore[arg-type]  # two of the four, by the setup
         std=PoseStd(**result.std("camera")),
         std_target=PoseStd(**result.std("target")),
         n_pairs=len(result.pairs) + len(unseen),
@@ -184,10 +184,6 @@ def handeye_output(
         time_offset_std_s=None if offset is None else offset.std_s,
         proposals=None if proposed is None else [_proposed(item) for item in proposed],
     )
-
-
-def _pose(pose: RigidTransform) -> PoseOutput:
-    return PoseOutput(**pose_mapping(pose))
 
 
 def _crossval(comparison: ImageComparison) -> ImageCrossval:
@@ -218,12 +214,12 @@ def _left_out(errors: LeftOutErrors) -> ImagesLeftOut:
 
 
 def _proposed(item: Proposal) -> ProposedPose:
-    return ProposedPose(T_base_flange=_pose(item.T_base_flange), expected_std_m=item.expected_std_m)
+    return ProposedPose(T_base_flange=item.T_base_flange, expected_std_m=item.expected_std_m)
 
 
 def noise_output(noise: Noise) -> HandEyeNoise:
     """Return the noises with their standard deviations; null where the data cannot tell them apart."""
-    parts = {name: getattr(noise, name) for name in HandEyeNoise.model_fields}
+    parts = {key.attribute: getattr(noise, key.attribute) for key in keys(HandEyeNoise)}
     return HandEyeNoise(
         **{
             name: NoisePart(value=part.value, std=part.std) if part.known else NoisePart(value=None, at_most=part.value)

@@ -145,10 +145,10 @@ def mirrors_output(
     done: MirrorCalibration, rejected: Sequence[tuple[str, str]], *, n_pairs: int, forms: Sequence[FormError] = ()
 ) -> MirrorsOutput:
     """Return a mirror rig's calibration as --json gives it."""
-    pair = dict(stereo_output(done.pair, rejected, n_pairs=n_pairs))
+    pair = stereo_output(done.pair, rejected, n_pairs=n_pairs)
     plate = done.rig.left.plate
-    pair["alignment"] = MirrorAlignment(
-        **dict(pair["alignment"]),
+    alignment = pair.alignment.extended(
+        MirrorAlignment,
         plate=PlateOutput(
             m_m=done.shift_m,
             l_m=done.shift_m,
@@ -158,10 +158,10 @@ def mirrors_output(
             seen_thickness_std_m=done.seen_std_m,
         ),
     )
-    if not done.pair.metric:
-        pair["metric"] = dict.fromkeys(("expected_m", "mean_m", "rms_m"))
-    return MirrorsOutput(
-        **pair,
+    return pair.extended(
+        MirrorsOutput,
+        alignment=alignment,
+        metric=pair.metric or dict.fromkeys(("expected_m", "mean_m", "rms_m")),
         one_lens=done.one_lens,
         forms=[
             FormOutput(name=one.name, x_m=one.x_m, y_m=one.y_m, z_m=one.z_m, epipolar_px=one.epipolar_px)

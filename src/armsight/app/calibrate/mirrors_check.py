@@ -23,6 +23,7 @@ from armsight.errors import NotEnoughData, UsageError
 from armsight.optics import Camera, Plate, Rig
 from armsight.optics.mirrors import Mirrors
 from armsight.records import NotSeen, Progress, Silent, Target
+from armsight.records.output import keys
 from armsight.store import parse_board, read_camera, read_rig
 
 KEPT = 8
@@ -127,7 +128,7 @@ def _line(found: Alignment | Adjustment) -> str:
 
 def check_output(found: Alignment | Adjustment, missed: Sequence[str]) -> MirrorCheckOutput:
     """Return a check of the alignment as --json gives it."""
-    names = PoseChange.model_fields
+    names = [key.attribute for key in keys(PoseChange)]
     if isinstance(found, Adjustment):
         change, std = (np.concatenate([np.zeros(3), part]) for part in (found.rotation_rad, found.std_rad))
         moved, certain, suspects = not found.parallel, False, []
@@ -139,7 +140,9 @@ def check_output(found: Alignment | Adjustment, missed: Sequence[str]) -> Mirror
             for one in found.suspects
         ]
     return MirrorCheckOutput(
-        alignment=CheckedAlignment(**{name: getattr(found.now, name) for name in CheckedAlignment.model_fields}),
+        alignment=CheckedAlignment(
+            **{name: getattr(found.now, name) for name in (key.attribute for key in keys(CheckedAlignment))}
+        ),
         change=PoseChange(**dict(zip(names, change.tolist(), strict=True))),
         change_std=PoseChange(**dict(zip(names, std.tolist(), strict=True))),
         moved=moved,

@@ -52,7 +52,7 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     recording, tip, taken = find_tip(job, progress)
     write_poses(job.out.with_suffix(".poses.csv"), taken)
     write_tip(job.out, tip, inputs=[job.rig])
-    return PivotOutput(**dict(tip_output(tip)), goal_m=job.goal_m, reached=recording.good_enough)
+    return tip_output(tip).extended(PivotOutput, goal_m=job.goal_m, reached=recording.good_enough)
 
 
 def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecording, TipCalibration, list[TargetPose]]:

@@ -21,6 +21,7 @@ from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.report.compare_report import CompareRun, Course, Row, compare_report
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
+from armsight.store.atomic import write_json
 from armsight.store.foreign.format_detection import kind_of_mapping
 from armsight.store.handeye_file import HANDEYE_FORMAT
 from armsight.store.rigs import RIG_FORMAT
@@ -87,7 +88,7 @@ def compare(job: CompareJob) -> CompareOutput:
     )
     if job.out is not None:
         job.out.mkdir(parents=True, exist_ok=True)
-        done.write(job.out / SUMMARY)
+        write_json(job.out / SUMMARY, done.to_dict())
         write_text(job.out / REPORT, compare_report(_run(done, tracks)))
     return done
 

@@ -12,6 +12,7 @@ from armsight.app.measure.outputs import SUMMARY
 from armsight.app.schemas.measure import MadeWith
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
+from armsight.store.codec import read_output
 
 MAX_SUMMARY_BYTES = 100_000_000
 
@@ -67,7 +68,7 @@ def _made_with(path: Path) -> MadeWith | None:
     try:
         held = json.loads(read_bytes(path, limit=MAX_SUMMARY_BYTES))
         told = held.get("made_with") if isinstance(held, dict) else None
-        return None if told is None else MadeWith.model_validate(told)
+        return None if told is None else read_output(MadeWith, told, str(path))
     except (ValueError, ValidationError, RecursionError) as error:
         raise BadFile(
             f"{path}: not the summary of a measurement ({str(error).splitlines()[0]})",

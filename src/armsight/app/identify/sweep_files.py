@@ -127,7 +127,7 @@ def identified(
     write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
     done = identify_output(result, notes=notes, plan=plan)
     held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(left_out, job.held, strict=True)]
-    return done.model_copy(update={"left_out": held}) if held else done
+    return replace(done, left_out=held) if held else done
 
 
 def _check_paper(result: Identification) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -83,19 +83,18 @@ def side_view(
 def complex_view(view: LiveView) -> SideView:
     """Return what a screen shows of the one picture that holds both views: the spots and curves of both."""
     named = [
-        spot.model_copy(update={"view": side})
+        replace(spot, view=side)
         for side, one in zip(SIDES, (view.left, view.right), strict=True)
         for spot in one.spots
         if spot.name
     ]
     others = {(spot.u_px, spot.v_px): spot for one in (view.left, view.right) for spot in one.spots if not spot.name}
     curves = {side: one.epipolar for side, one in zip(SIDES, (view.left, view.right), strict=True)}
-    return view.left.model_copy(
-        update={
-            "spots": [*named, *others.values()],
-            "epipolar": [curve for side in SIDES for curve in curves[side]],
-            "epipolar_views": [side for side in SIDES for _ in curves[side]],
-        }
+    return replace(
+        view.left,
+        spots=[*named, *others.values()],
+        epipolar=[curve for side in SIDES for curve in curves[side]],
+        epipolar_views=[side for side in SIDES for _ in curves[side]],
     )
 
 

@@ -30,7 +30,7 @@ from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report
 from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, write_text
-from armsight.store.atomic import RowFile
+from armsight.store.atomic import RowFile, write_json
 from armsight.units import MM, MS
 
 if TYPE_CHECKING:
@@ -62,10 +62,10 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
         )
     _write(job.out, setup, moved, done)
     summary = _summary(done, [one.pose for one in moved], ms)
-    summary = summary.model_copy(update={"made_with": made_with(setup.rig, setup.target)})
+    summary = replace(summary, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
     write_text(job.out / REPORT, measure_report(_report(job, setup, world, done, moved, summary)))
-    summary.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, summary.to_dict())
     return summary
 
 
@@ -178,7 +178,7 @@ def _report(
 
 def _doubts(note: str | None, summary: MeasureOutput) -> dict[str, Any]:
     """Return what the report says of the run: the check's cause where it has one, else what the views say."""
-    found = {} if summary.consistency is None else summary.consistency.model_dump()
+    found = {} if summary.consistency is None else summary.consistency.to_dict()
     if note and not found.get("sentence"):
         found |= {"verdict": "doubtful", "sentence": f"{note[0].upper()}{note[1:]}.", "advice": ""}
     if summary.n_doubtful:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -48,6 +48,7 @@ from armsight.measure.tracker import TargetTracker
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
 from armsight.store import World, parse_board, read_target, read_world
+from armsight.store.atomic import write_json
 
 Pair = tuple[Frame, Frame]
 
@@ -188,11 +189,10 @@ def run(
     outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
     failure, about = failure or _nothing_seen(outputs, consistency, board=setup.target.is_board), about or About()
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
-    told = {"assumed_fps": about.assumed_fps, "made_with": made_with(setup.rig, setup.target)}
-    summary = summary.model_copy(update=told)
+    summary = replace(summary, assumed_fps=about.assumed_fps, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
     report.write(out / REPORT, summary, about)
-    summary.write(out / SUMMARY)
+    write_json(out / SUMMARY, summary.to_dict())
     if failure is not None:
         raise _with_place(failure, outputs, out)
     return summary, report.poses

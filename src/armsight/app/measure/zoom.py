@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from armsight.app.measure.outputs import SUMMARY
 from armsight.app.schemas.measure import MeasureOutput, ZoomAt
 from armsight.optics import SIDES, Rig, ZoomState, at_zoom
 from armsight.store import read_zoom_rig
+from armsight.store.atomic import write_json
 
 Zoomed = dict[str, ZoomState]
 """The state of each camera that zooms, by left and right."""
@@ -47,6 +49,6 @@ def with_zoom(summary: MeasureOutput, zoomed: Zoomed, out: Path) -> MeasureOutpu
         )
         for side, state in zoomed.items()
     }
-    told = summary.model_copy(update={"zoom": cameras})
-    told.write(out / SUMMARY)
+    told = replace(summary, zoom=cameras)
+    write_json(out / SUMMARY, told.to_dict())
     return told

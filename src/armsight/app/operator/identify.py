@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +119,7 @@ def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> Plan
     clock = SystemClock()
     still = SessionRobot(robot.seat, lambda: "", clock, waits=False, cancelled=lambda: True)
     done = _identify(asked, robot, station, still, OperatorCallbacks(), Silent(), clock, propose=True)
-    return done.plan if isinstance(done, ProposedPlanOutput) else PlanOutput.model_validate(done.plan)
+    return cast(ProposedPlanOutput, done).plan
 
 
 def run(asked: IdentifyRequest, robot: RobotCell, station: Station, work: BackgroundJob) -> IdentifyOutput:

@@ -26,6 +26,7 @@ from armsight.records import PoseStatus, TargetPose
 from armsight.records.joint_history import JointHistory
 from armsight.report.live_report import live_report
 from armsight.store import write_text
+from armsight.store.atomic import write_json
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_handeye
 from armsight.units import DEG, MM
@@ -106,7 +107,7 @@ class StationSupervisor:
         if not self._log.rows:
             raise NotEnoughData("the cameras showed nothing", consequence="Nothing was supervised")
         done = live_output(self._log, recording="", doubts=DOUBTS)
-        done.write(self.out / SUMMARY)
+        write_json(self.out / SUMMARY, done.to_dict())
         write_text(self.out / ERRORS, self._log.csv())
         write_text(self.out / REPORT, live_report(self._log.series(), done.to_dict(), inputs=[]))
         return done

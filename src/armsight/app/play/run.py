@@ -31,6 +31,7 @@ from armsight.control.play import PathPlan, PathSource, PlayWatch
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.records import Progress, Silent
+from armsight.store.atomic import write_json
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -171,7 +172,7 @@ def run_play(
         prepare(progress)
     session = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), watcher)
     done = session.run(confirm, show, progress, begun, enabled)
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     return done
 
 

@@ -16,6 +16,7 @@ from armsight.errors import UsageError
 from armsight.records import Progress, Silent
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Reproduction, reproduce_report
 from armsight.store import write_text
+from armsight.store.atomic import write_json
 
 PAPERS: Mapping[str, Callable[[Stage], Reproduction]] = MappingProxyType(
     {
@@ -44,7 +45,7 @@ def reproduce(
     done = PAPERS[paper](stage)
     write_text(out / "report.html", reproduce_report(done))
     result = _output(done, stage.scenarios, time.perf_counter() - start_s)
-    result.write(out / "reproduce.json")
+    write_json(out / "reproduce.json", result.to_dict())
     return result
 
 

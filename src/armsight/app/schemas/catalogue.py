@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from armsight.app.schemas.arm import ArmOutput, IdentifyOutput, ProposedPlanOutput, RobotWorldOutput
-from armsight.app.schemas.base import Output, RefusalOutput
+from armsight.app.schemas.base import RefusalOutput
 from armsight.app.schemas.cameras import (
     CameraOutput,
     MirrorCheckOutput,
@@ -52,6 +52,7 @@ from armsight.app.schemas.teach import TeachOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
+from armsight.records.output import Output
 
 OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
     {

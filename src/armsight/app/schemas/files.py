@@ -2,100 +2,114 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated
 
-from armsight.app.schemas.base import Output, RejectedRow, absent
+from armsight.app.schemas.base import RejectedRow
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 
+@output
 class RecordedSkew(Output):
     """Time between the frames of pairs, right minus left."""
 
-    mean: float = Field(description="Mean, s.")
-    largest: float = Field(description="Largest, s.")
+    mean: Annotated[float, Doc("Mean, s.")]
+    largest: Annotated[float, Doc("Largest, s.")]
 
 
+@output
 class RecordOutput(Output):
     """armsight record."""
 
-    file: str = Field(description="The recording.")
-    format: str = Field(description="How frames are kept: png, raw or jpeg.")
-    n_pairs: int = Field(description="Pairs recorded.")
-    n_dropped: int = Field(description="Pairs that found no room: the disk or the processor is too slow.")
-    n_missed: int = Field(description="Frames lost by the cameras or without a partner.")
-    duration_s: float = Field(description="From the first pair to the last, s.")
-    pairs_per_s: float | None = Field(description="Pairs a second.", json_schema_extra={"unit": "1/s"})
-    size_bytes: int = Field(description="Size of the file, bytes.")
-    skew_s: RecordedSkew | None = Field(description="Time between the frames of live pairs; null of other sources.")
+    file: Annotated[str, Doc("The recording.")]
+    format: Annotated[str, Doc("How frames are kept: png, raw or jpeg.")]
+    n_pairs: Annotated[int, Doc("Pairs recorded.")]
+    n_dropped: Annotated[int, Doc("Pairs that found no room: the disk or the processor is too slow.")]
+    n_missed: Annotated[int, Doc("Frames lost by the cameras or without a partner.")]
+    duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
+    pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
+    size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
+    skew_s: Annotated[RecordedSkew | None, Doc("Time between the frames of live pairs; null of other sources.")]
 
 
+@output
 class RepairOutput(Output):
     """armsight record --repair."""
 
-    file: str = Field(description="The mended recording.")
-    messages: dict[str, int] = Field(description="Messages saved by topic.")
-    duration_s: float = Field(description="From the first message to the last, s.")
-    lost_bytes: int = Field(description="Bytes that were not whole.")
-    damaged_chunks: int = Field(description="Chunks whose checksum does not fit.")
+    file: Annotated[str, Doc("The mended recording.")]
+    messages: Annotated[dict[str, int], Doc("Messages saved by topic.")]
+    duration_s: Annotated[float, Doc("From the first message to the last, s.")]
+    lost_bytes: Annotated[int, Doc("Bytes that were not whole.")]
+    damaged_chunks: Annotated[int, Doc("Chunks whose checksum does not fit.")]
 
 
+@output
 class ExportOutput(Output):
     """armsight convert recording."""
 
-    source: str = Field(alias="from", description="The recording.")
-    out: str = Field(description="The folder or file written.")
-    n: dict[str, int] = Field(description="Rows or frames by file.")
+    source: Annotated[str, Doc("The recording.", key="from")]
+    out: Annotated[str, Doc("The folder or file written.")]
+    n: Annotated[dict[str, int], Doc("Rows or frames by file.")]
 
 
+@output
 class ConvertOutput(Output):
     """armsight convert camera, convert rig, convert handeye, convert poses."""
 
-    source: str = Field(alias="from", description="Kind of the file read: armsight, ros, opencv, kalibr; or of poses.")
-    target: str = Field(alias="to", description="Kind of the files written.")
-    files: list[str] = Field(description="The files written.")
-    n: int | None = Field(description="Poses; null for cameras and rigs.")
-    note: str = Field(description="What the new kind could not carry, or which zoom it is of; may be empty.")
+    source: Annotated[str, Doc("Kind of the file read: armsight, ros, opencv, kalibr; or of poses.", key="from")]
+    target: Annotated[str, Doc("Kind of the files written.", key="to")]
+    files: Annotated[list[str], Doc("The files written.")]
+    n: Annotated[int | None, Doc("Poses; null for cameras and rigs.")]
+    note: Annotated[str, Doc("What the new kind could not carry, or which zoom it is of; may be empty.")]
 
 
+@output
 class ConvertTableOutput(Output):
     """armsight convert table."""
 
-    kind: str = Field(description="Which table it is: joints, poses, points, pairs, robot_poses or sweep.")
-    how: str = Field(description="How the file was found to be written.")
-    columns: list[str] = Field(description="The columns of ours that it came to.")
-    ranges: dict[str, tuple[float, float] | None] = Field(
-        description="Smallest and largest number of each column of numbers, in its unit; null where all of its "
-        "cells are empty.",
-    )
-    n: int = Field(description="Rows.")
-    notes: list[str] = Field(description="What was understood of units, rotations, times, frames and joints.")
-    file: str | None = Field(description="The file written; null where none was asked for.")
+    kind: Annotated[str, Doc("Which table it is: joints, poses, points, pairs, robot_poses or sweep.")]
+    how: Annotated[str, Doc("How the file was found to be written.")]
+    columns: Annotated[list[str], Doc("The columns of ours that it came to.")]
+    ranges: Annotated[
+        dict[str, tuple[float, float] | None],
+        Doc(
+            "Smallest and largest number of each column of numbers, in its unit; null where all of its cells are empty."
+        ),
+    ]
+    n: Annotated[int, Doc("Rows.")]
+    notes: Annotated[list[str], Doc("What was understood of units, rotations, times, frames and joints.")]
+    file: Annotated[str | None, Doc("The file written; null where none was asked for.")]
 
 
+@output
 class JoinOutput(Output):
     """armsight join."""
 
-    kind: str = Field(description="The table written: points, observed or pairs.")
-    by: str = Field(description="time, or order where one side has no times.")
-    offset_s: float | None = Field(description="Added to measured times it gives the robot's, s; null by order.")
-    offset_std_s: float | None = Field(description="Its standard deviation, s; null where it was stated, or by order.")
-    drift_ppm: float | None = Field(
-        description="How much faster the robot's clock runs, in parts of a million; null where no drift is proved.",
-        json_schema_extra={"unit": "1e-6"},
-    )
-    n_measured: int = Field(description="Measured rows.")
-    n: int = Field(description="Rows written.")
-    rejected: list[RejectedRow] = Field(description="Measured rows left out, with the reason.")
-    notes: list[str] = Field(description="What is to be known of times and columns.")
-    file: str | None = Field(None, exclude_if=absent, description="The file written.")
+    kind: Annotated[str, Doc("The table written: points, observed or pairs.")]
+    by: Annotated[str, Doc("time, or order where one side has no times.")]
+    offset_s: Annotated[float | None, Doc("Added to measured times it gives the robot's, s; null by order.")]
+    offset_std_s: Annotated[float | None, Doc("Its standard deviation, s; null where it was stated, or by order.")]
+    drift_ppm: Annotated[
+        float | None,
+        Doc(
+            "How much faster the robot's clock runs, in parts of a million; null where no drift is proved.", unit="1e-6"
+        ),
+    ]
+    n_measured: Annotated[int, Doc("Measured rows.")]
+    n: Annotated[int, Doc("Rows written.")]
+    rejected: Annotated[list[RejectedRow], Doc("Measured rows left out, with the reason.")]
+    notes: Annotated[list[str], Doc("What is to be known of times and columns.")]
+    file: Annotated[str | None, Doc("The file written.")] = None
 
 
+@output
 class SimulateOutput(Output):
     """armsight simulate."""
 
-    scenario: str = Field(description="The scenario's or cell's name.")
-    seed: int = Field(description="The seed, which gives the same run again.")
-    n_frames: int = Field(description="Frames of each view written.")
-    n_dropped: int | None = Field(None, exclude_if=absent, description="Frames left out by the scenario's faults.")
-    views: list[str] | None = Field(None, exclude_if=absent, description="The views: left, right or image.")
-    out: str = Field(description="The folder.")
-    commands: list[str] | None = Field(None, exclude_if=absent, description="What reads the set, run in its folder.")
+    scenario: Annotated[str, Doc("The scenario's or cell's name.")]
+    seed: Annotated[int, Doc("The seed, which gives the same run again.")]
+    n_frames: Annotated[int, Doc("Frames of each view written.")]
+    n_dropped: Annotated[int | None, Doc("Frames left out by the scenario's faults.")] = None
+    views: Annotated[list[str] | None, Doc("The views: left, right or image.")] = None
+    out: Annotated[str, Doc("The folder.")]
+    commands: Annotated[list[str] | None, Doc("What reads the set, run in its folder.")] = None

@@ -2,86 +2,96 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated
 
-from armsight.app.schemas.base import Output
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 
+@output
 class FkOutput(Output):
     """armsight kinematics fk."""
 
-    arm: str = Field(description="The arm's name.")
-    n: int = Field(description="Rows.")
-    n_beyond_limits: int = Field(description="Rows with a joint beyond its limits.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Rows.")]
+    n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
 
 
+@output
 class JacobianOutput(Output):
     """armsight kinematics jacobian."""
 
-    arm: str = Field(description="The arm's name.")
-    n: int = Field(description="Rows.")
-    axes: str = Field(description="Axes of the Jacobian: world, base or tool.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Rows.")]
+    axes: Annotated[str, Doc("Axes of the Jacobian: world, base or tool.")]
 
 
+@output
 class UnsolvedPose(Output):
     """A pose without a solution."""
 
-    pose: int = Field(description="The pose, from 0.")
-    status: str = Field(description="out_of_reach, limits or no_solution.")
-    why: str = Field(description="Why, in words.")
+    pose: Annotated[int, Doc("The pose, from 0.")]
+    status: Annotated[str, Doc("out_of_reach, limits or no_solution.")]
+    why: Annotated[str, Doc("Why, in words.")]
 
 
+@output
 class IkOutput(Output):
     """armsight kinematics ik."""
 
-    arm: str = Field(description="The arm's name.")
-    n: int = Field(description="Poses.")
-    status: dict[str, int] = Field(description="Poses by status: ok, out_of_reach, singular, limits, no_solution.")
-    unsolved: list[UnsolvedPose] = Field(description="Poses without a solution.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Poses.")]
+    status: Annotated[dict[str, int], Doc("Poses by status: ok, out_of_reach, singular, limits, no_solution.")]
+    unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
 
 
+@output
 class PathIssue(Output):
     """Something wrong with a joint path."""
 
-    kind: str = Field(description="jump, speed, limits, singular, branch or unreached.")
-    first: int = Field(description="Where it begins, row from 0.")
-    last: int = Field(description="Where it ends, row from 0.")
-    worst: int = Field(description="Where it is worst, row from 0.")
-    joint: str = Field(description="The joint's name; empty where it concerns the arm.")
-    value: float = Field(description="How much there, rad, m, rad/s or m/s; of a singular passage its measure.")
-    limit: float = Field(description="What is allowed, in the same unit.")
-    text: str = Field(description="The same in words.")
+    kind: Annotated[str, Doc("jump, speed, limits, singular, branch or unreached.")]
+    first: Annotated[int, Doc("Where it begins, row from 0.")]
+    last: Annotated[int, Doc("Where it ends, row from 0.")]
+    worst: Annotated[int, Doc("Where it is worst, row from 0.")]
+    joint: Annotated[str, Doc("The joint's name; empty where it concerns the arm.")]
+    value: Annotated[float, Doc("How much there, rad, m, rad/s or m/s; of a singular passage its measure.")]
+    limit: Annotated[float, Doc("What is allowed, in the same unit.")]
+    text: Annotated[str, Doc("The same in words.")]
 
 
+@output
 class PathOutput(Output):
     """armsight kinematics path."""
 
-    arm: str = Field(description="The arm's name.")
-    n: int = Field(description="Poses of the path.")
-    n_reached: int = Field(description="Poses from the start that were reached.")
-    branch: list[str] = Field(description="The branch of the solution; empty without a closed form.")
-    issues: list[PathIssue] = Field(description="What is wrong with the path.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Poses of the path.")]
+    n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
+    branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
+    issues: Annotated[list[PathIssue], Doc("What is wrong with the path.")]
 
 
+@output
 class FormulasOutput(Output):
     """armsight kinematics formulas."""
 
-    arm: str = Field(description="The arm's name.")
-    file: str = Field(description="The file written.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    file: Annotated[str, Doc("The file written.")]
 
 
+@output
 class ShowOutput(Output):
     """armsight kinematics show."""
 
-    arm: str = Field(description="The arm's name.")
-    file: str = Field(description="The page written.")
-    tool_xyz_m: tuple[float, float, float] = Field(description="Where the tool is, in world axes, m.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    file: Annotated[str, Doc("The page written.")]
+    tool_xyz_m: Annotated[tuple[float, float, float], Doc("Where the tool is, in world axes, m.")]
 
 
+@output
 class ConvertArmOutput(Output):
     """armsight convert arm."""
 
-    arm: str = Field(description="The arm's name.")
-    file: str = Field(description="The file written.")
-    joints: int = Field(description="How many joints.")
-    convention: str = Field(description="standard or craig.")
+    arm: Annotated[str, Doc("The arm's name.")]
+    file: Annotated[str, Doc("The file written.")]
+    joints: Annotated[int, Doc("How many joints.")]
+    convention: Annotated[str, Doc("standard or craig.")]

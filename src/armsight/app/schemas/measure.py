@@ -2,192 +2,203 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated
 
-from armsight.app.schemas.base import Output, PoseStd, absent
+from armsight.app.schemas.base import PoseStd
 from armsight.app.schemas.timing import BothCounts, BothSeconds
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 
+@output
 class FrameTime(Output):
     """How long a pair of frames takes, from the images to the written row."""
 
-    median: float | None = Field(description="Median, ms.")
-    p99: float | None = Field(description="99th percentile, ms.")
+    median: Annotated[float | None, Doc("Median, ms.")]
+    p99: Annotated[float | None, Doc("99th percentile, ms.")]
 
 
+@output
 class Candidates(Output):
     """Bright things in the images of both views, summed over the run."""
 
-    n_seen: int = Field(description="How many were looked at.")
-    n_fitted: int = Field(description="How many have the form of a light.")
-    n_matched: int = Field(description="How many were matched to a light of the target.")
+    n_seen: Annotated[int, Doc("How many were looked at.")]
+    n_fitted: Annotated[int, Doc("How many have the form of a light.")]
+    n_matched: Annotated[int, Doc("How many were matched to a light of the target.")]
 
 
+@output
 class PoseDeviations(Output):
     """Median standard deviations of the full poses."""
 
-    total: PoseStd = Field(description="Of all causes together.")
-    random: PoseStd = Field(description="Of the spots' noise, anew in each frame.")
-    systematic: PoseStd = Field(description="Of rig and target, the same in all frames.")
+    total: Annotated[PoseStd, Doc("Of all causes together.")]
+    random: Annotated[PoseStd, Doc("Of the spots' noise, anew in each frame.")]
+    systematic: Annotated[PoseStd, Doc("Of rig and target, the same in all frames.")]
 
 
+@output
 class SkewOutput(Output):
     """How far apart in time the frames of live pairs were: right minus left."""
 
-    mean_s: float = Field(description="Mean, s.")
-    largest_s: float = Field(description="Largest, s.")
-    n_dropped: int = Field(description="Frames without a partner.")
+    mean_s: Annotated[float, Doc("Mean, s.")]
+    largest_s: Annotated[float, Doc("Largest, s.")]
+    n_dropped: Annotated[int, Doc("Frames without a partner.")]
 
 
+@output
 class Estimated(Output):
     """One number of a cause."""
 
-    estimate: float = Field(description="Its value, in the unit of the cause.")
-    std: float = Field(description="Its standard deviation, in the same unit.")
+    estimate: Annotated[float, Doc("Its value, in the unit of the cause.")]
+    std: Annotated[float, Doc("Its standard deviation, in the same unit.")]
 
 
+@output
 class OtherCause(Output):
     """A cause that explains the residuals less well than the first."""
 
-    cause: str = Field(description="Its name.")
-    estimate: float | None = Field(description="How large it is, in `unit`.")
-    std: float | None = Field(description="Standard deviation of the estimate, in `unit`.")
-    unit: str | None = Field(description="1, m, rad or s; empty for a cause without one number.")
-    effect_m: float = Field(description="What it does to the poses' positions, RMS, m.")
-    log_odds: float = Field(description="Natural logarithm of its odds against the first cause.")
+    cause: Annotated[str, Doc("Its name.")]
+    estimate: Annotated[float | None, Doc("How large it is, in `unit`.")]
+    std: Annotated[float | None, Doc("Standard deviation of the estimate, in `unit`.")]
+    unit: Annotated[str | None, Doc("1, m, rad or s; empty for a cause without one number.")]
+    effect_m: Annotated[float, Doc("What it does to the poses' positions, RMS, m.")]
+    log_odds: Annotated[float, Doc("Natural logarithm of its odds against the first cause.")]
 
 
+@output
 class ConsistencyOutput(Output):
     """Whether the residuals of a run agree with rig, target and noise, and what is wrong if not."""
 
-    verdict: str = Field(description="ok, doubtful, inconsistent or unchecked.")
-    cause: str | None = Field(description="The likeliest cause, null where nothing is wrong.")
-    estimate: float | None = Field(description="How large it is, in `unit`.")
-    std: float | None = Field(description="Standard deviation of the estimate, in `unit`.")
-    unit: str | None = Field(description="1, m, rad or s; empty for a cause without one number.")
-    effect_m: float | None = Field(description="What the cause does to the poses' positions, RMS, m.")
-    effect_rad: float | None = Field(description="What the cause does to the poses' orientations, RMS, rad.")
-    since_s: float | None = Field(description="When it began, s of t_s, for a cause that came during the run.")
-    equally_likely: list[str] = Field(description="Other causes that explain the residuals as well.")
-    others: list[OtherCause] = Field(description="The next likely causes, likeliest first.")
-    components: dict[str, Estimated] = Field(description="The numbers of the likeliest cause by name.")
-    chi2_per_dof: float | None = Field(description="Chi-square of all residuals per degree of freedom.")
-    noise_scale: float = Field(description="Noise of the residuals over the claimed noise, as standard deviations.")
-    refused: float = Field(description="Share of the frames, 0 to 1, that fit the target in no way.")
-    claimed_m: float | None = Field(description="RMS of the claimed standard deviation of a position, 3-D, m.")
-    n_frames: int = Field(description="Frames that were judged.")
-    undetected_m: dict[str, float] = Field(description="By cause: the largest effect, m, that the run could not tell.")
-    sentence: str = Field(description="What is wrong in a sentence; empty where nothing is.")
-    advice: str = Field(description="What to do about it; empty where nothing is to be done.")
+    verdict: Annotated[str, Doc("ok, doubtful, inconsistent or unchecked.")]
+    cause: Annotated[str | None, Doc("The likeliest cause, null where nothing is wrong.")]
+    estimate: Annotated[float | None, Doc("How large it is, in `unit`.")]
+    std: Annotated[float | None, Doc("Standard deviation of the estimate, in `unit`.")]
+    unit: Annotated[str | None, Doc("1, m, rad or s; empty for a cause without one number.")]
+    effect_m: Annotated[float | None, Doc("What the cause does to the poses' positions, RMS, m.")]
+    effect_rad: Annotated[float | None, Doc("What the cause does to the poses' orientations, RMS, rad.")]
+    since_s: Annotated[float | None, Doc("When it began, s of t_s, for a cause that came during the run.")]
+    equally_likely: Annotated[list[str], Doc("Other causes that explain the residuals as well.")]
+    others: Annotated[list[OtherCause], Doc("The next likely causes, likeliest first.")]
+    components: Annotated[dict[str, Estimated], Doc("The numbers of the likeliest cause by name.")]
+    chi2_per_dof: Annotated[float | None, Doc("Chi-square of all residuals per degree of freedom.")]
+    noise_scale: Annotated[float, Doc("Noise of the residuals over the claimed noise, as standard deviations.")]
+    refused: Annotated[float, Doc("Share of the frames, 0 to 1, that fit the target in no way.")]
+    claimed_m: Annotated[float | None, Doc("RMS of the claimed standard deviation of a position, 3-D, m.")]
+    n_frames: Annotated[int, Doc("Frames that were judged.")]
+    undetected_m: Annotated[dict[str, float], Doc("By cause: the largest effect, m, that the run could not tell.")]
+    sentence: Annotated[str, Doc("What is wrong in a sentence; empty where nothing is.")]
+    advice: Annotated[str, Doc("What to do about it; empty where nothing is to be done.")]
 
 
+@output
 class FreeRunning(Output):
     """How a moving target was measured by cameras that no wire joins."""
 
-    delay_s: float = Field(description="t_left = t_right + delay_s + 1e-6 drift_ppm t_right, s.")
-    drift_ppm: float = Field(description="How much faster the left camera's clock runs, parts in a million.")
-    readout_s: BothSeconds = Field(description="From the first line's exposure to the last one's.")
-    delay_change_s: float = Field(description="By how much this recording itself moved the calibrated delay.")
-    delay_std_s: float | None = Field(description="Standard deviation of the delay in the middle of the recording.")
-    n_views: BothCounts = Field(description="Frames in which lights of the target were found.")
-    n_starts: int = Field(description="How often the target was found anew.")
-    chi2_per_dof: float | None = Field(description="Chi-square of the spots about the motion, per degree of freedom.")
-    note: str | None = Field(None, exclude_if=absent, description="Why the poses are to be doubted.")
-    speed_m_s: float | None = Field(description="RMS of the target's speed, m/s.")
-    nearest_pairs_m: float | None = Field(
-        description="RMS of how far the target moves between a left frame and the right frame nearest in time, m."
-    )
+    delay_s: Annotated[float, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right, s.")]
+    drift_ppm: Annotated[float, Doc("How much faster the left camera's clock runs, parts in a million.")]
+    readout_s: Annotated[BothSeconds, Doc("From the first line's exposure to the last one's.")]
+    delay_change_s: Annotated[float, Doc("By how much this recording itself moved the calibrated delay.")]
+    delay_std_s: Annotated[float | None, Doc("Standard deviation of the delay in the middle of the recording.")]
+    n_views: Annotated[BothCounts, Doc("Frames in which lights of the target were found.")]
+    n_starts: Annotated[int, Doc("How often the target was found anew.")]
+    chi2_per_dof: Annotated[float | None, Doc("Chi-square of the spots about the motion, per degree of freedom.")]
+    note: Annotated[str | None, Doc("Why the poses are to be doubted.")] = None
+    speed_m_s: Annotated[float | None, Doc("RMS of the target's speed, m/s.")]
+    nearest_pairs_m: Annotated[
+        float | None,
+        Doc("RMS of how far the target moves between a left frame and the right frame nearest in time, m."),
+    ]
 
 
+@output
 class ZoomAt(Output):
     """The camera of a zoom lens at the setting that was measured with."""
 
-    zoom: float = Field(description="The setting.")
-    interpolated: bool = Field(description="Whether it lies between calibrated settings.")
-    fx_px: float = Field(description="Focal length along x, px.")
-    fx_std_px: float = Field(description="Its standard deviation, calibration and interpolation, px.")
-    fx_interpolation_px: float = Field(description="The part of it that the interpolation brings, px.")
-    pupil_m: float = Field(description="Where the centre of projection stands; 0 where the settings do not say it, m.")
+    zoom: Annotated[float, Doc("The setting.")]
+    interpolated: Annotated[bool, Doc("Whether it lies between calibrated settings.")]
+    fx_px: Annotated[float, Doc("Focal length along x, px.")]
+    fx_std_px: Annotated[float, Doc("Its standard deviation, calibration and interpolation, px.")]
+    fx_interpolation_px: Annotated[float, Doc("The part of it that the interpolation brings, px.")]
+    pupil_m: Annotated[float, Doc("Where the centre of projection stands; 0 where the settings do not say it, m.")]
 
 
+@output
 class MadeWith(Output):
     """Which rig and target a run was measured with, as fingerprints: equal only where their numbers are."""
 
-    rig: str = Field(description="SHA-256 of the cameras' intrinsics and poses.")
-    target: str = Field(description="SHA-256 of the target's names and points.")
+    rig: Annotated[str, Doc("SHA-256 of the cameras' intrinsics and poses.")]
+    target: Annotated[str, Doc("SHA-256 of the target's names and points.")]
 
 
+@output
 class MeasureOutput(Output):
     """armsight measure; also OUT/measure.json."""
 
-    n_frames: int = Field(description="Pairs of frames.")
-    n_ok: int = Field(description="Pairs that gave a pose.")
-    n_doubtful: int = Field(description="Pairs that gave a pose that does not fit the claims, or whose run does not.")
-    n_position_only: int = Field(description="Pairs that gave a position without an orientation.")
-    n_lost: int = Field(description="Pairs that gave nothing.")
-    reprojection_rms_px: float | None = Field(description="RMS of the 2-D residual per light and view, px.")
-    ms_per_frame: FrameTime = Field(description="How long a pair takes.", json_schema_extra={"unit": "ms"})
-    reasons: dict[str, int] = Field(
-        description="How often each kind of cause (listed above) took a pose or its rotation away, or made it doubtful."
-    )
-    candidates: Candidates | None = Field(None, exclude_if=absent, description="Bright things in all images.")
-    std: PoseDeviations | None = Field(
-        None, exclude_if=absent, description="Median standard deviations of the full poses."
-    )
-    consistency: ConsistencyOutput | None = Field(
-        None, exclude_if=absent, description="Whether residuals, rig and target agree."
-    )
-    skew: SkewOutput | None = Field(None, exclude_if=absent, description="Time between the frames of live pairs.")
-    timing: FreeRunning | None = Field(
-        None, exclude_if=absent, description="Where each view was taken at its own time."
-    )
-    error: str | None = Field(None, exclude_if=absent, description="Why the run ended early.")
-    assumed_fps: float | None = Field(
-        None, exclude_if=absent, description="Frames a second that were assumed, where nothing tells the frames' times."
-    )
-    zoom: dict[str, ZoomAt] | None = Field(
-        None, exclude_if=absent, description="The cameras that zoom, by left and right."
-    )
-    made_with: MadeWith | None = Field(None, exclude_if=absent, description="Which rig and target it was.")
+    n_frames: Annotated[int, Doc("Pairs of frames.")]
+    n_ok: Annotated[int, Doc("Pairs that gave a pose.")]
+    n_doubtful: Annotated[int, Doc("Pairs that gave a pose that does not fit the claims, or whose run does not.")]
+    n_position_only: Annotated[int, Doc("Pairs that gave a position without an orientation.")]
+    n_lost: Annotated[int, Doc("Pairs that gave nothing.")]
+    reprojection_rms_px: Annotated[float | None, Doc("RMS of the 2-D residual per light and view, px.")]
+    ms_per_frame: Annotated[FrameTime, Doc("How long a pair takes.", unit="ms")]
+    reasons: Annotated[
+        dict[str, int],
+        Doc("How often each kind of cause (listed above) took a pose or its rotation away, or made it doubtful."),
+    ]
+    candidates: Annotated[Candidates | None, Doc("Bright things in all images.")] = None
+    std: Annotated[PoseDeviations | None, Doc("Median standard deviations of the full poses.")] = None
+    consistency: Annotated[ConsistencyOutput | None, Doc("Whether residuals, rig and target agree.")] = None
+    skew: Annotated[SkewOutput | None, Doc("Time between the frames of live pairs.")] = None
+    timing: Annotated[FreeRunning | None, Doc("Where each view was taken at its own time.")] = None
+    error: Annotated[str | None, Doc("Why the run ended early.")] = None
+    assumed_fps: Annotated[
+        float | None, Doc("Frames a second that were assumed, where nothing tells the frames' times.")
+    ] = None
+    zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
+    made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
 
 
+@output
 class TruthError(Output):
     """Error of one coordinate of the poses against the truth, in the unit of its key."""
 
-    rms: float = Field(description="Root mean square error.")
-    max: float = Field(description="Largest absolute error.")
-    claimed: float = Field(description="Root mean square of the claimed standard deviations.")
+    rms: Annotated[float, Doc("Root mean square error.")]
+    max: Annotated[float, Doc("Largest absolute error.")]
+    claimed: Annotated[float, Doc("Root mean square of the claimed standard deviations.")]
 
 
+@output
 class PoseErrors(Output):
     """Errors of the poses by coordinate."""
 
-    x_m: TruthError = Field(description="Of x, m.")
-    y_m: TruthError = Field(description="Of y, m.")
-    z_m: TruthError = Field(description="Of z, m.")
-    rx_rad: TruthError = Field(description="Of the rotation about x, rad.")
-    ry_rad: TruthError = Field(description="Of the rotation about y, rad.")
-    rz_rad: TruthError = Field(description="Of the rotation about z, rad.")
+    x_m: Annotated[TruthError, Doc("Of x, m.")]
+    y_m: Annotated[TruthError, Doc("Of y, m.")]
+    z_m: Annotated[TruthError, Doc("Of z, m.")]
+    rx_rad: Annotated[TruthError, Doc("Of the rotation about x, rad.")]
+    ry_rad: Annotated[TruthError, Doc("Of the rotation about y, rad.")]
+    rz_rad: Annotated[TruthError, Doc("Of the rotation about z, rad.")]
 
 
+@output
 class PicturesOutput(Output):
     """The demo's real pictures of a checkerboard, calibrated and measured."""
 
-    n_pairs: int = Field(description="Pairs of pictures.")
-    rms_px: float = Field(description="Reprojection residual of the calibration, RMS, px.")
-    baseline_m: float = Field(description="Distance of the two cameras, m.")
-    square_error_m: float | None = Field(
-        description="Error of the board's squares in pairs that the calibration did not see, RMS, m."
-    )
-    n_ok: int = Field(description="Pairs in which the board's pose was measured.")
-    out: str = Field(description="Where its results are.")
+    n_pairs: Annotated[int, Doc("Pairs of pictures.")]
+    rms_px: Annotated[float, Doc("Reprojection residual of the calibration, RMS, px.")]
+    baseline_m: Annotated[float, Doc("Distance of the two cameras, m.")]
+    square_error_m: Annotated[
+        float | None, Doc("Error of the board's squares in pairs that the calibration did not see, RMS, m.")
+    ]
+    n_ok: Annotated[int, Doc("Pairs in which the board's pose was measured.")]
+    out: Annotated[str, Doc("Where its results are.")]
 
 
+@output
 class DemoOutput(MeasureOutput):
     """armsight demo; also OUT/demo.json."""
 
-    truth: PoseErrors = Field(description="Errors against the simulated truth, in rig axes.")
-    inside_95: float | None = Field(description="Share of the poses, 0 to 1, inside their own 95 % ellipsoid.")
-    seconds_s: float = Field(description="How long the whole command took, s.")
-    assumptions: list[str] = Field(description="What the simulated cell takes for granted.")
-    pictures: PicturesOutput | None = Field(description="The real pictures; null where they were left out.")
+    truth: Annotated[PoseErrors, Doc("Errors against the simulated truth, in rig axes.")]
+    inside_95: Annotated[float | None, Doc("Share of the poses, 0 to 1, inside their own 95 % ellipsoid.")]
+    seconds_s: Annotated[float, Doc("How long the whole command took, s.")]
+    assumptions: Annotated[list[str], Doc("What the simulated cell takes for granted.")]
+    pictures: Annotated[PicturesOutput | None, Doc("The real pictures; null where they were left out.")]

@@ -2,39 +2,43 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated
 
-from armsight.app.schemas.base import Output
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 
+@output
 class PeriodOutput(Output):
     """Times between the beginnings of two cycles."""
 
-    median: float = Field(description="Their median, ms.")
-    p99: float = Field(description="Their 99th percentile, ms.")
-    max: float = Field(description="The longest, ms.")
+    median: Annotated[float, Doc("Their median, ms.")]
+    p99: Annotated[float, Doc("Their 99th percentile, ms.")]
+    max: Annotated[float, Doc("The longest, ms.")]
 
 
+@output
 class RobotTestOutput(Output):
     """robot test: whether the link to a robot keeps its pace; nothing moves."""
 
-    driver: str = Field(description="The robot's driver.")
-    cycle_s: float = Field(description="Time between two commands that the controller takes, s.")
-    n_cycles: int = Field(description="Cycles done, each with a reading.")
-    late: int = Field(description="Cycles that began more than half a cycle too late.")
-    missed: int = Field(description="Cycles that never began, because the one before took too long.")
-    period_ms: PeriodOutput = Field(description="Times between the beginnings of two cycles, ms.")
-    silence_ms: float = Field(description="The longest time without a new reading, ms.")
-    q: list[float] = Field(description="The last reading, rad or m.")
-    state: str = Field(description="What the robot can do: ready, moving or stopped.")
+    driver: Annotated[str, Doc("The robot's driver.")]
+    cycle_s: Annotated[float, Doc("Time between two commands that the controller takes, s.")]
+    n_cycles: Annotated[int, Doc("Cycles done, each with a reading.")]
+    late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
+    missed: Annotated[int, Doc("Cycles that never began, because the one before took too long.")]
+    period_ms: Annotated[PeriodOutput, Doc("Times between the beginnings of two cycles, ms.")]
+    silence_ms: Annotated[float, Doc("The longest time without a new reading, ms.")]
+    q: Annotated[list[float], Doc("The last reading, rad or m.")]
+    state: Annotated[str, Doc("What the robot can do: ready, moving or stopped.")]
 
 
+@output
 class JogOutput(Output):
     """robot jog: one joint moved by a given way, or the arm moved by hand."""
 
-    asked: float | None = Field(description="The way asked for, rad or m; null where a hand moved the arm.")
-    sent: list[float] = Field(description="Where the robot was last told to go, rad or m.")
-    reached: list[float] = Field(description="What it reads at rest, rad or m.")
-    limited: list[str] = Field(description="The limits that slowed the motion, in words.")
-    outside: str = Field(description="Which limits the arm stood outside of at the start, by how much; empty: none.")
-    state: str = Field(description="What the robot can do now: ready, moving or stopped.")
+    asked: Annotated[float | None, Doc("The way asked for, rad or m; null where a hand moved the arm.")]
+    sent: Annotated[list[float], Doc("Where the robot was last told to go, rad or m.")]
+    reached: Annotated[list[float], Doc("What it reads at rest, rad or m.")]
+    limited: Annotated[list[str], Doc("The limits that slowed the motion, in words.")]
+    outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
+    state: Annotated[str, Doc("What the robot can do now: ready, moving or stopped.")]

@@ -21,6 +21,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.optics import Rig, RigKind
 from armsight.records import Progress, Silent, Target
 from armsight.store import read_rig
+from armsight.store.atomic import write_json
 from armsight.store.handeye_file import HandEyeFile, read_handeye
 
 SUMMARY = "servo.json"
@@ -59,7 +60,7 @@ def run_servo(
     prepare(progress)
     setup = measuring(rig, target, devices)
     done = ServoSession(job, devices, guard, settings, setup, beside).run(confirm, show, progress)
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     return done
 
 

@@ -14,6 +14,7 @@ from armsight.app.schemas.teach import TeachOutput
 from armsight.control.teach import PathRecorder
 from armsight.errors import UsageError
 from armsight.store import write_poses
+from armsight.store.atomic import write_json
 from armsight.store.handeye_file import read_tip
 from armsight.store.path_file import write_path
 
@@ -83,5 +84,5 @@ def saved(job: TeachJob, recorder: PathRecorder, stopped_by: str, servo: ServoOu
         n_unplaced=counts.unplaced,
         servo=servo,
     )
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     return done

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.schemas.verify import IsoFigure
 from armsight.errors import Inconsistent
+from armsight.records.output import keys
 from armsight.store.verify_files import CommandedFile, MeasuredFile
 from armsight.verify import Align, Measured, Reported, Verification
 from armsight.verify.iso9283 import CommandedPath, evaluate
@@ -29,8 +32,9 @@ def iso_figures(
     """
     test, notes = iso9283_test(measured, file.repeats, command, band_m)
     told = evaluate(test).as_json()
-    keys = IsoFigure.model_fields
-    return {key: IsoFigure.model_validate({k: item[k] for k in keys}) for key, item in told.items()}, notes
+    names = [key.attribute for key in keys(IsoFigure)]
+    figures: dict[str, dict[str, Any]] = {key: {name: item[name] for name in names} for key, item in told.items()}
+    return {key: IsoFigure(**item) for key, item in figures.items()}, notes
 
 
 def by_name(file: MeasuredFile, told: CommandedFile) -> bool:

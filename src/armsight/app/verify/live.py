@@ -22,6 +22,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.records import Frame, Progress, Silent
 from armsight.report.live_report import live_report
 from armsight.store import read_rig, read_world, write_text
+from armsight.store.atomic import write_json
 from armsight.store.worlds import World
 from armsight.verify.supervision import Expectation
 
@@ -65,7 +66,7 @@ def run_verify_live(
         raise failure
     failure = failure or _nothing_compared(log)
     done = live_output(log, recording=str(job.out / RECORDING), doubts=_doubts(job, arm, world, devices, failure))
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / ERRORS, log.csv())
     write_text(job.out / REPORT, live_report(log.series(), done.to_dict(), inputs=_inputs(job)))
     if failure is not None:

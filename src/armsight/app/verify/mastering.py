@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
-from armsight.app.schemas.base import PoseOutput, RejectedRow
+from armsight.app.schemas.base import RejectedRow
 from armsight.app.schemas.verify_live import MasteringJoint, MasteringOutput, MasteringPlanOutput, MasteringPose
 from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import in_world
@@ -21,7 +21,7 @@ from armsight.optics import Rig
 from armsight.records import Target
 from armsight.report.mastering_report import mastering_report
 from armsight.store import read_rig, read_world, write_text
-from armsight.store.codec import pose_mapping
+from armsight.store.atomic import write_json
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
 from armsight.units import read_value
@@ -101,7 +101,7 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
         raise UsageError("the joints of the poses are missing", cure="Give --joints joints.csv")
     result = check_mastering(arm, paired.q, paired.measured, how)
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / REPORT, mastering_report(done.to_dict(), arm.name, slides=_slides(arm)))
     return done
 
@@ -204,7 +204,7 @@ def _output(result: Mastering, arm: Arm, rejected: list[tuple[int, str]], notes:
         std_rad=result.std,
         rms_before_m=_rms(result.before),
         rms_after_m=_rms(result.after),
-        tool_moved=None if moved is None else PoseOutput(**pose_mapping(moved)),
+        tool_moved=moved,
         joints=[
             MasteringJoint(
                 index=i, name=joint.name, judged=one.judged, why=one.why, offset_rad=one.offset, std_rad=one.std

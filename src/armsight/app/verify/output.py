@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.base import PoseOutput, RejectedRow
+from armsight.app.schemas.base import RejectedRow
 from armsight.app.schemas.verify import (
     CauseParameter,
     ConfigurationPairs,
@@ -20,7 +20,6 @@ from armsight.app.schemas.verify import (
 )
 from armsight.kinematics import Arm
 from armsight.report.html import figure_of
-from armsight.store.codec import pose_mapping
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
 from armsight.units import DEG, MM
@@ -109,8 +108,8 @@ def _alignment(result: Verification, arm: Arm | None) -> VerifyAlignment:
         zeros = [f"{joint.name}.{kind}" for joint, kind, verdict in named if not verdict.judged]
     return VerifyAlignment(
         free=list(result.how.parts),
-        T_measured_base=PoseOutput(**pose_mapping(result.mounts.base)),
-        T_flange_tool=PoseOutput(**pose_mapping(result.mounts.tools[0])),
+        T_measured_base=result.mounts.base,
+        T_flange_tool=result.mounts.tools[0],
         std={name: value if np.isfinite(value) else None for name, value in result.std.items()},
         undetermined=[*result.undetermined, *zeros],
     )

@@ -11,6 +11,7 @@ from armsight.app.kinematics import load_arm
 from armsight.app.schemas.verify import PlannedCube, PlannedPose, PlannedTest, VerifyPlanOutput
 from armsight.errors import UsageError
 from armsight.records import Progress
+from armsight.store.atomic import write_json
 from armsight.store.iso9283_plan import write_test_plan
 from armsight.verify.iso9283 import PlannedMotion, PlanOptions, TestPlan, plan_test
 
@@ -43,7 +44,7 @@ def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput
     chosen = replace(plan, motions=_chosen(plan, job.what))
     write_test_plan(job.out / PLAN, chosen)
     done = _output(plan, chosen.motions)
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     return done
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from armsight.kinematics import Arm
 from armsight.report.repeats_report import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
-from armsight.store.atomic import read_bytes
+from armsight.store.atomic import read_bytes, write_json
+from armsight.store.codec import read_output
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_measured, read_reported_joints
 from armsight.store.worlds import World
@@ -135,11 +137,11 @@ def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
     if other is None:
         return done
     compared = ComparedRun(folder=str(job.compare), n=other.n, after=other.after, cause=other.cause)
-    return done.model_copy(update={"compared": compared})
+    return replace(done, compared=compared)
 
 
 def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
-    done.write(job.out / SUMMARY)
+    write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / ERRORS, table)
     write_text(job.out / REPORT, page)
     return done
@@ -216,7 +218,7 @@ def read_run(folder: Path) -> VerifyOutput:
     """Return what an earlier run found. Raises BadFile where the folder holds none."""
     path = folder / SUMMARY
     try:
-        return VerifyOutput.model_validate_json(read_bytes(path, limit=MAX_SUMMARY_BYTES))
+        return read_output(VerifyOutput, json.loads(read_bytes(path, limit=MAX_SUMMARY_BYTES)), str(path))
     except ValueError as error:
         first = str(error).splitlines()[0]
         raise BadFile(

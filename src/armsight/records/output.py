@@ -1,0 +1,215 @@
+"""Results as programs get them: frozen dataclasses whose documented fields are the keys of a JSON object."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass
+from dataclasses import fields as dataclass_fields
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import Annotated, Any, Generic, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints, overload
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.geometry import xyz_quat
+from armsight.records.by_value import ByValue
+from armsight.records.fields import Doc
+
+Value = TypeVar("Value")
+Kind = TypeVar("Kind")
+More = TypeVar("More", bound="Output")
+Row = tuple[str, str]
+
+FEW = 6
+"""Values of a list that are shown; of a longer one their number is."""
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+def output(kind: type[Kind]) -> type[Kind]:
+    """Make the class a result: `@output class Fit(Output): rms_px: Annotated[float, Doc("Residual, px.")]`."""
+    return dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)(kind)
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A key of the JSON object: the attribute it shows, its type, meaning, and whether it is left out for None."""
+
+    attribute: str
+    hint: Any
+    doc: Doc
+    optional: bool
+
+    @property
+    def name(self) -> str:
+        """What programs call it."""
+        return self.doc.key or self.attribute
+
+
+class Figure(Generic[Value]):
+    """A property that programs get beside the fields; made by `figure`."""
+
+    def __init__(self, of: Callable[[Any], Value], doc: Doc, optional: bool) -> None:
+        self.of, self.doc, self.optional = of, doc, optional
+        self.__doc__ = doc.meaning
+
+    @overload
+    def __get__(self, record: None, kind: type | None = None) -> Figure[Value]: ...
+    @overload
+    def __get__(self, record: object, kind: type | None = None) -> Value: ...
+    def __get__(self, record: object | None, kind: type | None = None) -> Figure[Value] | Value:
+        return self if record is None else self.of(record)
+
+
+def figure(
+    meaning: str, *, unit: str = "", key: str = "", optional: bool = False
+) -> Callable[[Callable[[Any], Value]], Figure[Value]]:
+    """Return the decorator of a method that is worked out from the fields and is a key too; optional: not for None."""
+    return lambda of: Figure(of, Doc(meaning, unit=unit, key=key), optional)
+
+
+class Output(ByValue):
+    """A result as programs get it: fixed keys, SI units, the unit in the key's name.
+
+    Keys are the fields with a Doc and what `figure` made. A field without a default is always there, null where there
+    is no data for it; one with a default is left out of the JSON object where it is None. Further fields, without a
+    Doc, are for Python only. Poses become position and quaternion, arrays lists.
+    """
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers, texts, lists and dictionaries, keys as in the JSON object."""
+        held = ((key, getattr(self, key.attribute)) for key in keys(type(self)))
+        return {key.name: _plain(value, key.hint) for key, value in held if not (key.optional and value is None)}
+
+    def to_json(self) -> str:
+        """Return it as strict JSON text in one line; a number that is not finite (no data) becomes null."""
+        return json.dumps(_finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
+
+    def extended(self, kind: type[More], **fields: Any) -> More:
+        """Return a result of a kind that has further fields, or other values of some."""
+        of = {one.name: getattr(self, one.name) for one in dataclass_fields(self)}  # type: ignore[arg-type]  # a dataclass
+        return kind(**(of | fields))
+
+    def _shown(self) -> tuple[str, list[Row]]:
+        return type(self).__name__, list(flat_rows(self.to_dict()))
+
+    def __repr__(self) -> str:
+        return as_text(*self._shown())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return as_html(*self._shown())
+
+
+def keys(kind: type[Output]) -> tuple[Key, ...]:
+    """Return the keys of a class of results: those of fields first, then its figures, each as declared."""
+    of: Any = kind  # a class can be hashed
+    return _keys(of)
+
+
+@cache
+def _keys(kind: Any) -> tuple[Key, ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    found = []
+    for one in dataclass_fields(kind):
+        hint = hints[one.name]
+        doc = next((part for part in get_args(hint) if isinstance(part, Doc)), None)
+        if get_origin(hint) is Annotated and doc is not None:
+            optional = one.default is not MISSING
+            found.append(Key(one.name, hint, doc, optional))
+    worked_out: dict[str, Figure[Any]] = {}
+    for base in reversed(kind.__mro__):
+        worked_out |= {name: value for name, value in vars(base).items() if isinstance(value, Figure)}
+    for name, value in worked_out.items():
+        hint = get_type_hints(value.of, include_extras=True)["return"]
+        found.append(Key(name, hint, value.doc, value.optional))
+    return tuple(found)
+
+
+def _plain(value: Any, hint: Any) -> Any:
+    """Return a value as JSON has it; a whole number is written as a float where one is declared."""
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, Output):
+        return value.to_dict()
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, Path):
+        return value.as_posix()
+    if isinstance(value, int | np.integer):
+        return float(value) if _is_float(hint) else int(value)
+    if isinstance(value, float | np.floating):
+        return float(value)
+    if isinstance(value, RigidTransform):
+        xyz, quat = xyz_quat(value)
+        return {"xyz_m": xyz.tolist(), "quat_xyzw": quat.tolist()}
+    inner = _inner(hint)
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one, inner) for name, one in value.items()}
+    return [_plain(one, inner) for one in value]
+
+
+@cache
+def _inner(hint: Any) -> Any:
+    """Return the type of the values of a list, tuple, dictionary or array; behind Annotated and None."""
+    hint = _bare(hint)
+    return (
+        float
+        if get_origin(hint) in (None, np.ndarray)
+        else (get_args(hint)[-1], get_args(hint)[0])[get_args(hint)[-1] is Ellipsis]
+    )
+
+
+@cache
+def _is_float(hint: Any) -> bool:
+    return _bare(hint) is float
+
+
+def _bare(hint: Any) -> Any:
+    """Return the first type in an annotation that is none of Annotated, a union, or None."""
+    while get_origin(hint) is Annotated or (
+        get_origin(hint) not in (list, tuple, dict) and type(None) in get_args(hint)
+    ):
+        hint = get_args(hint)[0] if get_args(hint)[0] is not type(None) else get_args(hint)[1]
+    return hint
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def as_text(title: str, rows: Sequence[Row]) -> str:
+    """Return title and rows as lines, the values below each other."""
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join([title, *(f"  {name:<{width}}  {value}".rstrip() for name, value in rows)])
+
+
+def as_html(title: str, rows: Sequence[Row]) -> str:
+    """Return title and rows as a table."""
+    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
+    return f"<table><caption>{escape(title)}</caption>{cells}</table>"
+
+
+def flat_rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[Row]:
+    """Yield each figure of a nested dictionary under its dotted name, in SI units as the name says."""
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            yield from flat_rows(value, f"{prefix}{name}.")
+        elif isinstance(value, list) and (len(value) > FEW or any(isinstance(one, list | dict) for one in value)):
+            yield f"{prefix}{name}", f"({len(value)})"
+        elif value not in (None, "", []):
+            yield f"{prefix}{name}", ", ".join(map(_digits, value)) if isinstance(value, list) else _digits(value)
+
+
+def _digits(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
