@@ -36,7 +36,7 @@ from fastapi import FastAPI
 from playwright.sync_api import sync_playwright
 
 from armsight.app.live.station import Shown
-from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.app.simulate.cells import load_cell
 from armsight.console.application import add_console
 from armsight.console.state import Console

@@ -1,8 +1,9 @@
-"""Pages of the documentation that are made from the project itself: the start page, the examples, the reference."""
+"""Pages of the documentation that are made from the project itself: start, examples, reference, JSON keys."""
 
 from __future__ import annotations
 
 import ast
+import runpy
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -13,10 +14,21 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages."""
-    pages = {"index.md": start_page(), "examples/index.md": examples_page(), "reference/index.md": reference_page()}
+    pages = {
+        "index.md": start_page(),
+        "examples/index.md": examples_page(),
+        "reference/index.md": reference_page(),
+        "json.md": json_page(),
+    }
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))
     return files
+
+
+def json_page() -> str:
+    """Return the table of keys of every command's JSON object."""
+    text = runpy.run_path(str(ROOT / "tools" / "json_schemas.py"))["page"]()
+    return str(text)
 
 
 def start_page() -> str:

@@ -1,4 +1,4 @@
-"""Writes docs/schemas/*.json and docs/json.md from the models of what commands and the robot server tell programs.
+"""Writes docs/schemas/*.json from the results that commands and the robot server tell programs; makes the page on them.
 
 python tools/json_schemas.py [--check]
 """
@@ -12,10 +12,99 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from armsight.app.schemas.catalogue import OUTPUTS
+from armsight.app.arm_files import ConvertArmOutput
+from armsight.app.compare.run import CompareOutput
+from armsight.app.convert import ConvertOutput
+from armsight.app.demo import DemoOutput
+from armsight.app.doctor import DoctorOutput
+from armsight.app.join import JoinOutput
+from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
+from armsight.app.path.check import PathCheckOutput
+from armsight.app.path.export import PathExportOutput
+from armsight.app.path.picks import PathPicksOutput
+from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
+from armsight.app.record.export import ExportOutput
+from armsight.app.record.record import RecordOutput, RepairOutput
+from armsight.app.reproduce.run import ReproduceOutput
+from armsight.app.schemas.arm import ArmOutput, IdentifyOutput, ProposedPlanOutput, RobotWorldOutput
+from armsight.app.schemas.cameras import (
+    CameraOutput,
+    MirrorCheckOutput,
+    MirrorsOutput,
+    NoiseOutput,
+    StereoOutput,
+    ZoomRigOutput,
+)
+from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
+from armsight.app.schemas.play import PlayOutput
+from armsight.app.schemas.robot import JogOutput, RobotTestOutput
+from armsight.app.schemas.servo import ServoOutput
+from armsight.app.schemas.teach import TeachOutput
+from armsight.app.schemas.timing import TimingOutput
+from armsight.app.simulate.run import SimulateOutput
+from armsight.app.tables import ConvertTableOutput
+from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
+from armsight.measure.results import MeasureOutput
+from armsight.records.output import Output
+from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
+from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput, VerifyOutput
+
+OUTPUTS: Mapping[str, type[Output]] = {
+    "measure": MeasureOutput,
+    "demo": DemoOutput,
+    "calibrate-camera": CameraOutput,
+    "calibrate-camera-noise": NoiseOutput,
+    "calibrate-stereo": StereoOutput,
+    "calibrate-zoom-rig": ZoomRigOutput,
+    "calibrate-mirrors": MirrorsOutput,
+    "calibrate-mirrors-check": MirrorCheckOutput,
+    "calibrate-target": LightTargetOutput,
+    "calibrate-timing": TimingOutput,
+    "calibrate-handeye": HandEyeOutput,
+    "calibrate-tooltip": TipOutput,
+    "calibrate-pivot": PivotOutput,
+    "calibrate-arm": ArmOutput,
+    "calibrate-robot-world": RobotWorldOutput,
+    "identify": IdentifyOutput,
+    "identify-propose": ProposedPlanOutput,
+    "verify": VerifyOutput,
+    "verify-plan": VerifyPlanOutput,
+    "verify-live": VerifyLiveOutput,
+    "verify-mastering": MasteringOutput,
+    "verify-mastering-poses": MasteringPlanOutput,
+    "record": RecordOutput,
+    "record-repair": RepairOutput,
+    "convert-recording": ExportOutput,
+    "convert": ConvertOutput,
+    "convert-table": ConvertTableOutput,
+    "convert-arm": ConvertArmOutput,
+    "compare": CompareOutput,
+    "join": JoinOutput,
+    "simulate": SimulateOutput,
+    "reproduce": ReproduceOutput,
+    "kinematics-fk": FkOutput,
+    "kinematics-ik": IkOutput,
+    "kinematics-jacobian": JacobianOutput,
+    "kinematics-path": PathOutput,
+    "kinematics-formulas": FormulasOutput,
+    "kinematics-show": ShowOutput,
+    "path-smooth": PathSmoothOutput,
+    "path-change": PathChangeOutput,
+    "path-check": PathCheckOutput,
+    "path-export": PathExportOutput,
+    "path-from-picks": PathPicksOutput,
+    "robot-test": RobotTestOutput,
+    "robot-jog": JogOutput,
+    "play": PlayOutput,
+    "servo": ServoOutput,
+    "teach": TeachOutput,
+    "doctor": DoctorOutput,
+    "error": RefusalOutput,
+}
+"""Name of the JSON schema -> model. The first line of a model's docstring is the command."""
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 UNITS = {
@@ -40,7 +129,7 @@ where it does not apply. Keys stay; more keys may come. Frames are as in [conven
 pose of b in a.
 
 `NAME` stands for names of the data, `[]` for each item of a list. The JSON schema of each object is linked beside its
-command. This page and the schemas are made by `tools/json_schemas.py` from `armsight.app.schemas`.
+command. The schemas are made by `tools/json_schemas.py` from the results themselves, this page with the site.
 
 `reasons` of `measure` and `demo` counts by kind what took poses away or made them doubtful: {kinds}.
 """.format(kinds="; ".join(f"`{kind}` ({words})" for kind, words in sorted(REASONS.items())))
@@ -48,7 +137,7 @@ command. This page and the schemas are made by `tools/json_schemas.py` from `arm
 
 def main() -> int:
     """Write the files; with --check tell which are not up to date instead."""
-    parser = argparse.ArgumentParser(description="Write docs/schemas/*.json and docs/json.md.")
+    parser = argparse.ArgumentParser(description="Write docs/schemas/*.json.")
     parser.add_argument("--check", action="store_true", help="write nothing, tell which files are not up to date")
     check = parser.parse_args().check
     wrong = stale(DOCS)
@@ -63,7 +152,7 @@ def pages() -> dict[str, str]:
     """Return the content of every generated file by its name below docs/."""
     made = {f"schemas/{name}.json": json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n" for name in OUTPUTS}
     protocol = json.dumps(protocol_schema(), indent=2, ensure_ascii=False) + "\n"
-    return {**made, "schemas/robot-server.json": protocol, "json.md": page()}
+    return {**made, "schemas/robot-server.json": protocol}
 
 
 def stale(docs: Path) -> list[str]:

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.console.texts import OPENING, PATHS_LEGEND
 from armsight.store.path_file import read_path
 from armsight.store.recording import Recording

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import MISSING, fields
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+
+from armsight.records.output import keys
+from armsight.store.codec import outputs_in
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,10 +33,10 @@ def test_page_and_schemas_are_up_to_date(tool: Any) -> None:
 def test_what_is_out_of_date_is_seen(tool: Any, tmp_path: Path) -> None:
     tool.write(tmp_path)
     assert not tool.stale(tmp_path)
-    (tmp_path / "json.md").write_text("old")
+    (tmp_path / "schemas" / "servo.json").write_text("old")
     (tmp_path / "schemas" / "measure.json").unlink()
     (tmp_path / "schemas" / "gone.json").write_text("{}")
-    assert tool.stale(tmp_path) == ["schemas/measure.json", "json.md", "schemas/gone.json"]
+    assert tool.stale(tmp_path) == ["schemas/measure.json", "schemas/servo.json", "schemas/gone.json"]
 
 
 def test_the_tables_tell_units_and_what_may_be_absent(tool: Any) -> None:
@@ -45,3 +49,16 @@ def test_the_tables_tell_units_and_what_may_be_absent(tool: Any) -> None:
         "| `distances_m.NAME.std_m` | number | m | Its standard deviation, m. |",
     ):
         assert row in page, row
+
+
+def test_every_key_is_described_in_one_line(tool: Any) -> None:
+    kinds = set(tool.OUTPUTS.values())
+    assert len(kinds) > 40
+    while more := {kind for one in kinds for key in keys(one) for kind in outputs_in(key.hint)} - kinds:
+        kinds |= more
+    for kind in kinds:
+        for key in keys(kind):
+            assert key.doc.meaning.endswith("."), (kind, key.name)
+            assert "\n" not in key.doc.meaning and len(key.doc.meaning) < 170, (kind, key.name)
+        # what has a default is left out where it is None, what has none is always there
+        assert all(one.default is None for one in fields(kind) if one.default is not MISSING), kind

@@ -14,17 +14,17 @@ from armsight.api.checks import speaks_python
 from armsight.api.files import image_size
 from armsight.api.given import Given, PathText
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
+from armsight.app.arm_files import convert_arm
 from armsight.app.convert import (
     convert_camera,
     convert_handeye,
     convert_poses,
     convert_rig,
 )
-from armsight.app.kinematics import convert_arm, draw_arm
+from armsight.app.kinematics import FormulasOutput, ShowOutput, draw_arm
 from armsight.app.kinematics import write_formulas as write_formulas_of
-from armsight.app.record.export import export
-from armsight.app.schemas.files import ExportOutput, RepairOutput
-from armsight.app.schemas.kinematics import FormulasOutput, ShowOutput
+from armsight.app.record.export import ExportOutput, export
+from armsight.app.record.record import RepairOutput
 from armsight.app.tables import convert_table
 from armsight.errors import UsageError
 from armsight.kinematics import Arm

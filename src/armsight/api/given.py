@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.tracks import PoseTrack
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig

@@ -13,10 +13,10 @@ from armsight.api.given import (
     RigLike,
     as_text,
 )
+from armsight.app.doctor import DoctorOutput
 from armsight.app.doctor import doctor as look_at_machine
+from armsight.app.reproduce.run import ReproduceOutput
 from armsight.app.reproduce.run import reproduce as run_paper
-from armsight.app.schemas.machine import DoctorOutput
-from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.optics.resolution import CENTROID_SIGMA_PX
 from armsight.records import Progress, checked_array, require_count, require_number
 

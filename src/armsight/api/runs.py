@@ -23,24 +23,21 @@ from armsight.api.given import (
     TargetLike,
 )
 from armsight.api.tracks import PoseTrack
-from armsight.app.compare.run import CompareJob
+from armsight.app.compare.run import CompareJob, CompareOutput
 from armsight.app.compare.run import compare as run_compare
-from armsight.app.join import JoinJob
+from armsight.app.join import JoinJob, JoinOutput
 from armsight.app.join import join as run_join
 from armsight.app.measure.outputs import POSES
 from armsight.app.measure.run import MeasureJob
 from armsight.app.measure.run import measure as run_measure
-from armsight.app.record.record import RecordJob, mend
+from armsight.app.record.record import RecordJob, RecordOutput, RepairOutput, mend
 from armsight.app.record.record import record as run_record
-from armsight.app.schemas.compare import CompareOutput
-from armsight.app.schemas.files import JoinOutput, RecordOutput, RepairOutput
-from armsight.app.schemas.measure import MeasureOutput
-from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
-from armsight.app.verify.plan import PlanJob, run_plan
+from armsight.app.verify.plan import PlanJob, VerifyPlanOutput, run_plan
 from armsight.app.verify.run import ERRORS, VerifyJob, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.drivers.live import MAX_SKEW_S
+from armsight.measure.results import MeasureOutput
 from armsight.records import Progress, one_of, require_number
 from armsight.records.output import output
 from armsight.store import read_poses
@@ -48,6 +45,7 @@ from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
 from armsight.store.recording import ImageFormat
 from armsight.store.saving import file_to_write
+from armsight.verify.results import VerifyOutput
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -13,10 +13,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.api.arrays import Array, Image, as_path
 from armsight.api.checks import speaks_python
-from armsight.app.schemas.files import SimulateOutput
 from armsight.app.simulate import MOST_FRAMES
 from armsight.app.simulate.cells import load_cell, room_choice
-from armsight.app.simulate.run import CELL_FRAMES
+from armsight.app.simulate.run import CELL_FRAMES, SimulateOutput
 from armsight.app.simulate.run import simulate as write_files
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.drivers import CELLS, known

@@ -13,7 +13,6 @@ from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Tab
 from armsight.api.links import Confirm, as_question
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, run_identify_live
 from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
-from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
 from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.mastering import MasteringJob, propose_mastering, run_mastering
 from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob
@@ -23,6 +22,7 @@ from armsight.kinematics import Arm
 from armsight.records import Progress, checked_array, require_count, require_kind, require_number
 from armsight.records.output import output
 from armsight.store.arm_file import read_arm
+from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
 from armsight.verify.supervision import Limits
 
 

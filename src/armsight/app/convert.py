@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from armsight.app.schemas.files import ConvertOutput
 from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
 from armsight.records import PoseStatus, TargetPose
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store import (
     read_camera,
     read_poses,
@@ -51,6 +53,17 @@ WRITTEN = (*KINDS, "colmap")
 """Kinds that can be converted to."""
 HANDEYE_KINDS = ("easy_handeye", "easy_handeye2", "tf")
 TUM_SUFFIXES = (".tum", ".txt")
+
+
+@output
+class ConvertOutput(Output):
+    """armsight convert camera, convert rig, convert handeye, convert poses."""
+
+    source: Annotated[str, Doc("Kind of the file read: armsight, ros, opencv, kalibr; or of poses.", key="from")]
+    target: Annotated[str, Doc("Kind of the files written.", key="to")]
+    files: Annotated[list[str], Doc("The files written.")]
+    n: Annotated[int | None, Doc("Poses; null for cameras and rigs.")]
+    note: Annotated[str, Doc("What the new kind could not carry, or which zoom it is of; may be empty.")]
 
 
 def convert_camera(

@@ -4,27 +4,62 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.demo_pictures import FOLDER, measure_pictures
+from armsight.app.demo_pictures import FOLDER, PicturesOutput, measure_pictures
 from armsight.app.measure.collector import About
 from armsight.app.measure.outputs import COORDINATES
 from armsight.app.measure.run import run
 from armsight.app.measure.warm_up import prepare
-from armsight.app.schemas.measure import DemoOutput, PoseErrors, TruthError
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
+from armsight.measure.results import MeasureOutput
 from armsight.measure.settings import SpotSettings
 from armsight.records import Progress, Silent
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.report.measure import INSIDE_95
 from armsight.report.series import SCALE, errors_of
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.atomic import write_json
 
 Array = NDArray[np.float64]
+
+
+@output
+class TruthError(Output):
+    """Error of one coordinate of the poses against the truth, in the unit of its key."""
+
+    rms: Annotated[float, Doc("Root mean square error.")]
+    max: Annotated[float, Doc("Largest absolute error.")]
+    claimed: Annotated[float, Doc("Root mean square of the claimed standard deviations.")]
+
+
+@output
+class PoseErrors(Output):
+    """Errors of the poses by coordinate."""
+
+    x_m: Annotated[TruthError, Doc("Of x, m.")]
+    y_m: Annotated[TruthError, Doc("Of y, m.")]
+    z_m: Annotated[TruthError, Doc("Of z, m.")]
+    rx_rad: Annotated[TruthError, Doc("Of the rotation about x, rad.")]
+    ry_rad: Annotated[TruthError, Doc("Of the rotation about y, rad.")]
+    rz_rad: Annotated[TruthError, Doc("Of the rotation about z, rad.")]
+
+
+@output
+class DemoOutput(MeasureOutput):
+    """armsight demo; also OUT/demo.json."""
+
+    truth: Annotated[PoseErrors, Doc("Errors against the simulated truth, in rig axes.")]
+    inside_95: Annotated[float | None, Doc("Share of the poses, 0 to 1, inside their own 95 % ellipsoid.")]
+    seconds_s: Annotated[float, Doc("How long the whole command took, s.")]
+    assumptions: Annotated[list[str], Doc("What the simulated cell takes for granted.")]
+    pictures: Annotated[PicturesOutput | None, Doc("The real pictures; null where they were left out.")]
 
 
 def demo(

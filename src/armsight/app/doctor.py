@@ -8,23 +8,56 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 
 from armsight._version import __version__
-from armsight.app.accuracy import accuracy_plan
-from armsight.app.schemas.machine import DoctorOutput, KernelCache, Machine, ResolutionAt, RigResolution
+from armsight.app.accuracy import ResolutionAt, RigResolution, accuracy_plan
 from armsight.app.simulate.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, SETS, cameras_there, cores, known
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pydantic", "plotly", "typer")
 DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)
 """Distances of the table: below two baselines views hardly overlap, beyond fifty depth is a guess."""
+
+
+@output
+class Machine(Output):
+    """The machine."""
+
+    system: Annotated[str, Doc("The operating system.")]
+    cores: Annotated[int, Doc("Processor cores that armsight uses.")]
+    cores_there: Annotated[int, Doc("Processor cores of the machine.")]
+
+
+@output
+class KernelCache(Output):
+    """Compiled kernels kept on disk."""
+
+    folder: Annotated[str, Doc("Where.")]
+    compiled: Annotated[int, Doc("How many.")]
+    writable: Annotated[bool, Doc("Whether more can be added.")]
+
+
+@output
+class DoctorOutput(Output):
+    """armsight doctor."""
+
+    versions: Annotated[dict[str, str], Doc("Versions by program or package.")]
+    machine: Annotated[Machine, Doc("The machine.")]
+    cameras: Annotated[list[str], Doc("Cameras that are there.")]
+    drivers: Annotated[dict[str, list[str]], Doc("Drivers, cells and scenarios by group.")]
+    kernels: Annotated[KernelCache, Doc("Compiled kernels.")]
+    problems: Annotated[list[str], Doc("What is wrong, each with a cure.")]
+    rig: Annotated[RigResolution | None, Doc("What the rig of --rig can tell apart; null without one.")]
 
 
 def doctor(

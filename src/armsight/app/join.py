@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.kinematics import load_arm
-from armsight.app.schemas.base import RejectedRow
-from armsight.app.schemas.files import JoinOutput
+from armsight.app.arm_files import load_arm
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
+from armsight.records.result_parts import RejectedRow
 from armsight.store import write_text
 from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import write_pairs
@@ -34,6 +36,27 @@ STILL_RAD_S = 2e-3
 STILL_M_S = 2e-3
 STILL_ROWS = 3
 """Rows of one rest that are worth a mean."""
+
+
+@output
+class JoinOutput(Output):
+    """armsight join."""
+
+    kind: Annotated[str, Doc("The table written: points, observed or pairs.")]
+    by: Annotated[str, Doc("time, or order where one side has no times.")]
+    offset_s: Annotated[float | None, Doc("Added to measured times it gives the robot's, s; null by order.")]
+    offset_std_s: Annotated[float | None, Doc("Its standard deviation, s; null where it was stated, or by order.")]
+    drift_ppm: Annotated[
+        float | None,
+        Doc(
+            "How much faster the robot's clock runs, in parts of a million; null where no drift is proved.", unit="1e-6"
+        ),
+    ]
+    n_measured: Annotated[int, Doc("Measured rows.")]
+    n: Annotated[int, Doc("Rows written.")]
+    rejected: Annotated[list[RejectedRow], Doc("Measured rows left out, with the reason.")]
+    notes: Annotated[list[str], Doc("What is to be known of times and columns.")]
+    file: Annotated[str | None, Doc("The file written.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

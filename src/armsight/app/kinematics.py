@@ -5,25 +5,15 @@ from __future__ import annotations
 import re
 from collections import Counter
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.kinematics import (
-    ConvertArmOutput,
-    FkOutput,
-    FormulasOutput,
-    IkOutput,
-    JacobianOutput,
-    PathIssue,
-    PathOutput,
-    ShowOutput,
-    UnsolvedPose,
-)
+from armsight.app.arm_files import load_arm
 from armsight.app.sources.bags import joint_states
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import (
-    PRESETS,
     Arm,
     Inverse,
     Status,
@@ -31,78 +21,100 @@ from armsight.kinematics import (
     fk,
     fk_jacobian,
     ik,
-    in_convention,
     pose,
-    preset,
     track_path,
 )
 from armsight.kinematics.path import Issue
 from armsight.kinematics.target import start_values, task_of
 from armsight.records import Motion, PoseStatus, TargetPose
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.report.arm_view import arm_report
 from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
-from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.bags import JointStates, is_bag
 from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
 from armsight.store.tables import cells, number
-from armsight.store.urdf import read_urdf, write_urdf
 
 Array = NDArray[np.float64]
 
-URDF_SUFFIXES = (".urdf", ".xml")
-YAML_SUFFIXES = (".yaml", ".yml")
+
+@output
+class FkOutput(Output):
+    """armsight kinematics fk."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Rows.")]
+    n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
 
 
-def load_arm(text: str) -> Arm:
-    """Return the arm of an arm.yaml, a .urdf or a preset's name.
+@output
+class JacobianOutput(Output):
+    """armsight kinematics jacobian."""
 
-    A URDF that holds more than the arm's chain is given as FILE#TIP, or FILE#BASE:TIP, with the names of the chain's
-    links (arm_source makes it). Raises UsageError, BadFile.
-    """
-    file, base, tip = _parts(text)
-    suffix = Path(file).suffix.lower()
-    if suffix in URDF_SUFFIXES:
-        return read_urdf(Path(file), tip=tip, base=base)
-    if base is not None or tip is not None:
-        raise UsageError(
-            f"the chain {text.rpartition('#')[2]!r} is named, but {file!r} is no URDF",
-            consequence="It is one chain as it is, and no part of it can be chosen",
-            cure="Leave --tip and --base away",
-        )
-    if suffix in YAML_SUFFIXES or Path(file).exists():
-        return read_arm(Path(file))
-    if file in PRESETS:
-        return preset(file)
-    raise UsageError(
-        f"{file!r} is neither a file nor an arm known by name",
-        cure=f"Give an arm.yaml, a .urdf, or one of {', '.join(PRESETS)}",
-    )
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Rows.")]
+    axes: Annotated[str, Doc("Axes of the Jacobian: world, base or tool.")]
 
 
-def arm_source(text: str, *, tip: str | None = None, base: str | None = None) -> str:
-    """Return what load_arm takes for the chain from base to tip of a URDF; text itself where neither is named."""
-    if tip is None and base is None:
-        return text
-    if _parts(text) != (text, None, None):
-        raise UsageError(
-            f"{text!r} names its chain already", cure="Give --tip and --base, or FILE#BASE:TIP, but not both"
-        )
-    return f"{text}#{base}:{tip or ''}" if base is not None else f"{text}#{tip}"
+@output
+class UnsolvedPose(Output):
+    """A pose without a solution."""
+
+    pose: Annotated[int, Doc("The pose, from 0.")]
+    status: Annotated[str, Doc("out_of_reach, limits or no_solution.")]
+    why: Annotated[str, Doc("Why, in words.")]
 
 
-def arm_file(text: str) -> Path | None:
-    """Return the file of what load_arm takes; None for a preset's name."""
-    file, _, _ = _parts(text)
-    return Path(file) if Path(file).exists() else None
+@output
+class IkOutput(Output):
+    """armsight kinematics ik."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Poses.")]
+    status: Annotated[dict[str, int], Doc("Poses by status: ok, out_of_reach, singular, limits, no_solution.")]
+    unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
 
 
-def _parts(text: str) -> tuple[str, str | None, str | None]:
-    """Return file, base and tip of FILE, FILE#TIP or FILE#BASE:TIP; a file of that very name comes first."""
-    file, mark, chain = text.rpartition("#")
-    if not mark or Path(text).exists():
-        return text, None, None
-    base, colon, tip = chain.rpartition(":")
-    return file, base if colon else None, tip or None
+@output
+class PathIssue(Output):
+    """Something wrong with a joint path."""
+
+    kind: Annotated[str, Doc("jump, speed, limits, singular, branch or unreached.")]
+    first: Annotated[int, Doc("Where it begins, row from 0.")]
+    last: Annotated[int, Doc("Where it ends, row from 0.")]
+    worst: Annotated[int, Doc("Where it is worst, row from 0.")]
+    joint: Annotated[str, Doc("The joint's name; empty where it concerns the arm.")]
+    value: Annotated[float, Doc("How much there, rad, m, rad/s or m/s; of a singular passage its measure.")]
+    limit: Annotated[float, Doc("What is allowed, in the same unit.")]
+    text: Annotated[str, Doc("The same in words.")]
+
+
+@output
+class PathOutput(Output):
+    """armsight kinematics path."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    n: Annotated[int, Doc("Poses of the path.")]
+    n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
+    branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
+    issues: Annotated[list[PathIssue], Doc("What is wrong with the path.")]
+
+
+@output
+class FormulasOutput(Output):
+    """armsight kinematics formulas."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    file: Annotated[str, Doc("The file written.")]
+
+
+@output
+class ShowOutput(Output):
+    """armsight kinematics show."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    file: Annotated[str, Doc("The page written.")]
+    tool_xyz_m: Annotated[tuple[float, float, float], Doc("Where the tool is, in world axes, m.")]
 
 
 def read_values(arm: Arm, path: Path, format_: TableFormat = OURS) -> Motion:
@@ -328,21 +340,3 @@ def _numbers(arm: Arm, text: str) -> Array:
             cure="Give radians, for instance 0,-1.2,0.4",
         )
     return readings
-
-
-def convert_arm(source: str, out: Path, *, convention: str | None = None) -> ConvertArmOutput:
-    """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
-    model = load_arm(source)
-    suffix = out.suffix.lower()
-    if convention is not None:
-        if convention not in ("standard", "craig"):
-            raise UsageError(f"the convention {convention!r} is not known", cure="Use standard or craig")
-        model = in_convention(model, convention)
-    if suffix in URDF_SUFFIXES:
-        write_urdf(out, model)
-    elif suffix in YAML_SUFFIXES:
-        file = arm_file(source)
-        write_arm(out, model, inputs=[] if file is None else [file])
-    else:
-        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
-    return ConvertArmOutput(arm=model.name, file=str(out), joints=model.n, convention=model.convention.value)

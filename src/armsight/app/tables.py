@@ -5,13 +5,15 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.kinematics import load_arm
-from armsight.app.schemas.files import ConvertTableOutput
+from armsight.app.arm_files import load_arm
 from armsight.errors import UsageError
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store import write_text
 from armsight.store.interpret import OURS, TableFormat, interpret, kind_of_table
 from armsight.store.tables import bare, parse_table, word
@@ -20,6 +22,24 @@ KINDS = ("joints", "poses", "points", "pairs", "robot_poses", "sweep")
 """Kinds of tables that can be asked for, named as the files are."""
 UNTIMED = {"joints": "untimed-joints", "poses": "untimed-poses"}
 """Read without times where there are none: the rows are counted, which is told."""
+
+
+@output
+class ConvertTableOutput(Output):
+    """armsight convert table."""
+
+    kind: Annotated[str, Doc("Which table it is: joints, poses, points, pairs, robot_poses or sweep.")]
+    how: Annotated[str, Doc("How the file was found to be written.")]
+    columns: Annotated[list[str], Doc("The columns of ours that it came to.")]
+    ranges: Annotated[
+        dict[str, tuple[float, float] | None],
+        Doc(
+            "Smallest and largest number of each column of numbers, in its unit; null where all of its cells are empty."
+        ),
+    ]
+    n: Annotated[int, Doc("Rows.")]
+    notes: Annotated[list[str], Doc("What was understood of units, rotations, times, frames and joints.")]
+    file: Annotated[str | None, Doc("The file written; null where none was asked for.")]
 
 
 def convert_table(

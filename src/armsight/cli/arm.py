@@ -42,8 +42,8 @@ def arm(
 ) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.arm_files import arm_source
         from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
-        from armsight.app.kinematics import arm_source
 
         job = ArmJob(
             model=arm_source(model, tip=tip, base=base),
@@ -104,8 +104,8 @@ def robot_world(
 ) -> None:
     """Find where the rig stands to the arm's base, from observed points at joint readings."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.arm_files import arm_source
         from armsight.app.calibrate.arm import run_calibrate_world
-        from armsight.app.kinematics import arm_source
 
         done = run_calibrate_world(arm_source(arm, tip=tip, base=base), points, out, table_options.format(face))
         face.table("T_base_rig", ["", "value", "+-"], pose_rows(done.T_base_rig, done.std))

@@ -15,7 +15,7 @@ from armsight.cli.tables import figure
 from armsight.errors import UsageError
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.files import ConvertOutput
+    from armsight.app.convert import ConvertOutput
 
 convert = typer.Typer(help="Convert between armsight's files and those of other programs.", no_args_is_help=True)
 convert.command("recording")(recording)

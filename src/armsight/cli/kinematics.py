@@ -35,7 +35,7 @@ def fk(
 ) -> None:
     """Write the tool's pose at each row of joint values."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source
+        from armsight.app.arm_files import arm_source
         from armsight.app.kinematics import write_poses_of_joints as run
 
         done = run(arm_source(arm, tip=tip, base=base), joints, out, table_options.format(face))
@@ -60,7 +60,7 @@ def ik(
 ) -> None:
     """Write the joint values that bring the tool to each pose."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source
+        from armsight.app.arm_files import arm_source
         from armsight.app.kinematics import write_joints_of_poses as run
 
         source = arm_source(arm, tip=tip, base=base)
@@ -86,7 +86,7 @@ def jacobian(
 ) -> None:
     """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source
+        from armsight.app.arm_files import arm_source
         from armsight.app.kinematics import write_jacobians as run
 
         source = arm_source(arm, tip=tip, base=base)
@@ -110,7 +110,7 @@ def path(
 ) -> None:
     """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source
+        from armsight.app.arm_files import arm_source
         from armsight.app.kinematics import write_joint_path as run
 
         source = arm_source(arm, tip=tip, base=base)
@@ -126,7 +126,8 @@ def path(
 def formulas(arm: ArmFile, out: Out, tip: Tip = None, base: Base = None, json: AsJson = False) -> None:
     """Write forward kinematics and Jacobian as Python (.py) or LaTeX (.tex)."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source, write_formulas
+        from armsight.app.arm_files import arm_source
+        from armsight.app.kinematics import write_formulas
 
         done = write_formulas(arm_source(arm, tip=tip, base=base), out)
         face.say(f"formulas of {done.arm}: {out}")
@@ -146,7 +147,7 @@ def show(
 ) -> None:
     """Write a page with the arm in three dimensions."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source
+        from armsight.app.arm_files import arm_source
         from armsight.app.kinematics import draw_arm as run
 
         done = run(arm_source(arm, tip=tip, base=base), out, joints=joints)
@@ -164,8 +165,8 @@ def convert_arm(
 ) -> None:
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import arm_source
-        from armsight.app.kinematics import convert_arm as run
+        from armsight.app.arm_files import arm_source
+        from armsight.app.arm_files import convert_arm as run
 
         done = run(arm_source(source, tip=tip, base=base), out, convention=convention)
         face.say(f"{done.arm}, {done.joints} joints: {out}")

@@ -13,7 +13,7 @@ from armsight.cli.options import KNOWN_ARM, AsJson, quantity
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.paths import PathChangeOutput
+    from armsight.app.path.tools import PathChangeOutput
 
 path = typer.Typer(name="path", help="Change, check and export the path of a tool's tip.", no_args_is_help=True)
 

@@ -11,7 +11,7 @@ from armsight.cli.options import AsJson, OutFolder
 from armsight.cli.tables import figure
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.reproduce import ReproducedTable, ReproduceOutput
+    from armsight.app.reproduce.run import ReproducedTable, ReproduceOutput
 
 
 def reproduce(

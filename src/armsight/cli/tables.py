@@ -13,10 +13,12 @@ from armsight.units import DEG, MM, MS, NOTHING
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from armsight.app.schemas.base import PointStd, PoseStd, RejectedFile
+    from armsight.app.accuracy import AccuracyPlan
+    from armsight.app.demo import DemoOutput, PoseErrors
+    from armsight.app.doctor import DoctorOutput
     from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput, ZoomOutput, ZoomRigOutput
-    from armsight.app.schemas.machine import AccuracyPlan, DoctorOutput
-    from armsight.app.schemas.measure import DemoOutput, MeasureOutput, PoseErrors
+    from armsight.measure.results import MeasureOutput
+    from armsight.records.result_parts import PointStd, PoseStd, RejectedFile
 
 REJECTED_SHOWN = 8
 

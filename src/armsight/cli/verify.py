@@ -15,7 +15,8 @@ from armsight.errors import UsageError
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.verify import VerifyJoint, VerifyOutput, VerifyPlanOutput
+    from armsight.app.verify.plan import VerifyPlanOutput
+    from armsight.verify.results import VerifyJoint, VerifyOutput
 
 
 @takes_tables
@@ -80,7 +81,7 @@ def verify(
     with CommandUI(as_json=json) as face:
         _check_plan(plan, part, side, speed, [measured, joints, commanded, world, align, compare, band])
         if tip is not None or base is not None:
-            from armsight.app.kinematics import arm_source
+            from armsight.app.arm_files import arm_source
 
             arm = arm_source(_given(arm), tip=tip, base=base)
         if plan:

@@ -19,8 +19,8 @@ from armsight.errors import UsageError
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.verify_live import VerifyLiveOutput
     from armsight.records import TargetPose
+    from armsight.verify.results import VerifyLiveOutput
     from armsight.verify.supervision import Compared, Level
 
 LIVE, MASTERING = "With --live", "With --mastering"

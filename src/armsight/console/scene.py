@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
+from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
 from armsight.app.operator.identify import SweepFit
 from armsight.app.operator.placing import arm_points, rig_pose
-from armsight.app.schemas.live import LiveView
 from armsight.console import texts
 from armsight.console.curves import Curve, Ruler
 from armsight.console.state import Console

@@ -24,12 +24,12 @@ from armsight.app.guided.timing import TimingStep
 from armsight.app.live.followed import FollowedCell
 from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, require_kind
 from armsight.app.live.station import Shown, Station
+from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach import TeachDesk, teach_desk
-from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError

@@ -161,18 +161,19 @@ def _result(hint: Any, value: Any) -> Any:
     if isinstance(value, PoseOutput):
         return pose_from_quat(value.xyz_m, value.quat_xyzw)
     if isinstance(value, BaseModel):
-        kind = next(one for one in _outputs_in(hint) if output_model(one) is type(value))
+        kind = next(one for one in outputs_in(hint) if output_model(one) is type(value))
         return kind(**{key.attribute: _result(key.hint, getattr(value, key.name)) for key in keys(kind)})
     if isinstance(value, list | tuple):
         return type(value)(_result(hint, one) for one in value)
     return {name: _result(hint, one) for name, one in value.items()} if isinstance(value, dict) else value
 
 
-def _outputs_in(hint: Any) -> Iterator[type[Output]]:
+def outputs_in(hint: Any) -> Iterator[type[Output]]:
+    """Yield the results that a type speaks of, such as Output | None or list[Output]."""
     if isinstance(hint, type) and not isinstance(hint, types.GenericAlias) and issubclass(hint, Output):
         yield hint
     for inner in typing.get_args(hint):
-        yield from _outputs_in(inner)
+        yield from outputs_in(inner)
 
 
 def _endless(default: object) -> Any:

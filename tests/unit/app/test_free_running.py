@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.run import MeasureJob, measure
-from armsight.app.schemas.measure import MeasureOutput
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
+from armsight.measure.results import MeasureOutput
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance, PoseStatus, spot_target
 from armsight.store import Table, read_poses, read_table, write_rig, write_target

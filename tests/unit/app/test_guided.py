@@ -20,9 +20,8 @@ from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Shown
-from armsight.app.live.views import RunView, live_view
+from armsight.app.live.views import Counts, LiveView, RunView, SideView, live_view
 from armsight.app.operator.teach import seen
-from armsight.app.schemas.live import Counts, LiveView, SideView
 from armsight.clock import ManualClock
 from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData

@@ -15,7 +15,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close

@@ -17,13 +17,13 @@ from typer.testing import CliRunner
 
 from armsight.app.calibrate import mirrors, mirrors_lit_target
 from armsight.app.measure.run import MeasureJob, measure
-from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_source
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
+from armsight.measure.results import MeasureOutput
 from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus, spot_target
 from armsight.sim.lens import Lens

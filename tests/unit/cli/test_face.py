@@ -19,7 +19,6 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
-from armsight.app.schemas.base import PoseStd
 from armsight.cli.command_ui import Bar, CommandUI, time_left
 from armsight.cli.commands import app
 from armsight.cli.options import Quantity
@@ -27,6 +26,7 @@ from armsight.cli.tables import parameter, pose_rows
 from armsight.geometry import pose_from_quat
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
+from armsight.records.result_parts import PoseStd
 
 HEAVY = ("numba", "cv2", "plotly", "scipy", "pydantic", "numpy")
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from armsight.app.live.measurement import LiveJob
 from armsight.app.live.station import Shown, Station
-from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.console.layout import level_of

@@ -12,7 +12,7 @@ import pytest
 from nicegui import Client, ui
 from tests.unit.console.test_console_state import view
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.console.scene import Scene

@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.console.pictures import WIDEST_PX, add_pictures
 from armsight.console.state import Console
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app.kinematics import arm_file, arm_source, load_arm
+from armsight.app.arm_files import arm_file, arm_source, load_arm
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk
 from armsight.store.urdf import arm_from_urdf

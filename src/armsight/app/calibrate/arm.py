@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import real_path
+from armsight.app.arm_files import arm_file, load_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.kinematics import arm_file, load_arm
 from armsight.app.schemas.arm import (
     ArmCalibrationOutput,
     ArmNoise,
@@ -28,7 +28,6 @@ from armsight.app.schemas.arm import (
     RobotWorldOutput,
     ToolErrors,
 )
-from armsight.app.schemas.base import PoseStd, RejectedRow
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -43,6 +42,7 @@ from armsight.calibrate.arm import (
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.optics import Rig
+from armsight.records.result_parts import PoseStd, RejectedRow
 from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm

@@ -13,7 +13,6 @@ from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, 
 from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.calibrate.zoom import ZoomValue, add_setting, zoom_file, zoom_output
-from armsight.app.schemas.base import RejectedFile
 from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput, ZoomOutput
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
@@ -24,6 +23,7 @@ from armsight.errors import Cancelled, NotEnoughData, UsageError
 from armsight.optics import LensKind
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.records.output import keys
+from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, write_camera, write_rig
 
 Rejected = tuple[str, str]

@@ -14,7 +14,6 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
-from armsight.app.schemas.base import PointStd, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
     HandEyeNoise,
     HandEyeOutput,
@@ -45,6 +44,7 @@ from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.records.output import keys
+from armsight.records.result_parts import PointStd, PoseStd, RejectedRow
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text

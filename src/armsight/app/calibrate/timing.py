@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.timing import BothCounts, BothPixels, BothSeconds, TimingOutput
+from armsight.app.schemas.timing import TimingOutput
 from armsight.app.sources.frames import camera_source
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
@@ -22,6 +22,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import SIDES, Rig
 from armsight.records import Progress, Silent, Spots, SpotTrack, Target
+from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.store import read_rig, read_spot_track, read_target, write_rig
 
 Array = NDArray[np.float64]

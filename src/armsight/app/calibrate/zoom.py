@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from armsight.app.convert import ConvertOutput
 from armsight.app.schemas.cameras import LeftOutSetting, ZoomOutput, ZoomRigOutput
-from armsight.app.schemas.files import ConvertOutput
 from armsight.calibrate.cameras import CameraCalibration
 from armsight.errors import UsageError
 from armsight.optics import INTRINSICS, SIDES, ZoomLens, ZoomSetting, at_zoom, with_zoom

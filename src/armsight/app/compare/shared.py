@@ -9,8 +9,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from armsight.app.measure.outputs import SUMMARY
-from armsight.app.schemas.measure import MadeWith
 from armsight.errors import BadFile
+from armsight.measure.results import MadeWith
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import read_output
 

@@ -11,10 +11,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.arm_files import load_arm
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
-from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.arm_files import load_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
 from armsight.app.identify.left_out import consequence, first_joints, named
-from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
-from armsight.app.schemas.base import RejectedRow
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound
@@ -27,6 +26,7 @@ from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
+from armsight.records.result_parts import RejectedRow
 from armsight.report.identify_report import identify_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
-from armsight.app.live.views import RunView, live_view, side_view
+from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
-from armsight.app.schemas.live import Counts, LiveView
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.clock import Clock
 from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, by_side, is_live

@@ -14,8 +14,8 @@ import numpy as np
 
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, Moment
 from armsight.app.live.recording import LiveRecording, RecordingState
+from armsight.app.live.views import LiveView
 from armsight.app.measure.warm_up import prepare
-from armsight.app.schemas.live import LiveView
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.priority import give_way

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.schemas.measure import MeasureOutput
 from armsight.measure.poses.pipeline import Measured, Setup
+from armsight.measure.results import MeasureOutput
 from armsight.optics import SIDES
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.report import (

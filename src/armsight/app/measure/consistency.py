@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from armsight.app.schemas.measure import ConsistencyOutput, Estimated, OtherCause
 from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.consistency.explain import advice, sentence
+from armsight.measure.results import ConsistencyOutput, Estimated, OtherCause
 
 LISTED = 4
 """Causes that are told in all."""

@@ -19,13 +19,13 @@ from armsight.app.measure.made_with import made_with
 from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
 from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.schemas.measure import FrameTime, MeasureOutput
 from armsight.app.sources.bags import read_motion
 from armsight.app.sources.frames import recordings_in
 from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
+from armsight.measure.results import FrameTime, MeasureOutput
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.streams import Stream, timing_of
-from armsight.app.schemas.measure import FreeRunning
-from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
@@ -24,9 +22,11 @@ from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior
 from armsight.measure.poses.setup import Setup
+from armsight.measure.results import FreeRunning
 from armsight.measure.systematic import systematic_covariance
 from armsight.optics import SIDES
 from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
+from armsight.records.result_parts import BothCounts, BothSeconds
 from armsight.records.timing import PPM
 from armsight.units import MS
 

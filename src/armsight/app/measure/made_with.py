@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.app.schemas.measure import MadeWith
+from armsight.measure.results import MadeWith
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
 

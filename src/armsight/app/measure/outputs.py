@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.measure.consistency import consistency_output
-from armsight.app.schemas.base import PoseStd
-from armsight.app.schemas.measure import Candidates, FrameTime, MeasureOutput, PoseDeviations, SkewOutput
 from armsight.drivers import Skew
 from armsight.errors import Unseen
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import settled
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured
+from armsight.measure.results import Candidates, FrameTime, MeasureOutput, PoseDeviations, SkewOutput
 from armsight.records import PoseStatus, TargetPose
+from armsight.records.result_parts import PoseStd
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_points, write_poses, write_tum
 from armsight.store.atomic import RowFile
 

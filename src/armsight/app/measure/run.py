@@ -20,7 +20,6 @@ from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
-from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frame_times import frame_times
@@ -43,6 +42,7 @@ from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.poses.slack import rig_slack_px
+from armsight.measure.results import MeasureOutput
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.optics import Rig, RigKind

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from armsight.app.measure.outputs import SUMMARY
-from armsight.app.schemas.measure import MeasureOutput, ZoomAt
+from armsight.measure.results import MeasureOutput, ZoomAt
 from armsight.optics import SIDES, Rig, ZoomState, at_zoom
 from armsight.store import read_zoom_rig
 from armsight.store.atomic import write_json

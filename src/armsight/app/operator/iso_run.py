@@ -18,7 +18,6 @@ from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.teach import seen
-from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.clock import Clock, SystemClock
@@ -37,6 +36,7 @@ from armsight.units import MM
 from armsight.verify.iso9283 import PlannedMotion, TestPlan
 from armsight.verify.iso9283.cube import PLANES, SIDES_M, TestCube
 from armsight.verify.iso9283.motions import POSE_ORDER
+from armsight.verify.results import VerifyOutput
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,9 @@ from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.watched import watcher_of
-from armsight.app.path.check import check
+from armsight.app.path.check import PathCheckOutput, check
 from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
-from armsight.app.schemas.paths import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.clock import SystemClock
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows

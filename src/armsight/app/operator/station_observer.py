@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.schemas.live import LiveView, SideView
+from armsight.app.live.views import LiveView, SideView
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.errors import DeviceFailed, NotEnoughData

@@ -17,7 +17,6 @@ from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach import LEAST_CYCLE_S
 from armsight.app.operator.teach import seen as pose_of_view
-from armsight.app.schemas.verify_live import VerifyLiveOutput
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
@@ -30,6 +29,7 @@ from armsight.store.atomic import write_json
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_handeye
 from armsight.units import DEG, MM
+from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Compared, Expectation, Level, Limits, Watch
 
 LOOK_S = 0.004

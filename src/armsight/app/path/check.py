@@ -4,20 +4,51 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from armsight.app.kinematics import load_arm, reading_values
+from armsight.app.arm_files import load_arm
+from armsight.app.kinematics import reading_values
 from armsight.app.play.job import tipped
-from armsight.app.schemas.paths import PathCheckOutput, PathIssueOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, PathIssue, check_path
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.report.path_report import path_report
 from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
+
+
+@output
+class PathIssueOutput(Output):
+    """Trouble at a row of a path, or on the way to it."""
+
+    row: Annotated[int, Doc("The row, from 0.")]
+    trouble: Annotated[
+        str, Doc("unreached, limits, jump, speed, turn, joint_speed, singular, branch, workspace or forbidden.")
+    ]
+    value: Annotated[float | None, Doc("How much there, rad, m, or per s; of a singularity its distance.")]
+    limit: Annotated[float | None, Doc("What is allowed, in the same unit.")]
+    text: Annotated[str, Doc("The same in words.")]
+
+
+@output
+class PathCheckOutput(Output):
+    """armsight path check."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    ok: Annotated[bool, Doc("Whether the arm can run the whole path; the exit code is 3 where it cannot.")]
+    n: Annotated[int, Doc("Rows of the path.")]
+    n_reached: Annotated[int, Doc("Rows from the start that are reached.")]
+    length_m: Annotated[float, Doc("Length of the path, m.")]
+    duration_s: Annotated[float, Doc("How long it takes at its speeds, s.")]
+    troubles: Annotated[dict[str, int], Doc("How many issues there are of each kind.")]
+    issues: Annotated[list[PathIssueOutput], Doc("All trouble, row by row.")]
+    start_q: Annotated[list[float] | None, Doc("Readings at the first row, rad or m; null where not reached.")]
 
 
 def check(

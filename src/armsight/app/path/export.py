@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.kinematics import load_arm, reading_values
+from armsight.app.arm_files import load_arm
+from armsight.app.kinematics import reading_values
 from armsight.app.play.job import tipped
-from armsight.app.schemas.paths import PathExportOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import (
     PathCheck,
@@ -30,6 +31,8 @@ from armsight.control.paths.jumps import PathJump, path_jumps
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.records import TaughtPath
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path, write_path
@@ -39,6 +42,21 @@ FORMATS = (*PROGRAMS, "csv", "python")
 BY_SUFFIX = MappingProxyType({".script": "urscript", ".src": "krl", ".mod": "rapid", ".csv": "csv", ".py": "python"})
 TOLD = 3
 """Issues of the check that a refusal tells."""
+
+
+@output
+class PathExportOutput(Output):
+    """armsight path export."""
+
+    file: Annotated[str, Doc("The file written.")]
+    format: Annotated[str, Doc("urscript, krl, rapid, csv or python.")]
+    n: Annotated[int, Doc("Rows written, those of the approach among them.")]
+    length_m: Annotated[float, Doc("Length of the path with them, m.")]
+    checked: Annotated[bool, Doc("Whether the path was checked for an arm; it is not without --arm.")]
+    start_q: Annotated[
+        list[float] | None,
+        Doc("Readings to which the program goes first, rad; null where it goes there on a straight line."),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.schemas.base import PointStd
-from armsight.app.schemas.paths import PathPicksOutput, PickedPointOutput, RefusedPickOutput
 from armsight.control.paths.scene import along_edges, path_through_points
 from armsight.drivers.images import read_image
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.measure.correspondence import Correspondence, PatchSettings, StereoViews, find_in_other_view
 from armsight.records import Progress
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
+from armsight.records.result_parts import PointStd
 from armsight.store.path_file import write_path
 from armsight.store.picks_file import read_picks
 from armsight.store.rigs import read_rig
@@ -26,6 +28,44 @@ Array = NDArray[np.float64]
 
 TOLD = 3
 """Picks that a refusal tells."""
+
+
+@output
+class PickedPointOutput(Output):
+    """A point of the path and how it was found."""
+
+    pick: Annotated[int, Doc("The pick that it is, or that it follows on its edge; row of picks.csv from 0.")]
+    px: Annotated[tuple[float, float], Doc("Its place in the picked view, px.")]
+    other_px: Annotated[tuple[float, float], Doc("Its place in the other view, px.")]
+    std_px: Annotated[float, Doc("Standard deviation of that place along the epipolar line, px.")]
+    correlation: Annotated[float, Doc("Normalised correlation of both patches.")]
+    second: Annotated[float, Doc("That of the best other place on the line; 0 for none.")]
+    xyz_m: Annotated[tuple[float, float, float], Doc("The point in the path's frame, m.")]
+    std: Annotated[PointStd, Doc("Its standard deviations, of pick and match; not of the rig or its place.")]
+
+
+@output
+class RefusedPickOutput(Output):
+    """A place that was not found in the other view."""
+
+    pick: Annotated[int, Doc("The pick, or the one before it on its edge; row of picks.csv from 0.")]
+    u_px: Annotated[float, Doc("Its place in the picked view, px.")]
+    v_px: Annotated[float, Doc("Its place in the picked view, px.")]
+    kind: Annotated[str, Doc("The class of the refusal, one of `armsight.errors`.")]
+    why: Annotated[str, Doc("Why it was not found, in words.")]
+
+
+@output
+class PathPicksOutput(Output):
+    """armsight path from-picks."""
+
+    file: Annotated[str, Doc("The path.csv written.")]
+    frame: Annotated[str, Doc("The frame of the path: rig, or world or base with --world.")]
+    n: Annotated[int, Doc("Rows written.")]
+    n_picks: Annotated[int, Doc("Picks read.")]
+    length_m: Annotated[float, Doc("Length of the path, m.")]
+    points: Annotated[list[PickedPointOutput], Doc("The points of the path.")]
+    refused: Annotated[list[RefusedPickOutput], Doc("Places left out with --skip.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from armsight.app.schemas.paths import PathChangeOutput, PathOutlierOutput, PathSmoothOutput
 from armsight.control.paths import (
     corners,
     filleted,
@@ -25,9 +25,43 @@ from armsight.control.paths import (
 from armsight.control.paths.outliers import LEAST_ROWS, PathOutlier
 from armsight.errors import Inconsistent, UsageError
 from armsight.records import TaughtPath
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store.path_file import read_path, write_path
 
 OUTLIERS = ("refuse", "drop", "keep")
+
+
+@output
+class PathChangeOutput(Output):
+    """armsight path resample, fillet, offset, angle, reverse and join."""
+
+    file: Annotated[str, Doc("The path.csv written.")]
+    n_before: Annotated[int, Doc("Rows read, of all paths.")]
+    n: Annotated[int, Doc("Rows written.")]
+    length_m: Annotated[float, Doc("Length of the path written, m.")]
+    corners: Annotated[list[int], Doc("Its corners, rows from 0.")]
+
+
+@output
+class PathOutlierOutput(Output):
+    """A row that does not belong to the path."""
+
+    row: Annotated[int, Doc("The row of the path read, from 0.")]
+    off_m: Annotated[float, Doc("How far it is from where its neighbours say, m.")]
+    off_rad: Annotated[float, Doc("How far it is turned from what they say, rad.")]
+    text: Annotated[str, Doc("The same in words.")]
+
+
+@output
+class PathSmoothOutput(PathChangeOutput):
+    """armsight path smooth."""
+
+    outliers: Annotated[list[PathOutlierOutput], Doc("Rows that do not belong to the path.")]
+    dropped: Annotated[bool, Doc("Whether they were left out.")]
+    moved_max_m: Annotated[float, Doc("How far the row moved that moved most, m.")]
+    moved_rms_m: Annotated[float, Doc("Root mean square of how far rows moved, m.")]
+    turned_max_rad: Annotated[float, Doc("How far the row turned that turned most, rad.")]
 
 
 def smooth(

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.measure.warm_up import prepare
 from armsight.app.play.job import PlayJob, check, load_plan, tipped_guard
 from armsight.app.play.played import PlayedSource, PlayTally, Show, play_output

@@ -6,13 +6,15 @@ import re
 from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
+from typing import Annotated
 
 from armsight.app.record.record import RIG_NAME, TARGET_NAME
-from armsight.app.schemas.files import ExportOutput
 from armsight.app.simulate.cells import write_png
 from armsight.drivers import ordered_map
 from armsight.errors import BadFile, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, Progress, Silent
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text
 from armsight.store.recording import Recording
@@ -24,6 +26,15 @@ FOLDER = re.compile(r"\w[\w.-]*(/\w[\w.-]*)*")
 
 KINDS = ("files", "rosbag2")
 """What a recording can be written as."""
+
+
+@output
+class ExportOutput(Output):
+    """armsight convert recording."""
+
+    source: Annotated[str, Doc("The recording.", key="from")]
+    out: Annotated[str, Doc("The folder or file written.")]
+    n: Annotated[dict[str, int], Doc("Rows or frames by file.")]
 
 
 def export(source: Path, out: Path, *, to: str = "files", progress: Progress | None = None) -> ExportOutput:

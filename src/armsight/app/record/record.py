@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 from armsight._files import real_path
 from armsight.app.record.recorder import Recorder
-from armsight.app.schemas.files import RecordedSkew, RecordOutput, RepairOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
@@ -22,6 +22,8 @@ from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.measure.poses.pipeline import check_sizes
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store import read_rig, read_target
 from armsight.store.atomic import disk_errors
 from armsight.store.recording import ImageFormat, RecordingWriter, Repaired, repair
@@ -31,6 +33,40 @@ TARGET_NAME = "target.yaml"
 
 CELL_FRAMES = 300
 """Pairs of a simulated cell where no limit is given: five seconds at 60 a second."""
+
+
+@output
+class RecordedSkew(Output):
+    """Time between the frames of pairs, right minus left."""
+
+    mean: Annotated[float, Doc("Mean, s.")]
+    largest: Annotated[float, Doc("Largest, s.")]
+
+
+@output
+class RecordOutput(Output):
+    """armsight record."""
+
+    file: Annotated[str, Doc("The recording.")]
+    format: Annotated[str, Doc("How frames are kept: png, raw or jpeg.")]
+    n_pairs: Annotated[int, Doc("Pairs recorded.")]
+    n_dropped: Annotated[int, Doc("Pairs that found no room: the disk or the processor is too slow.")]
+    n_missed: Annotated[int, Doc("Frames lost by the cameras or without a partner.")]
+    duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
+    pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
+    size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
+    skew_s: Annotated[RecordedSkew | None, Doc("Time between the frames of live pairs; null of other sources.")]
+
+
+@output
+class RepairOutput(Output):
+    """armsight record --repair."""
+
+    file: Annotated[str, Doc("The mended recording.")]
+    messages: Annotated[dict[str, int], Doc("Messages saved by topic.")]
+    duration_s: Annotated[float, Doc("From the first message to the last, s.")]
+    lost_bytes: Annotated[int, Doc("Bytes that were not whole.")]
+    damaged_chunks: Annotated[int, Doc("Chunks whose checksum does not fit.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.fit import check_fit
 from armsight.control.guard.space import Space

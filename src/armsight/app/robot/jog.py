@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.opening import open_robot

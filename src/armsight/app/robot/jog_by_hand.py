@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, recording

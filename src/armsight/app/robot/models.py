@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.opening import open_robot
 from armsight.clock import SystemClock

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from armsight import errors
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import SystemClock
 from armsight.drivers import load

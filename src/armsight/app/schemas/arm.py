@@ -6,9 +6,9 @@ from typing import Annotated
 
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.schemas.base import PoseStd, RejectedRow
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
+from armsight.records.result_parts import PoseStd, RejectedRow
 
 Vector = tuple[float, float, float]
 

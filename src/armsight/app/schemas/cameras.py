@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from armsight.app.schemas.base import RejectedFile
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
+from armsight.records.result_parts import RejectedFile
 
 
 @output

@@ -6,30 +6,7 @@ from typing import Annotated
 
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
-
-
-@output
-class BothSeconds(Output):
-    """A time of each camera."""
-
-    left: Annotated[float, Doc("Of the left camera, s.", unit="s")]
-    right: Annotated[float, Doc("Of the right camera, s.", unit="s")]
-
-
-@output
-class BothCounts(Output):
-    """A number of frames of each camera."""
-
-    left: Annotated[int, Doc("Of the left camera.")]
-    right: Annotated[int, Doc("Of the right camera.")]
-
-
-@output
-class BothPixels(Output):
-    """A distance in the image of each camera."""
-
-    left: Annotated[float, Doc("Of the left camera, px.", unit="px")]
-    right: Annotated[float, Doc("Of the right camera, px.", unit="px")]
+from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 
 
 @output

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.verify import IsoFigure
 from armsight.errors import Inconsistent
 from armsight.records.output import keys
 from armsight.store.verify_files import CommandedFile, MeasuredFile
 from armsight.verify import Align, Measured, Reported, Verification
 from armsight.verify.iso9283 import CommandedPath, evaluate
 from armsight.verify.repeats import PATH, Command, iso9283_test, polyline
+from armsight.verify.results import IsoFigure
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,9 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.schemas.verify_live import VerifyLiveOutput
 from armsight.app.verify.live_devices import open_supervised
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import RECORDING, LiveVerifyJob, Show, Supervised, Supervision
@@ -24,6 +23,7 @@ from armsight.report.live_report import live_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.atomic import write_json
 from armsight.store.worlds import World
+from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Expectation
 
 SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"

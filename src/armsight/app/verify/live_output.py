@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.verify_live import DecisionTime, LiveAlarm, LiveErrors, LiveLevels, VerifyLiveOutput
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
 from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM
+from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, LiveLevels, VerifyLiveOutput
 from armsight.verify.supervision import Alarm, Compared, Level, Limits
 
 Array = NDArray[np.float64]

@@ -9,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.kinematics import load_arm
+from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
-from armsight.app.schemas.base import RejectedRow
-from armsight.app.schemas.verify_live import MasteringJoint, MasteringOutput, MasteringPlanOutput, MasteringPose
 from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, fk
 from armsight.optics import Rig
 from armsight.records import Target
+from armsight.records.result_parts import RejectedRow
 from armsight.report.mastering_report import mastering_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.atomic import write_json
@@ -29,6 +28,7 @@ from armsight.verify import Align
 from armsight.verify.mastering import CANDIDATES, SPAN_M, Mastering, Proposal, check_mastering, propose
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import Reported, pair
+from armsight.verify.results import MasteringJoint, MasteringOutput, MasteringPlanOutput, MasteringPose
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.base import RejectedRow
-from armsight.app.schemas.verify import (
+from armsight.kinematics import Arm
+from armsight.records.result_parts import RejectedRow
+from armsight.report.html import figure_of
+from armsight.store.tables import cells, word
+from armsight.store.verify_files import MeasuredFile
+from armsight.units import DEG, MM
+from armsight.verify import Cause, Figures, JointVerdict, Verification
+from armsight.verify.results import (
     CauseParameter,
     ConfigurationPairs,
     ErrorFigures,
@@ -18,12 +24,6 @@ from armsight.app.schemas.verify import (
     VerifyOutput,
     VerifyTime,
 )
-from armsight.kinematics import Arm
-from armsight.report.html import figure_of
-from armsight.store.tables import cells, word
-from armsight.store.verify_files import MeasuredFile
-from armsight.units import DEG, MM
-from armsight.verify import Cause, Figures, JointVerdict, Verification
 
 Array = NDArray[np.float64]
 

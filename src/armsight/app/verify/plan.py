@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from armsight.app.kinematics import load_arm
-from armsight.app.schemas.verify import PlannedCube, PlannedPose, PlannedTest, VerifyPlanOutput
+from armsight.app.arm_files import load_arm
 from armsight.errors import UsageError
 from armsight.records import Progress
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store.atomic import write_json
 from armsight.store.iso9283_plan import write_test_plan
 from armsight.verify.iso9283 import PlannedMotion, PlanOptions, TestPlan, plan_test
@@ -18,6 +20,51 @@ from armsight.verify.iso9283 import PlannedMotion, PlanOptions, TestPlan, plan_t
 PLAN, SUMMARY = "plan.csv", "plan.json"
 PATHS = ("line", "rectangle", "large_circle", "small_circle")
 CHOICES = ("cube", "poses", "paths")
+
+
+@output
+class PlannedCube(Output):
+    """The test cube, in the arm's base frame."""
+
+    centre_m: Annotated[list[float], Doc("Its centre, x y z.")]
+    side_m: Annotated[float, Doc("Its side.")]
+    plane: Annotated[str, Doc("The test plane: a, b, c or d.")]
+    corners_m: Annotated[dict[str, list[float]], Doc("C1 to C8, x y z.")]
+
+
+@output
+class PlannedPose(Output):
+    """A test pose."""
+
+    xyz_m: Annotated[list[float], Doc("Position in world, x y z.")]
+    q: Annotated[list[float], Doc("The controller's joint readings there, rad or m.")]
+
+
+@output
+class PlannedTest(Output):
+    """A motion of the plan."""
+
+    test: Annotated[str, Doc("Its name: the tag of its rows in plan.csv.")]
+    figures: Annotated[list[str], Doc("What it is for.")]
+    repeats: Annotated[int, Doc("How often it is made.")]
+    n: Annotated[int, Doc("Its rows.")]
+
+
+@output
+class VerifyPlanOutput(Output):
+    """armsight verify --plan."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    cube: Annotated[PlannedCube, Doc("The test cube.")]
+    quat_xyzw: Annotated[list[float], Doc("The tool's orientation in world.")]
+    speed_m_s: Annotated[float, Doc("Speed along the paths: as wanted, or the highest that all joints allow.")]
+    poses: Annotated[dict[str, PlannedPose], Doc("P1 to P5.")]
+    motions: Annotated[list[PlannedTest], Doc("The motions written.")]
+    branch: Annotated[list[str], Doc("The arm's configuration throughout.")]
+    singularity_distance: Annotated[float, Doc("The least over all motions.")]
+    limit_margin: Annotated[float | None, Doc("Least distance of a joint from a limit, rad or m; null: no limits.")]
+    refused: Annotated[list[str], Doc("Larger cubes that were tried, and why not.")]
+    files: Annotated[list[str], Doc("What was written.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import real_path
-from armsight.app.kinematics import load_arm
-from armsight.app.schemas.verify import ComparedRun, VerifyOutput
+from armsight.app.arm_files import load_arm
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
@@ -26,6 +25,7 @@ from armsight.store.verify_files import CommandedFile, MeasuredFile, read_comman
 from armsight.store.worlds import World
 from armsight.verify import Align, Measured, Repeats, Reported, verify
 from armsight.verify.repeats import Command
+from armsight.verify.results import ComparedRun, VerifyOutput
 
 Array = NDArray[np.float64]
 Other = VerifyOutput | None

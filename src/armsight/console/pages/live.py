@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armsight.app.live.measurement import COMPLEX, DetectionSettings
 from armsight.app.live.station import Shown
-from armsight.app.schemas.live import SideView
+from armsight.app.live.views import SideView
 from armsight.console import texts
 from armsight.console.fields import number, ticked
 from armsight.console.jog import jog_card

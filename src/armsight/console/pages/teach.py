@@ -11,7 +11,7 @@ from armsight.app.operator import path_desk
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.path_desk import TOOLS, WORK, PathDesk, PlayRequest
 from armsight.app.operator.teach import TeachDesk
-from armsight.app.schemas.paths import PathCheckOutput
+from armsight.app.path.check import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts
 from armsight.console.fields import number, text, ticked

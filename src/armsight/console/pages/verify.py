@@ -8,7 +8,6 @@ from pathlib import Path
 
 from nicegui import run, ui
 
-from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.console import texts
 from armsight.console.fields import file_name
@@ -19,6 +18,7 @@ from armsight.console.state import Console
 from armsight.console.uploads import reports
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
+from armsight.verify.results import VerifyOutput
 
 FIELDS = ("measured", "joints")
 

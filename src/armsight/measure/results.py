@@ -1,13 +1,12 @@
-"""measure, demo."""
+"""What a measured run comes to."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-from armsight.app.schemas.base import PoseStd
-from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
+from armsight.records.result_parts import BothCounts, BothSeconds, PoseStd
 
 
 @output
@@ -156,49 +155,3 @@ class MeasureOutput(Output):
     ] = None
     zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
     made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
-
-
-@output
-class TruthError(Output):
-    """Error of one coordinate of the poses against the truth, in the unit of its key."""
-
-    rms: Annotated[float, Doc("Root mean square error.")]
-    max: Annotated[float, Doc("Largest absolute error.")]
-    claimed: Annotated[float, Doc("Root mean square of the claimed standard deviations.")]
-
-
-@output
-class PoseErrors(Output):
-    """Errors of the poses by coordinate."""
-
-    x_m: Annotated[TruthError, Doc("Of x, m.")]
-    y_m: Annotated[TruthError, Doc("Of y, m.")]
-    z_m: Annotated[TruthError, Doc("Of z, m.")]
-    rx_rad: Annotated[TruthError, Doc("Of the rotation about x, rad.")]
-    ry_rad: Annotated[TruthError, Doc("Of the rotation about y, rad.")]
-    rz_rad: Annotated[TruthError, Doc("Of the rotation about z, rad.")]
-
-
-@output
-class PicturesOutput(Output):
-    """The demo's real pictures of a checkerboard, calibrated and measured."""
-
-    n_pairs: Annotated[int, Doc("Pairs of pictures.")]
-    rms_px: Annotated[float, Doc("Reprojection residual of the calibration, RMS, px.")]
-    baseline_m: Annotated[float, Doc("Distance of the two cameras, m.")]
-    square_error_m: Annotated[
-        float | None, Doc("Error of the board's squares in pairs that the calibration did not see, RMS, m.")
-    ]
-    n_ok: Annotated[int, Doc("Pairs in which the board's pose was measured.")]
-    out: Annotated[str, Doc("Where its results are.")]
-
-
-@output
-class DemoOutput(MeasureOutput):
-    """armsight demo; also OUT/demo.json."""
-
-    truth: Annotated[PoseErrors, Doc("Errors against the simulated truth, in rig axes.")]
-    inside_95: Annotated[float | None, Doc("Share of the poses, 0 to 1, inside their own 95 % ellipsoid.")]
-    seconds_s: Annotated[float, Doc("How long the whole command took, s.")]
-    assumptions: Annotated[list[str], Doc("What the simulated cell takes for granted.")]
-    pictures: Annotated[PicturesOutput | None, Doc("The real pictures; null where they were left out.")]

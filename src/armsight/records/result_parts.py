@@ -1,4 +1,4 @@
-"""The small results that several results hold."""
+"""Small results that several results hold."""
 
 from __future__ import annotations
 
@@ -6,6 +6,48 @@ from typing import Annotated
 
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
+
+
+@output
+class Refusal(Output):
+    """Why a command gave no result."""
+
+    kind: Annotated[str, Doc("The class of the error, one of `armsight.errors`.")]
+    cause: Annotated[str, Doc("What is wrong.")]
+    consequence: Annotated[str, Doc("What was not done; may be empty.")]
+    cure: Annotated[str, Doc("What the operator can do; may be empty.")]
+    exit_code: Annotated[int, Doc("The exit code of the command: 2 usage, 3 data, 4 device, 130 stopped, 1 else.")]
+
+
+@output
+class RefusalOutput(Output):
+    """Any command, where it fails."""
+
+    error: Annotated[Refusal, Doc("Why there is no result.")]
+
+
+@output
+class BothSeconds(Output):
+    """A time of each camera."""
+
+    left: Annotated[float, Doc("Of the left camera, s.", unit="s")]
+    right: Annotated[float, Doc("Of the right camera, s.", unit="s")]
+
+
+@output
+class BothCounts(Output):
+    """A number of frames of each camera."""
+
+    left: Annotated[int, Doc("Of the left camera.")]
+    right: Annotated[int, Doc("Of the right camera.")]
+
+
+@output
+class BothPixels(Output):
+    """A distance in the image of each camera."""
+
+    left: Annotated[float, Doc("Of the left camera, px.", unit="px")]
+    right: Annotated[float, Doc("Of the right camera, px.", unit="px")]
 
 
 @output
@@ -50,21 +92,3 @@ class RejectedRow(Output):
 
     row: Annotated[int, Doc("The row of the input table, from 1.")]
     why: Annotated[str, Doc("Why it was left out, in words.")]
-
-
-@output
-class Refusal(Output):
-    """Why a command gave no result."""
-
-    kind: Annotated[str, Doc("The class of the error, one of `armsight.errors`.")]
-    cause: Annotated[str, Doc("What is wrong.")]
-    consequence: Annotated[str, Doc("What was not done; may be empty.")]
-    cure: Annotated[str, Doc("What the operator can do; may be empty.")]
-    exit_code: Annotated[int, Doc("The exit code of the command: 2 usage, 3 data, 4 device, 130 stopped, 1 else.")]
-
-
-@output
-class RefusalOutput(Output):
-    """Any command, where it fails."""
-
-    error: Annotated[Refusal, Doc("Why there is no result.")]

@@ -1,0 +1,103 @@
+"""Arms by file, URDF or the name of a known one, and between these."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from armsight.errors import UsageError
+from armsight.kinematics import (
+    PRESETS,
+    Arm,
+    in_convention,
+    preset,
+)
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
+from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.urdf import read_urdf, write_urdf
+
+URDF_SUFFIXES = (".urdf", ".xml")
+
+
+YAML_SUFFIXES = (".yaml", ".yml")
+
+
+@output
+class ConvertArmOutput(Output):
+    """armsight convert arm."""
+
+    arm: Annotated[str, Doc("The arm's name.")]
+    file: Annotated[str, Doc("The file written.")]
+    joints: Annotated[int, Doc("How many joints.")]
+    convention: Annotated[str, Doc("standard or craig.")]
+
+
+def load_arm(text: str) -> Arm:
+    """Return the arm of an arm.yaml, a .urdf or a preset's name.
+
+    A URDF that holds more than the arm's chain is given as FILE#TIP, or FILE#BASE:TIP, with the names of the chain's
+    links (arm_source makes it). Raises UsageError, BadFile.
+    """
+    file, base, tip = _parts(text)
+    suffix = Path(file).suffix.lower()
+    if suffix in URDF_SUFFIXES:
+        return read_urdf(Path(file), tip=tip, base=base)
+    if base is not None or tip is not None:
+        raise UsageError(
+            f"the chain {text.rpartition('#')[2]!r} is named, but {file!r} is no URDF",
+            consequence="It is one chain as it is, and no part of it can be chosen",
+            cure="Leave --tip and --base away",
+        )
+    if suffix in YAML_SUFFIXES or Path(file).exists():
+        return read_arm(Path(file))
+    if file in PRESETS:
+        return preset(file)
+    raise UsageError(
+        f"{file!r} is neither a file nor an arm known by name",
+        cure=f"Give an arm.yaml, a .urdf, or one of {', '.join(PRESETS)}",
+    )
+
+
+def arm_source(text: str, *, tip: str | None = None, base: str | None = None) -> str:
+    """Return what load_arm takes for the chain from base to tip of a URDF; text itself where neither is named."""
+    if tip is None and base is None:
+        return text
+    if _parts(text) != (text, None, None):
+        raise UsageError(
+            f"{text!r} names its chain already", cure="Give --tip and --base, or FILE#BASE:TIP, but not both"
+        )
+    return f"{text}#{base}:{tip or ''}" if base is not None else f"{text}#{tip}"
+
+
+def arm_file(text: str) -> Path | None:
+    """Return the file of what load_arm takes; None for a preset's name."""
+    file, _, _ = _parts(text)
+    return Path(file) if Path(file).exists() else None
+
+
+def _parts(text: str) -> tuple[str, str | None, str | None]:
+    """Return file, base and tip of FILE, FILE#TIP or FILE#BASE:TIP; a file of that very name comes first."""
+    file, mark, chain = text.rpartition("#")
+    if not mark or Path(text).exists():
+        return text, None, None
+    base, colon, tip = chain.rpartition(":")
+    return file, base if colon else None, tip or None
+
+
+def convert_arm(source: str, out: Path, *, convention: str | None = None) -> ConvertArmOutput:
+    """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
+    model = load_arm(source)
+    suffix = out.suffix.lower()
+    if convention is not None:
+        if convention not in ("standard", "craig"):
+            raise UsageError(f"the convention {convention!r} is not known", cure="Use standard or craig")
+        model = in_convention(model, convention)
+    if suffix in URDF_SUFFIXES:
+        write_urdf(out, model)
+    elif suffix in YAML_SUFFIXES:
+        file = arm_file(source)
+        write_arm(out, model, inputs=[] if file is None else [file])
+    else:
+        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
+    return ConvertArmOutput(arm=model.name, file=str(out), joints=model.n, convention=model.convention.value)
