@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import PurePath
@@ -15,6 +15,7 @@ from armsight.report.figures import BLUE, ORANGE, RED, Figure, axis, layout, pla
 from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, in_degrees, table
 from armsight.report.to_do import after_watching
 from armsight.units import DEG, MM
+from armsight.verify.results import VerifyLiveOutput
 
 Array = NDArray[np.float64]
 
@@ -48,70 +49,81 @@ class LiveSeries:
 
 def live_report(
     series: LiveSeries,
-    summary: Mapping[str, Any],
+    summary: VerifyLiveOutput,
     *,
     inputs: Sequence[tuple[str, str]] = (),
     created: datetime | None = None,
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
-    gaps = summary["level"] == "good" and summary["n_compared"] < WATCHED * summary["n"]
+    """Return the page as HTML text that needs no other file. summary: what verify.json holds."""
+    gaps = summary.level == "good" and summary.n_compared < WATCHED * summary.n
     page = Page(
         title="Supervision of a running arm",
-        subtitle=f"{summary['n']} pairs of frames, {summary['n_compared']} compared",
+        subtitle=f"{summary.n} pairs of frames, {summary.n_compared} compared",
         verdict=Verdict(
-            level="warn" if gaps else LEVELS[summary["level"]],
-            word="good, with gaps" if gaps else summary["level"],
-            sentence=in_degrees(summary["verdict"]),
-            to_do=after_watching(summary),
+            level="warn" if gaps else LEVELS[summary.level],
+            word="good, with gaps" if gaps else summary.level,
+            sentence=in_degrees(summary.verdict),
+            to_do=after_watching(
+                summary.level,
+                levels_set=any(value is not None for value in summary.levels.to_dict().values()),
+                gaps=summary.n_compared < summary.n,
+            ),
         ),
         cards=_cards(summary),
     )
-    if summary["alarms"]:
-        rows = [[f"{item['t_s']:.3f}", item["level"], item["why"]] for item in summary["alarms"]]
+    if summary.alarms:
+        rows = [[f"{item.t_s:.3f}", item.level, item.why] for item in summary.alarms]
         page.add("Alarms", "", table(["t, s", "level", "why"], rows, numbers=(0,)))
     page.add("Errors over time", COURSE, page.plot(live_course(series, summary)))
-    if summary["doubts"]:
-        page.add("What to know", "", bullets(summary["doubts"]))
-    add_recordings(page, [PurePath(summary["recording"]).name] if summary["recording"] else [])
+    if summary.doubts:
+        page.add("What to know", "", bullets(summary.doubts))
+    add_recordings(page, [PurePath(summary.recording).name] if summary.recording else [])
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())
 
 
-def _cards(summary: Mapping[str, Any]) -> list[Card]:
-    errors, ms = summary["errors"], summary["decision_ms"]
+def _cards(summary: VerifyLiveOutput) -> list[Card]:
+    errors, ms = summary.errors, summary.decision_ms
 
-    def shown(key: str, factor: float, unit: str) -> str:
-        return figure_of(None if errors[key] is None else errors[key] / factor, unit)
+    def shown(value: float | None, factor: float, unit: str) -> str:
+        return figure_of(None if value is None else value / factor, unit)
 
     cards = [
-        Card(name="error of place", value=shown("rms_m", MM, "mm"), note=f"RMS; noise {shown('std_m', MM, 'mm')}"),
-        Card(name="largest", value=shown("max_m", MM, "mm")),
         Card(
-            name="error of rotation", value=shown("rms_rad", DEG, "°"), note=f"RMS; noise {shown('std_rad', DEG, '°')}"
+            name="error of place",
+            value=shown(errors.rms_m, MM, "mm"),
+            note=f"RMS; noise {shown(errors.std_m, MM, 'mm')}",
         ),
-        Card(name="pairs a second", value=figure_of(summary["rate_hz"]), note=f"{summary['missed']} never came"),
-        Card(name="longest blind", value=figure_of(summary["blind_s"], "s")),
+        Card(name="largest", value=shown(errors.max_m, MM, "mm")),
+        Card(
+            name="error of rotation",
+            value=shown(errors.rms_rad, DEG, "°"),
+            note=f"RMS; noise {shown(errors.std_rad, DEG, '°')}",
+        ),
+        Card(name="pairs a second", value=figure_of(summary.rate_hz), note=f"{summary.missed} never came"),
+        Card(name="longest blind", value=figure_of(summary.blind_s, "s")),
     ]
     if ms is not None:
-        cards.append(
-            Card(name="decision", value=figure_of(ms["median"], "ms"), note=f"p99 {figure_of(ms['p99'], 'ms')}")
-        )
+        cards.append(Card(name="decision", value=figure_of(ms.median, "ms"), note=f"p99 {figure_of(ms.p99, 'ms')}"))
     return cards
 
 
-def live_course(series: LiveSeries, summary: Mapping[str, Any]) -> Figure:
+def live_course(series: LiveSeries, summary: VerifyLiveOutput) -> Figure:
     """Return errors of place and rotation over time, with noise and levels."""
     data: list[dict[str, Any]] = []
-    levels = summary["levels"]
-    for k, (size, factor, unit) in enumerate(((series.place_m, MM, "m"), (series.turn_rad, DEG, "rad")), start=1):
+    levels = summary.levels
+    courses = (
+        (series.place_m, MM, levels.warn_m, levels.stop_m),
+        (series.turn_rad, DEG, levels.warn_rad, levels.stop_rad),
+    )
+    for k, (size, factor, warn, stop) in enumerate(courses, start=1):
         shown = thinned(size)
         x, noise = series.t_s[shown], 3.0 * series.std[shown, k - 1]
         lines = [(size[shown], "error", BLUE, "solid"), (noise, "noise, 3 sigma", BLUE, "dot")]
         for y, name, colour, dash in lines:
             data.append(_line(x, y / factor, name, colour, dash, k))
-        for level, colour in (("warn", ORANGE), ("stop", RED)):
-            limit = levels[f"{level}_{unit}"]
+        for level, limit, colour in (("warn", warn, ORANGE), ("stop", stop, RED)):
             if limit is not None and len(x):
                 data.append(_line(x[[0, -1]], np.full(2, limit / factor), f"{level} level", colour, "dash", k))
     return Figure(

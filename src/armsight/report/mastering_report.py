@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from datetime import datetime
-from typing import Any
 
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
 from armsight.report.to_do import after_mastering
 from armsight.units import DEG, MM
+from armsight.verify.results import MasteringOutput
 
 LEVELS = {"none": "good", "undecided": "warn"}
 ALONE = (
@@ -17,34 +17,34 @@ ALONE = (
 
 
 def mastering_report(
-    summary: Mapping[str, Any], name: str, *, slides: Collection[int] = (), created: datetime | None = None
+    summary: MasteringOutput, name: str, *, slides: Collection[int] = (), created: datetime | None = None
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: as verify.json holds it; slides: the indices,
+    """Return the page as HTML text that needs no other file. summary: what verify.json holds; slides: the indices,
     from 1, of joints that slide."""
-    cause = summary["cause"]
+    cause = summary.cause
     page = Page(
         title=f"After a crash: {name}",
-        subtitle=f"{summary['n']} poses compared, {len(summary['rejected'])} left out",
+        subtitle=f"{summary.n} poses compared, {len(summary.rejected)} left out",
         verdict=Verdict(
             level=LEVELS.get(cause, "bad"),
             word=f"Cause: {cause}",
-            sentence=in_degrees(summary["verdict"]),
-            to_do=after_mastering(summary),
+            sentence=in_degrees(summary.verdict),
+            to_do=after_mastering(cause, all_judged=all(joint.judged for joint in summary.joints)),
         ),
         cards=[
-            Card(name="error of place", value=figure_of(summary["rms_before_m"] / MM, "mm"), note="RMS, as measured"),
-            Card(name="without the cause", value=figure_of(summary["rms_after_m"] / MM, "mm"), note="RMS"),
+            Card(name="error of place", value=figure_of(summary.rms_before_m / MM, "mm"), note="RMS, as measured"),
+            Card(name="without the cause", value=figure_of(summary.rms_after_m / MM, "mm"), note="RMS"),
         ],
     )
     rows = []
-    for joint in summary["joints"]:
-        value, std = joint["offset_rad"], joint["std_rad"]
-        scale, unit = (MM, "mm") if joint["index"] in slides else (DEG, "°")
+    for joint in summary.joints:
+        value, std = joint.offset_rad, joint.std_rad
+        scale, unit = (MM, "mm") if joint.index in slides else (DEG, "°")
         shown = ("–", "–") if value is None else with_deviation(value / scale, None if std is None else std / scale)
-        rows.append([f"{joint['index']} {joint['name']}", *shown, unit, joint["why"]])
+        rows.append([f"{joint.index} {joint.name}", *shown, unit, joint.why])
     page.add("Joints", ALONE, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
-    if summary["doubts"]:
-        page.add("What to know", "", bullets(summary["doubts"]))
-    if summary["rejected"]:
-        page.add("Rows left out", "", table(["row", "why"], [[r["row"], r["why"]] for r in summary["rejected"]]))
+    if summary.doubts:
+        page.add("What to know", "", bullets(summary.doubts))
+    if summary.rejected:
+        page.add("Rows left out", "", table(["row", "why"], [[r.row, r.why] for r in summary.rejected]))
     return page.html(created=created or datetime.now())

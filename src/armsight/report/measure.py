@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr
 
+from armsight.measure.results import ConsistencyOutput, OtherCause
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
 from armsight.report.figures import MAX_PLOTTED
@@ -95,13 +94,19 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
         if not low <= inside <= high:
             level, word = "warn", "Claim doubted"
-    uncertainty = VERDICTS.get(run.consistency.get("verdict", ""))
-    if uncertainty is not None:
+    found = run.consistency
+    uncertainty = None if found is None else VERDICTS.get(found.verdict)
+    if found is not None and uncertainty is not None:
         level, word = uncertainty
-        sentence = f"{run.consistency['sentence']} By what they claim: {sentence}"
+        sentence = f"{found.sentence} By what they claim: {sentence}"
     if run.error:
         level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
-    return Verdict(level=level, word=word, sentence=sentence, to_do=after_measuring(word, run.consistency))
+    to_do = after_measuring(
+        word,
+        unchecked=found is not None and found.verdict == "unchecked",
+        advice="" if found is None else found.advice,
+    )
+    return Verdict(level=level, word=word, sentence=sentence, to_do=to_do)
 
 
 def _rms_columns(values: Array) -> Array:
@@ -285,32 +290,32 @@ def _add_residuals(page: Page, run: MeasureRun) -> None:
     )
 
 
-def _estimate(cause: Mapping[str, Any]) -> str:
-    if cause["estimate"] is None:
+def _estimate(cause: ConsistencyOutput | OtherCause) -> str:
+    if cause.estimate is None:
         return ""
-    unit = cause["unit"].replace("1", "")
-    return f"{figure_of(cause['estimate'])} ± {figure_of(cause['std'], digits=2)} {unit}"
+    unit = (cause.unit or "").replace("1", "")
+    return f"{figure_of(cause.estimate)} ± {figure_of(cause.std, digits=2)} {unit}"
 
 
 def _add_consistency(page: Page, run: MeasureRun) -> None:
     found = run.consistency
-    if not found or found["verdict"] == "unchecked" or "cause" not in found:
+    if found is None or found.verdict == "unchecked":
         return
-    causes = [found, *found["others"]] if found["cause"] else []
+    causes: list[ConsistencyOutput | OtherCause] = [found, *found.others] if found.cause else []
     rows = [
         [
-            cause["cause"],
+            cause.cause,
             _estimate(cause),
-            figure_of(cause["effect_m"] / MM, "mm", digits=2),
-            figure_of(float(np.exp(min(-cause.get("log_odds", 0.0), 20.0))), digits=2) if i else "",
+            figure_of(None if cause.effect_m is None else cause.effect_m / MM, "mm", digits=2),
+            figure_of(float(np.exp(min(-cause.log_odds, 20.0))), digits=2) if isinstance(cause, OtherCause) else "",
         ]
-        for i, cause in enumerate(causes)
+        for cause in causes
     ]
-    unseen = [[cause, figure_of(effect_m / MM, "mm", digits=2)] for cause, effect_m in found["undetected_m"].items()]
+    unseen = [[cause, figure_of(effect_m / MM, "mm", digits=2)] for cause, effect_m in found.undetected_m.items()]
     page.add(
         "Do the residuals agree with rig, target and noise?",
-        f"{found['sentence'] or 'They do.'} {found['advice']} The noise is "
-        f"{figure_of(found['noise_scale'], digits=2)} times what the spots claim; {found['n_frames']:,} frames judged.",
+        f"{found.sentence or 'They do.'} {found.advice} The noise is "
+        f"{figure_of(found.noise_scale, digits=2)} times what the spots claim; {found.n_frames:,} frames judged.",
         table(["cause", "estimate", "error of positions", "times less likely"], rows, numbers=(1, 2, 3))
         if rows
         else "",

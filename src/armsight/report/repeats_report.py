@@ -15,6 +15,7 @@ from armsight.report.iso_symbols import value_of
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import MM
 from armsight.verify import Measured, Repeats
+from armsight.verify.results import IsoFigure, VerifyOutput
 
 Array = NDArray[np.float64]
 
@@ -32,29 +33,29 @@ COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 def repeats_report(
     measured: Measured,
     repeats: Repeats,
-    summary: Mapping[str, Any],
+    summary: VerifyOutput,
     *,
-    other: tuple[str, Mapping[str, Any]] | None = None,
+    other: tuple[str, VerifyOutput] | None = None,
     created: datetime | None = None,
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: as verify.json holds it; other: the folder and
+    """Return the page as HTML text that needs no other file. summary: what verify.json holds; other: the folder and
     the summary of a run to stand beside this one."""
-    iso = summary["iso9283"]
-    given = sum(item["value"] is not None for item in iso.values())
+    iso = summary.iso9283
+    given = sum(item.value is not None for item in iso.values())
     page = Page(
         title="Repeatability",
-        subtitle=f"{summary['n']} rows, {len(summary['rejected'])} left out",
+        subtitle=f"{summary.n} rows, {len(summary.rejected)} left out",
         verdict=Verdict(
             level="good" if given else "warn",
             word="Repeatability" if given else "No figure can be given",
-            sentence=_headline(iso, summary["verdict"]),
+            sentence=_headline(iso, summary.verdict),
             to_do=HOLD if given else MORE,
         ),
         cards=_cards(iso),
     )
     page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     if other is not None:
-        page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1]["iso9283"]))
+        page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1].iso9283))
     if any(repeats.at_pose):
         page.add("Visits about their mean", "Each row less the mean of its pose.", _about(page, measured, repeats))
         told = "Distance of each row from the mean of its pose, in the order of the rows: a drift climbs or falls."
@@ -62,43 +63,44 @@ def repeats_report(
     page.style = PRINT.format(first=4, zoom=0.72)
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
-    if summary["doubts"]:
-        page.add("What to know", "", bullets(summary["doubts"]))
-    if summary["rejected"]:
-        rows = [[item["row"], item["why"]] for item in summary["rejected"][:LISTED]]
+    if summary.doubts:
+        page.add("What to know", "", bullets(summary.doubts))
+    if summary.rejected:
+        rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
         page.add("Rows left out", "", table(["row", "why"], rows))
     return page.html(created=created or datetime.now())
 
 
-def _headline(iso: Mapping[str, Any], verdict: str) -> str:
+def _headline(iso: Mapping[str, IsoFigure], verdict: str) -> str:
     """Return the verdict, after what the repeatability of the worst pose means."""
-    worst = iso.get("RP_m", {"value": None})["value"]
-    if worst is None:
+    worst = iso.get("RP_m")
+    if worst is None or worst.value is None:
         return verdict
     poses = sum(name.startswith("RP_m ") for name in iso)
     among = f", the worst of {poses} poses" if poses > 1 else ""
     return (
-        f"The tool comes back to within {value_of(iso['RP_m'], MM)} mm of where it comes back on average (RP{among}). "
+        f"The tool comes back to within {value_of(worst, MM)} mm of where it comes back on average (RP{among}). "
         f"{verdict}"
     )
 
 
-def _compared(iso: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def _compared(iso: Mapping[str, IsoFigure], other: Mapping[str, IsoFigure]) -> str:
     """Return the figures that both or one of two runs give, side by side; those of the worst place."""
     rows = []
     for name in (key for key in dict.fromkeys([*iso, *other]) if " " not in key):
-        pair = [run.get(name, {"value": None, "std": None}) for run in (other, iso)]
-        if any(item["value"] is not None for item in pair):
-            rows.append([name, *(figure_of(item[what]) for item in pair for what in ("value", "std"))])
+        pair = [run.get(name) for run in (other, iso)]
+        if any(item is not None and item.value is not None for item in pair):
+            shown = [(None, None) if item is None else (item.value, item.std) for item in pair]
+            rows.append([name, *(figure_of(value) for one in shown for value in one)])
     return table(["figure", "the other run", "±", "this run", "±"], rows, numbers=(1, 2, 3, 4))
 
 
-def _cards(iso: Mapping[str, Any]) -> list[Card]:
+def _cards(iso: Mapping[str, IsoFigure]) -> list[Card]:
     cards = []
     for name in CARD_NAMES:
         item = iso.get(name)
-        if item is not None and item["value"] is not None:
-            note = f"{item['n']} of {item['wanted']} repeats"
+        if item is not None and item.value is not None:
+            note = f"{item.n} of {item.wanted} repeats"
             cards.append(Card(name=CARD_NAMES[name], value=f"{value_of(item, MM)} mm", note=note))
     return cards
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
+from armsight.measure.results import ConsistencyOutput
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import Spots, Target, TargetPose, frozen_array
 
@@ -41,9 +41,9 @@ class MeasureRun:
     poses: one per pair of frames, in order, in the frame parent. residuals: per side (m, 3): frame, and measured
     minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
     facts: more lines for the table of inputs. error: why the run ended early. consistency: what the check of the
-    residuals says, as measure.json holds it; empty where there was none, or verdict, sentence and advice alone. timed:
-    whether the times of the frames are known and not assumed. stills: whether they are single shots, with no track.
-    T_parent_rig: where the cameras are in the parent frame. recordings: files that the frames are in, as given.
+    residuals says; None where there was none. timed: whether the times of the frames are known and not assumed. stills:
+    whether they are single shots, with no track. T_parent_rig: where the cameras are in the parent frame. recordings:
+    files that the frames are in, as given.
     """
 
     poses: Sequence[TargetPose]
@@ -60,7 +60,7 @@ class MeasureRun:
     facts: Sequence[tuple[str, str]] = ()
     assumptions: Sequence[str] = ()
     error: str = ""
-    consistency: Mapping[str, Any] = field(default_factory=dict)
+    consistency: ConsistencyOutput | None = None
     T_parent_rig: RigidTransform | None = None
     timed: bool = True
     stills: bool = False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from armsight.verify.effects import Kind
 
@@ -38,39 +37,36 @@ LIVE: Mapping[str, str] = {
 }
 
 
-def after_measuring(word: str, consistency: Mapping[str, Any]) -> str:
-    """Return the next step after a measurement. word: of its verdict; consistency: as measure.json holds it."""
-    if word in ("Doubtful", "Inconsistent") and consistency["advice"]:
-        return str(consistency["advice"])
+def after_measuring(word: str, *, unchecked: bool = False, advice: str = "") -> str:
+    """Return the next step after a measurement. word: of its verdict; unchecked: the residuals could not be checked."""
+    if word in ("Doubtful", "Inconsistent") and advice:
+        return advice
     unproved = " Check a known length first: these frames did not check rig and target."
-    return MEASURE[word] + (unproved if word == "Complete" and consistency.get("verdict") == "unchecked" else "")
+    return MEASURE[word] + (unproved if word == "Complete" and unchecked else "")
 
 
-def after_verify(summary: Mapping[str, Any], *, with_arm: bool) -> str:
-    """Return the next step after a verification. summary: as verify.json holds it."""
+def after_verify(cause: str, kind: str | None, *, with_arm: bool) -> str:
+    """Return the next step after a verification; kind: what the joint named as the cause has wrong."""
     if not with_arm:
         return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
-    cause = summary["cause"]
     if cause in VERIFY:
         return VERIFY[cause]
-    if summary["kind"] == Kind.ZERO:
+    if kind == Kind.ZERO:
         return f"Correct the zero of {cause} (`armsight calibrate arm` on these rows does), then verify on others."
-    return f"Have the drive of {cause} looked at: a corrected zero does not mend {summary['kind']}."
+    return f"Have the drive of {cause} looked at: a corrected zero does not mend {kind}."
 
 
-def after_mastering(summary: Mapping[str, Any]) -> str:
-    """Return the next step after a check for a crash. summary: as verify.json holds it."""
-    cause = summary["cause"]
-    if cause == "none" and not all(joint["judged"] for joint in summary["joints"]):
+def after_mastering(cause: str, *, all_judged: bool) -> str:
+    """Return the next step after a check for a crash; all_judged: the zero of every joint could be told."""
+    if cause == "none" and not all_judged:
         return "Nothing to correct in the joints judged; the others (below) are not proved."
     return MASTERING.get(cause, f"Add the figure to the readings of {cause} (master it anew), then check again.")
 
 
-def after_watching(summary: Mapping[str, Any]) -> str:
-    """Return the next step after a supervision. summary: as verify.json holds it."""
-    level = str(summary["level"])
-    if level == "good" and all(value is None for value in summary["levels"].values()):
+def after_watching(level: str, *, levels_set: bool, gaps: bool) -> str:
+    """Return the next step after a supervision; gaps: some pairs of frames could not be compared."""
+    if level == "good" and not levels_set:
         return "Give --warn-mm and --stop-mm: without a level nobody is warned."
-    if level == "good" and summary["n_compared"] < summary["n"]:
+    if level == "good" and gaps:
         return "Mend what left gaps (below) before you rely on it: where nothing could be compared, nobody watched."
     return LIVE[level]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
@@ -30,6 +31,7 @@ from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
 from armsight.report.to_do import after_verify
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
+from armsight.verify.results import IsoFigure, VerifyOutput
 
 Array = NDArray[np.float64]
 
@@ -45,10 +47,8 @@ COMPONENTS = (("", ""), ("x", "a"), ("y", "b"), ("z", "c"))
 """A figure's parts as columns: its own, then along and about each axis."""
 ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
 BY_PLACE = "Robot alone: without the measurement's scatter, and with what few repeats leave out."
-PLACED: Mapping[str, str] = {
-    "T_measured_base": "base, in the measurements' axes",
-    "T_flange_tool": "tool, in the flange's axes",
-}
+BASE = "base, in the measurements' axes"
+TOOL = "tool, in the flange's axes"
 ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
@@ -58,44 +58,44 @@ HISTOGRAM_BARS = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OtherRun:
-    """An earlier run to compare with: its folder's name, its summary, its errors of place (k,) in m."""
+    """An earlier run to compare with: its folder's name, its result, its errors of place (k,) in m."""
 
     name: str
-    summary: Mapping[str, Any]
+    summary: VerifyOutput
     error_m: Array
 
 
 def verify_report(
     result: Verification,
-    summary: Mapping[str, Any],
+    summary: VerifyOutput,
     *,
     arm: Arm | None,
     inputs: Sequence[tuple[str, str]] = (),
     other: OtherRun | None = None,
     created: datetime | None = None,
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
-    cause = summary["cause"]
+    """Return the page as HTML text that needs no other file. summary: what verify.json holds."""
+    cause = summary.cause
     page = Page(
         title="Verification" if arm is None else f"Verification of {arm.name}",
-        subtitle=f"{summary['n']} rows compared, {len(summary['rejected'])} left out",
+        subtitle=f"{summary.n} rows compared, {len(summary.rejected)} left out",
         verdict=Verdict(
             level=LEVELS.get(cause, "bad"),
             word="No cause looked for" if arm is None else f"Cause: {cause}",
-            sentence=in_degrees(summary["verdict"]),
-            to_do=after_verify(summary, with_arm=arm is not None),
+            sentence=in_degrees(summary.verdict),
+            to_do=after_verify(cause, summary.kind, with_arm=arm is not None),
         ),
         cards=_cards(summary),
     )
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
-    if summary["joints"]:
+    if summary.joints:
         page.add("Joints", JOINTS, _joint_table(summary))
-    iso = summary["iso9283"]
-    shown = any(item["n"] for item in iso.values())
+    iso = summary.iso9283
+    shown = any(item.n for item in iso.values())
     if shown:
         page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
-    page.style = PRINT.format(first=4 + shown - (not summary["joints"]), zoom=0.52 if shown else 0.72)
+    page.style = PRINT.format(first=4 + shown - (not summary.joints), zoom=0.52 if shown else 0.72)
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
@@ -107,38 +107,40 @@ def verify_report(
     return page.html(created=created or datetime.now())
 
 
-def _add_background(page: Page, summary: Mapping[str, Any], inputs: Sequence[tuple[str, str]]) -> None:
+def _add_background(page: Page, summary: VerifyOutput, inputs: Sequence[tuple[str, str]]) -> None:
     """Add what the figures rest on: base and tool, what to know, rows left out, files."""
     page.add("Base and tool", "", _alignment_table(summary))
-    if summary["doubts"]:
-        page.add("What to know", "", bullets(summary["doubts"]))
-    if summary["rejected"]:
-        rows = [[item["row"], item["why"]] for item in summary["rejected"][:LISTED]]
-        more = len(summary["rejected"]) - LISTED
+    if summary.doubts:
+        page.add("What to know", "", bullets(summary.doubts))
+    if summary.rejected:
+        rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
+        more = len(summary.rejected) - LISTED
         page.add("Rows left out", f"And {more} more in verify.json." if more > 0 else "", table(["row", "why"], rows))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
-def _cards(summary: Mapping[str, Any]) -> list[Card]:
-    after, before, time = summary["after"], summary["before"], summary["time"]
-    own = [summary["measurement_std"].get(f"{k}_m") for k in "xyz"]
+def _cards(summary: VerifyOutput) -> list[Card]:
+    after, before, time = summary.after, summary.before, summary.time
+    if after is None or before is None:
+        return []  # of repeats alone
+    own = [std for k in "xyz" if (std := summary.measurement_std.get(f"{k}_m")) is not None]
     told = (
-        "" if None in own else f"; the measurement's own {figure_of(float(np.linalg.norm(own)) / MM, 'mm', digits=2)}"
+        "" if len(own) < 3 else f"; the measurement's own {figure_of(float(np.linalg.norm(own)) / MM, 'mm', digits=2)}"
     )
     cards = [
-        Card(name="error of place", value=figure_of(after["rms_m"] / MM, "mm"), note=f"RMS{told}"),
-        Card(name="largest", value=figure_of(after["max_m"] / MM, "mm")),
+        Card(name="error of place", value=figure_of(after.rms_m / MM, "mm"), note=f"RMS{told}"),
+        Card(name="largest", value=figure_of(after.max_m / MM, "mm")),
     ]
-    if after["rms_rad"] is not None:
-        cards.append(Card(name="error of rotation", value=figure_of(after["rms_rad"] / DEG, "°"), note="RMS"))
-    free = " and ".join(summary["alignment"]["free"])
+    if after.rms_rad is not None:
+        cards.append(Card(name="error of rotation", value=figure_of(after.rms_rad / DEG, "°"), note="RMS"))
+    free = " and ".join(summary.alignment.free)
     if free:
-        cards.append(Card(name="before aligning", value=figure_of(before["rms_m"] / MM, "mm"), note=f"aligned: {free}"))
-    if time["offset_s"] is not None:
-        shown, std = with_deviation(time["offset_s"] / MS, time["std_s"] / MS)
-        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"± {std} ms"))
-    share = summary["explained"]["measurement"]
+        cards.append(Card(name="before aligning", value=figure_of(before.rms_m / MM, "mm"), note=f"aligned: {free}"))
+    if time.offset_s is not None and time.std_s is not None:
+        shown, deviation = with_deviation(time.offset_s / MS, time.std_s / MS)
+        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"± {deviation} ms"))
+    share = summary.explained.measurement
     if share is not None:
         cards.append(
             Card(name="measurement explains", value=figure_of(100.0 * share, "%"), note="of the squared error")
@@ -150,24 +152,24 @@ def _unit(name: str) -> tuple[float, str]:
     return (DEG, "°") if name.endswith("_rad") else (MM, "mm")
 
 
-def _task_table(summary: Mapping[str, Any]) -> str:
+def _task_table(summary: VerifyOutput) -> str:
     rows = []
-    for name, figures in summary["task"].items():
+    for name, figures in summary.task.items():
         factor, unit = _unit(name)
-        std = summary["measurement_std"].get(name)
-        shown = [figure_of(figures[key] / factor) for key in ("me", "mae", "max", "sd", "rms")]
+        std = summary.measurement_std.get(name)
+        shown = [figure_of(x / factor) for x in (figures.me, figures.mae, figures.max, figures.sd, figures.rms)]
         rows.append([f"{name.rsplit('_', 1)[0]}, {unit}", *shown, figure_of(None if std is None else std / factor)])
     header = ["", "mean", "mean absolute", "largest", "standard deviation", "RMS", "measurement's own ±"]
     return table(header, rows, numbers=range(1, len(header)))
 
 
-def _joint_table(summary: Mapping[str, Any]) -> str:
+def _joint_table(summary: VerifyOutput) -> str:
     rows = []
-    for joint in summary["joints"]:
-        shown = [_degrees(joint[key]) for key in ("me", "mae", "max", "sd", "measurement_std")]
-        shown += pair_of(*(None if joint[key] is None else joint[key] / DEG for key in ("offset_rad", "std_rad")))
-        gain = figure_of(None if joint["gain_heldout"] is None else 100.0 * joint["gain_heldout"], "%")
-        rows.append([f"{joint['index']} {joint['name']}", *shown, gain, joint["why"] or (joint["kind"] or "")])
+    for joint in summary.joints:
+        shown = [_degrees(x) for x in (joint.me, joint.mae, joint.max, joint.sd, joint.measurement_std)]
+        shown += pair_of(*(None if x is None else x / DEG for x in (joint.offset_rad, joint.std_rad)))
+        gain = figure_of(None if joint.gain_heldout is None else 100.0 * joint.gain_heldout, "%")
+        rows.append([f"{joint.index} {joint.name}", *shown, gain, joint.why or (joint.kind or "")])
     header = [
         "joint",
         "mean, °",
@@ -187,7 +189,7 @@ def _degrees(value: float | None) -> str:
     return figure_of(None if value is None else value / DEG)
 
 
-def iso_table(figures: Mapping[str, Any]) -> str:
+def iso_table(figures: Mapping[str, IsoFigure]) -> str:
     """Return the worst of each figure, one line for its components, and those withheld by their reason."""
     lines: dict[str, dict[str, str]] = {}
     notes: dict[str, str] = {}
@@ -197,13 +199,13 @@ def iso_table(figures: Mapping[str, Any]) -> str:
             continue
         symbol, unit, factor = symbol_of(name)
         family, _, part = symbol.partition("_")
-        if item["value"] is None:
-            why.setdefault(item["withheld"], []).append(symbol)
+        if item.value is None:
+            why.setdefault(item.withheld or "", []).append(symbol)
             continue
         line = lines.setdefault(f"{family}, {unit}", {"repeats": _repeats(item)})
         line[part] = value_of(item, factor)
-        if item["note"] and not part:
-            notes.setdefault(item["note"], family)
+        if item.note and not part:
+            notes.setdefault(item.note, family)
     header = ["figure", "value", "x, or about x", "y, or about y", "z, or about z", "repeats"]
     rows = [
         [name, *(line.get(one, line.get(other, "")) for one, other in COMPONENTS), line["repeats"]]
@@ -220,46 +222,44 @@ def iso_table(figures: Mapping[str, Any]) -> str:
     return "".join(parts)
 
 
-def iso_by_place(figures: Mapping[str, Any]) -> str:
+def iso_by_place(figures: Mapping[str, IsoFigure]) -> str:
     """Return all figures given of single places; empty where there is one place only. A note is told once."""
     rows = []
     notes: dict[str, str] = {}
     for name, item in figures.items():
         key, _, where = name.partition(" ")
-        if item["value"] is None or not where:
+        if item.value is None or not where:
             continue
         symbol, unit, factor = symbol_of(key)
-        std = None if item["std"] is None else item["std"] / factor
-        own = pair_of(item["value"] / factor, std)
-        alone = None if item["corrected"] is None else item["corrected"] / factor
+        std = None if item.std is None else item.std / factor
+        own = pair_of(item.value / factor, std)
+        alone = None if item.corrected is None else item.corrected / factor
         shown = with_deviation(alone, std)[0] if alone is not None and std else figure_of(alone)
         rows.append([where, symbol, unit, *own, shown, _repeats(item)])
-        if item["note"]:
-            notes.setdefault(item["note"], where)
+        if item.note:
+            notes.setdefault(item.note, where)
     rows.sort(key=lambda row: str(row[0]))
     header = ["place", "figure", "unit", "value", "±", "robot alone", "repeats"]
     told = bullets([f"{where}: {note}" for note, where in notes.items()]) if notes else ""
     return table(header, rows, numbers=range(3, 7)) + told if rows else ""
 
 
-def _repeats(item: Mapping[str, Any]) -> str:
-    return f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
+def _repeats(item: IsoFigure) -> str:
+    return f"{item.n} of {item.wanted}" if item.n < item.wanted else str(item.n)
 
 
-def _alignment_table(summary: Mapping[str, Any]) -> str:
-    told = summary["alignment"]
-    rows = [
-        [
-            words,
-            *(figure_of(v / MM, "mm", digits=6) for v in told[name]["xyz_m"]),
-            ", ".join(f"{v:.6f}" for v in told[name]["quat_xyzw"]),
-        ]
-        for name, words in PLACED.items()
-    ]
+def _alignment_table(summary: VerifyOutput) -> str:
+    told = summary.alignment
+    rows = []
+    for words, pose in ((BASE, told.T_measured_base), (TOOL, told.T_flange_tool)):
+        if pose is not None:
+            xyz, quat = xyz_quat(pose)
+            shown = [figure_of(v / MM, "mm", digits=6) for v in xyz.tolist()]
+            rows.append([words, *shown, ", ".join(f"{v:.6f}" for v in quat)])
     parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
-    if told["undetermined"]:
+    if told.undetermined:
         parts.append(
-            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in told['undetermined'])}"])
+            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in told.undetermined)}"])
         )
     return "".join(parts)
 
@@ -367,13 +367,14 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
     return Figure(data=data, layout=layout(showlegend=False, **more), height_px=260 * lines)
 
 
-def _compared(page: Page, result: Verification, summary: Mapping[str, Any], other: OtherRun) -> str:
-    rows = [
-        ["place, mm RMS", *(figure_of(each["after"]["rms_m"] / MM) for each in (other.summary, summary))],
-        ["place, mm largest", *(figure_of(each["after"]["max_m"] / MM) for each in (other.summary, summary))],
-        ["rotation, ° RMS", *(_degrees(each["after"]["rms_rad"]) for each in (other.summary, summary))],
-        ["rows", other.summary["n"], summary["n"]],
-        ["cause", other.summary["cause"], summary["cause"]],
+def _compared(page: Page, result: Verification, summary: VerifyOutput, other: OtherRun) -> str:
+    after = [each.after for each in (other.summary, summary) if each.after is not None]
+    rows: list[list[object]] = [
+        ["place, mm RMS", *(figure_of(each.rms_m / MM) for each in after)],
+        ["place, mm largest", *(figure_of(each.max_m / MM) for each in after)],
+        ["rotation, ° RMS", *(_degrees(each.rms_rad) for each in after)],
+        ["rows", other.summary.n, summary.n],
+        ["cause", other.summary.cause, summary.cause],
     ]
     own = np.linalg.norm(result.task[:, :3], axis=1)
     edges = np.linspace(0.0, float(max(own.max(), other.error_m.max())) / MM, HISTOGRAM_BARS + 1)

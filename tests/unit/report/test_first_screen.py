@@ -19,8 +19,6 @@ from armsight.report.identify_report import LEANS, _lean
 from armsight.report.to_do import after_mastering, after_measuring, after_verify, after_watching
 from armsight.verify.effects import Kind
 
-NO_LEVEL = dict.fromkeys(("warn_m", "stop_m", "warn_rad", "stop_rad"))
-
 
 def page():
     verdict = Verdict(level="good", word="Good", sentence="It is good.", to_do="Go <on>.")
@@ -44,22 +42,20 @@ def test_the_verdict_says_what_to_do():
     ],
 )
 def test_what_to_do_after_a_verification(cause, kind, said):
-    assert said in after_verify({"cause": cause, "kind": kind}, with_arm=True)
-    assert "give --arm" in after_verify({"cause": cause, "kind": kind}, with_arm=False)
+    assert said in after_verify(cause, kind, with_arm=True)
+    assert "give --arm" in after_verify(cause, kind, with_arm=False)
 
 
 def test_what_to_do_where_not_all_was_seen():
     """A good verdict on a part says so."""
-    seen = {"level": "good", "levels": NO_LEVEL | {"warn_m": 1e-3}, "n": 60, "n_compared": 60}
-    assert after_watching(seen) == "Nothing: go on, and keep watching."
-    assert "nobody watched" in after_watching(seen | {"n_compared": 51})
-    assert "--warn-mm" in after_watching(seen | {"levels": NO_LEVEL})
-    assert "Keep the robot stopped" in after_watching(seen | {"level": "stop"})
-    joints = [{"judged": True}, {"judged": False}]
-    assert "not proved" in after_mastering({"cause": "none", "joints": joints})
-    assert after_mastering({"cause": "none", "joints": joints[:1]}) == "Nothing to correct."
-    assert "known length" in after_measuring("Complete", {"verdict": "unchecked"})
-    assert after_measuring("Inconsistent", {"verdict": "inconsistent", "advice": "Fasten it."}) == "Fasten it."
+    assert after_watching("good", levels_set=True, gaps=False) == "Nothing: go on, and keep watching."
+    assert "nobody watched" in after_watching("good", levels_set=True, gaps=True)
+    assert "--warn-mm" in after_watching("good", levels_set=False, gaps=False)
+    assert "Keep the robot stopped" in after_watching("stop", levels_set=True, gaps=False)
+    assert "not proved" in after_mastering("none", all_judged=False)
+    assert after_mastering("none", all_judged=True) == "Nothing to correct."
+    assert "known length" in after_measuring("Complete", unchecked=True)
+    assert after_measuring("Inconsistent", advice="Fasten it.") == "Fasten it."
 
 
 def test_rounding_is_no_figure():

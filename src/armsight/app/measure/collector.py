@@ -92,7 +92,7 @@ class Collector:
             recordings=about.recordings,
             assumptions=about.assumptions,
             error=summary.error or "",
-            consistency={} if summary.consistency is None else summary.consistency.to_dict(),
+            consistency=summary.consistency,
         )
         write_text(path, measure_report(run))
 

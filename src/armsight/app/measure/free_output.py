@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
-from armsight.measure.results import FrameTime, MeasureOutput
+from armsight.measure.results import ConsistencyOutput, FrameTime, MeasureOutput
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report
@@ -176,11 +176,9 @@ def _report(
     )
 
 
-def _doubts(note: str | None, summary: MeasureOutput) -> dict[str, Any]:
+def _doubts(note: str | None, summary: MeasureOutput) -> ConsistencyOutput | None:
     """Return what the report says of the run: the check's cause where it has one, else what the views say."""
-    found = {} if summary.consistency is None else summary.consistency.to_dict()
-    if note and not found.get("sentence"):
-        found |= {"verdict": "doubtful", "sentence": f"{note[0].upper()}{note[1:]}.", "advice": ""}
-    if summary.n_doubtful:
-        found["verdict"] = "inconsistent"
-    return found
+    found = summary.consistency
+    if found is not None and note and not found.sentence:
+        found = replace(found, verdict="doubtful", sentence=f"{note[0].upper()}{note[1:]}.", advice="")
+    return replace(found, verdict="inconsistent") if found is not None and summary.n_doubtful else found

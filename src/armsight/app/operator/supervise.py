@@ -109,7 +109,7 @@ class StationSupervisor:
         done = live_output(self._log, recording="", doubts=DOUBTS)
         write_json(self.out / SUMMARY, done.to_dict())
         write_text(self.out / ERRORS, self._log.csv())
-        write_text(self.out / REPORT, live_report(self._log.series(), done.to_dict(), inputs=[]))
+        write_text(self.out / REPORT, live_report(self._log.series(), done, inputs=[]))
         return done
 
     def _run(self) -> None:

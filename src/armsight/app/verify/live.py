@@ -68,7 +68,7 @@ def run_verify_live(
     done = live_output(log, recording=str(job.out / RECORDING), doubts=_doubts(job, arm, world, devices, failure))
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / ERRORS, log.csv())
-    write_text(job.out / REPORT, live_report(log.series(), done.to_dict(), inputs=_inputs(job)))
+    write_text(job.out / REPORT, live_report(log.series(), done, inputs=_inputs(job)))
     if failure is not None:
         kept = f"What was seen until then is in {job.out}"
         failure.consequence = ". ".join(part.rstrip(".") for part in (failure.consequence, kept) if part)

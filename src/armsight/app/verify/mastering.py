@@ -102,7 +102,7 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
     result = check_mastering(arm, paired.q, paired.measured, how)
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
     write_json(job.out / SUMMARY, done.to_dict())
-    write_text(job.out / REPORT, mastering_report(done.to_dict(), arm.name, slides=_slides(arm)))
+    write_text(job.out / REPORT, mastering_report(done, arm.name, slides=_slides(arm)))
     return done
 
 

@@ -91,9 +91,7 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
     command = command_of(result, commands, file, expected.turned)
     iso, told = iso_figures(file, file.measured, command, job.band_m)
     done = _beside(job, verify_output(result, expected.arm, file, iso, told), other)
-    page = verify_report(
-        result, done.to_dict(), arm=expected.arm, inputs=_inputs(job), other=_other_run(job.compare, other)
-    )
+    page = verify_report(result, done, arm=expected.arm, inputs=_inputs(job), other=_other_run(job.compare, other))
     return _written(job, done, errors_csv(result), page)
 
 
@@ -128,8 +126,8 @@ def _repeats_alone(job: VerifyJob, file: MeasuredFile, told: CommandedFile | Non
         )
     iso, notes = iso_figures(file, file.measured, command, job.band_m)
     done = _beside(job, repeats_output(file, iso, notes), other)
-    beside = None if other is None else (str(job.compare), other.to_dict())
-    page = repeats_report(file.measured, file.repeats, done.to_dict(), other=beside)
+    beside = None if other is None else (str(job.compare), other)
+    page = repeats_report(file.measured, file.repeats, done, other=beside)
     return _written(job, done, repeats_csv(file), page)
 
 
@@ -234,7 +232,7 @@ def _other_run(folder: Path | None, done: VerifyOutput | None) -> OtherRun | Non
     rows = read_table(
         folder / ERRORS, ("row", "error_m"), optional=_columns(folder / ERRORS), blank=_columns(folder / ERRORS)
     )
-    return OtherRun(name=str(folder), summary=done.to_dict(), error_m=rows.numbers["error_m"])
+    return OtherRun(name=str(folder), summary=done, error_m=rows.numbers["error_m"])
 
 
 def _columns(path: Path) -> tuple[str, ...]:
