@@ -22,9 +22,7 @@ from armsight.calibrate.handeye import (
     PosePairs,
     Setup,
     calibrate_eye_in_hand,
-    scale_is_wrong,
     solve_pairs,
-    verdict,
 )
 from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.images import calibrate_from_views
@@ -185,7 +183,7 @@ def honesty(trials: int) -> None:
                     off += [got.translation - true.translation, (got.rotation * true.rotation.inv()).as_rotvec()]
                 inside.append(np.abs(np.concatenate(off)) < 1.96 * std)
                 noise.append(
-                    (result.noise.translation_m.value, result.noise.camera_rad.value, result.noise.robot_rad.value)
+                    (result.noise.translation_m.size, result.noise.camera_rad.size, result.noise.robot_rad.size)
                 )
             share = 100.0 * np.mean(inside, axis=0)
             middle = np.median(noise, axis=0)
@@ -263,7 +261,7 @@ def refusals(trials: int, good: int) -> None:
                 recognised += not wrong
                 said[f"{type(error).__name__}: {error.cause[:46]} ..."] += 1
             else:
-                exact = {name for name, _ in result.rejected} == wrong
+                exact = {one.name for one in result.rejected} == wrong
                 recognised += bool(wrong) and exact
                 said["left out exactly these rows" if exact and wrong else "accepted"] += 1
         rows.append([kind, trials, 100.0 * recognised / trials, said.most_common(1)[0][0]])
@@ -271,7 +269,7 @@ def refusals(trials: int, good: int) -> None:
     for trial in range(good):
         try:
             result = calibrate_eye_in_hand(spoilt("good", trial)[0])
-            alarms += bool(result.rejected) or scale_is_wrong(result)
+            alarms += bool(result.rejected) or bool(result.scale and result.scale.wrong)
         except ArmsightError:
             alarms += 1
     rows.append(["good: false alarms", good, 100.0 * alarms / good, "row left out, scale doubted or refused"])
@@ -396,7 +394,7 @@ def real() -> None:
     )
     bench.table("Real recording, 15 poses: left-out error at the target", ["method", "mm RMS", "degrees RMS"], rows)
     print(f"\nscale: {scale.factor:.5f} +- {scale.std:.5f}, a pitch of {pitch:.2f} +- {uncertainty:.2f} mm")
-    print(verdict(ours), *ours.advice, sep="\n")
+    print(ours.verdict, *ours.advice, sep="\n")
 
 
 def robot_exact(views, board, camera, A, B, X0) -> tuple[float, float]:  # type: ignore[no-untyped-def]

@@ -35,7 +35,7 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
+from armsight.app.schemas.handeye import LightTargetOutput, PivotOutput, TipOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
@@ -44,6 +44,7 @@ from armsight.app.schemas.timing import TimingOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.verify.plan import VerifyPlanOutput
+from armsight.calibrate.handeye import HandEye
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput
@@ -63,7 +64,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": LightTargetOutput,
     "calibrate-timing": TimingOutput,
-    "calibrate-handeye": HandEyeOutput,
+    "calibrate-handeye": HandEye,
     "calibrate-tooltip": TipOutput,
     "calibrate-pivot": PivotOutput,
     "calibrate-arm": ArmOutput,
@@ -105,6 +106,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "error": RefusalOutput,
 }
 """Name of the JSON schema -> model. The first line of a model's docstring is the command."""
+
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 UNITS = {

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.calibrate.handeye import HandEye, calibrate_eye_in_hand, pairs_of_streams, verdict
+from armsight.calibrate.handeye import HandEye, calibrate_eye_in_hand, pairs_of_streams
 
 sys.path.insert(0, str(Path(__file__).parent))
 from drifting_streams import error, streams
@@ -39,12 +39,12 @@ def test_a_drift_is_told_and_counted(found: list[HandEye]) -> None:
     assert np.corrcoef(np.log(drift), np.log(worth))[0, 1] < -0.6  # the longer the drift, the less they are worth
     assert (worth < 60.0).all()
     slow = found[int(np.argmin(worth))]
-    assert "independent ones" in verdict(slow) and any("record longer" in one for one in slow.concerns)
+    assert "independent ones" in slow.verdict and any("record longer" in one for one in slow.concerns)
 
 
 def test_poses_taken_one_by_one_are_claimed_as_before(found: list[HandEye]) -> None:
     from dataclasses import replace
 
     alone = calibrate_eye_in_hand(replace(found[0].pairs, t_s=None))
-    assert alone.correlation is None and "independent" not in verdict(alone)
+    assert alone.correlation is None and "independent" not in alone.verdict
     assert alone.std()["x_m"] < found[0].std()["x_m"]

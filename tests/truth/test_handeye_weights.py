@@ -102,7 +102,7 @@ def test_a_wrong_pair_is_left_out_and_far_good_ones_are_not() -> None:
     spoilt = FarViews(
         X=world.X, Z=world.Z, robot=world.robot, camera=RigidTransform.from_matrix(M), covariance=world.covariance
     )
-    assert [name for name, _ in calibrated(spoilt, world.covariance).rejected] == ["row 6"]
+    assert [one.name for one in calibrated(spoilt, world.covariance).rejected] == ["row 6"]
     assert calibrated(world, world.covariance).rejected == ()
 
 

@@ -16,7 +16,7 @@ from armsight.api.arrays import Array, Poses, as_poses
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, PathText, Source, TableLike
 from armsight.api.results import Result, Row, error_figure, pose_rows
-from armsight.app.calibrate.handeye import HandEyeJob, Solved, handeye_output, solve_handeye
+from armsight.app.calibrate.handeye import HandEyeJob, Solved, solve_handeye
 from armsight.calibrate.handeye import (
     HandEye,
     PosePairs,
@@ -25,7 +25,6 @@ from armsight.calibrate.handeye import (
     calibrate_eye_in_hand,
     calibrate_eye_to_hand,
     propose,
-    verdict,
 )
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 class HandEyeResult(Result):
     """Where the camera is on the arm (or beside it), and how far to believe it. detail: everything else.
 
-    solved: what it came from beyond pairs: of images those without a board, of streams the offset of their clocks.
+    solved: the files and images that it came from, where it came from some.
     """
 
     detail: HandEye
@@ -77,7 +76,7 @@ class HandEyeResult(Result):
     @property
     def rejected(self) -> tuple[tuple[str, str], ...]:
         """(row, why) of the pairs that were left out."""
-        return self.detail.rejected
+        return tuple((one.name, one.why) for one in self.detail.rejected_pairs)
 
     @property
     def left_out_rms_m(self) -> float:
@@ -97,7 +96,7 @@ class HandEyeResult(Result):
     @property
     def time_offset_s(self) -> float | None:
         """Of two streams: what turns the camera's times into the robot's; None else."""
-        return None if self.solved is None or self.solved.offset is None else self.solved.offset.offset_s
+        return self.detail.time_offset_s
 
     def propose(self, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
         """Return the n next poses to drive to: T_base_flange, and the standard deviation to expect after it.
@@ -110,7 +109,7 @@ class HandEyeResult(Result):
     @property
     def verdict(self) -> str:
         """Whether the result can be trusted."""
-        return verdict(self.detail)
+        return self.detail.verdict
 
     @property
     def title(self) -> str:
@@ -133,13 +132,12 @@ class HandEyeResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate handeye --json` gives them."""
-        of = self.solved
-        return handeye_output(self.detail, of.unseen if of else (), offset=of.offset if of else None).to_dict()
+        return self.detail.to_dict()
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write handeye.yaml and return its path."""
         file = file_to_write(path, *YAML)
-        write_handeye(file, self.detail, self.verdict)
+        write_handeye(file, self.detail)
         return file
 
     def plot(self) -> go.Figure:

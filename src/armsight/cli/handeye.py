@@ -16,8 +16,8 @@ from armsight.errors import UsageError
 from armsight.units import MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.handeye import HandEyeOutput, TipOutput
-    from armsight.calibrate.handeye import Setup
+    from armsight.app.schemas.handeye import TipOutput
+    from armsight.calibrate.handeye import HandEye, Setup
 
 POINT_SIGMA_MM = 0.2
 """Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
@@ -168,20 +168,20 @@ def _left_out(done: TipOutput) -> str:
     return "" if done.loo_rms_m is None else f", left out {figure(done.loo_rms_m / MM)} mm"
 
 
-def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
+def handeye_tables(face: CommandUI, done: HandEye, out: Path) -> None:
     """Print a hand-eye calibration."""
     poses = {
-        "T_flange_camera": (done.T_flange_camera, done.std),
+        "T_flange_camera": (done.T_flange_camera, done.std_camera),
         "T_base_target": (done.T_base_target, done.std_target),
-        "T_base_camera": (done.T_base_camera, done.std),
+        "T_base_camera": (done.T_base_camera, done.std_camera),
         "T_flange_target": (done.T_flange_target, done.std_target),
     }
     for name, (pose, std) in poses.items():
         if pose is not None:
             face.table(name, ["", "value", "+-"], pose_rows(pose, std))
     face.say(done.verdict)
-    if done.crossval is not None:
-        face.say(done.crossval.why)
+    if done.comparison is not None:
+        face.say(done.comparison.why)
     if done.camera_file is not None:
         face.say(f"The result belongs to the freed camera: {done.camera_file}")
     for text in done.advice:

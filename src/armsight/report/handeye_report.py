@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, ImageComparison, Part, scale_is_wrong, verdict
+from armsight.calibrate.handeye import HandEye, ImageComparison, Part
 from armsight.report.boards import add_boards
 from armsight.report.figures import (
     BLUE,
@@ -87,8 +87,8 @@ def handeye_report(
 def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str]]) -> None:
     """Add whose noise it is, what was left out, and what went in."""
     page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
-    if result.rejected:
-        page.add("Left out", "", table(["pose", "why"], [list(item) for item in result.rejected]))
+    if result.rejected_pairs:
+        page.add("Left out", "", table(["pose", "why"], [[one.name, one.why] for one in result.rejected_pairs]))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
@@ -96,13 +96,13 @@ def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str
 def _verdict(result: HandEye) -> Verdict:
     to_do = result.concerns[0] if result.concerns else "Use it; calibrate again when camera or target has moved."
     level, word = "good", "Good"
-    if scale_is_wrong(result):
+    if result.scale is not None and result.scale.wrong:
         level, word = "bad", "Measure the target"
-    elif len(result.rejected) > 0:
+    elif result.rejected_pairs:
         level, word = "warn", "Usable, with poses left out"
     elif result.n_used < 10:
         level, word = "warn", "Usable, few poses"
-    return Verdict(level=level, word=word, sentence=in_degrees(verdict(result)), to_do=to_do)
+    return Verdict(level=level, word=word, sentence=in_degrees(result.verdict), to_do=to_do)
 
 
 def _cards(result: HandEye) -> list[Card]:
@@ -157,15 +157,15 @@ def _poses(result: HandEye) -> list[str]:
 def _comparison(comparison: ImageComparison) -> str:
     """Return the errors at images left out of every calibration from these images."""
 
-    def told(value: float, factor: float) -> str:
-        return figure_of(value / factor) if np.isfinite(value) else "no prediction"
+    def told(value: float | None, factor: float) -> str:
+        return "no prediction" if value is None else figure_of(value / factor)
 
     rows = [
         [
             f"{basis.told}{', kept' * (basis is comparison.kept)}",
             told(errors.position_m, MM),
             told(errors.points_m, MM),
-            told(errors.angle_rad, DEG),
+            told(errors.orientation_rad, DEG),
             told(errors.reprojection_px, 1.0),
         ]
         for basis, errors in comparison.errors.items()
@@ -179,8 +179,8 @@ def _noise(result: HandEye) -> str:
 
     def row(name: str, part: Part, factor: float, unit: str) -> list[str]:
         if not part.known:
-            return [name, f"0 to {figure_of(part.value / factor)}", "cannot be told apart", unit]
-        return [name, figure_of(part.value / factor), figure_of(part.std / factor), unit]
+            return [name, f"0 to {figure_of(part.size / factor)}", "cannot be told apart", unit]
+        return [name, figure_of(part.size / factor), figure_of(part.deviation / factor), unit]
 
     rows = [
         row("position, both together", noise.translation_m, MM, "mm"),

@@ -133,7 +133,8 @@ def _output_model(kind: Any) -> type[BaseModel]:
         extra: Any = {"unit": key.doc.unit} if key.doc.unit else None
         field = Field(None if key.optional else ..., description=key.doc.meaning, json_schema_extra=extra)
         held[key.name] = (_shown(key.hint), field)
-    return create_model(kind.__name__, __doc__=kind.__doc__, __config__=ConfigDict(extra="forbid"), **held)
+    about = (kind.__doc__ or "").splitlines()[0]
+    return create_model(kind.__name__, __doc__=about, __config__=ConfigDict(extra="forbid"), **held)
 
 
 def _shown(hint: Any) -> Any:
@@ -147,6 +148,8 @@ def _shown(hint: Any) -> Any:
         return typing.get_origin(hint)[tuple(one if one is Ellipsis else _shown(one) for one in parts)]
     if isinstance(hint, type) and issubclass(hint, Output):
         return output_model(hint)
+    if isinstance(hint, type) and issubclass(hint, StrEnum):
+        return str
     return PoseOutput if hint is RigidTransform else hint
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
+from armsight.calibrate.handeye import HandEye, ImageComparison, PosePairs, Setup
 from armsight.calibrate.tooltip import TipCalibration
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
@@ -218,7 +218,7 @@ def _by_number(path: Path, files: Sequence[str], images: Sequence[str], format_:
     return [named_by.get(number, name) for number, name in zip(ours, files, strict=True)]
 
 
-def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence[Path] = ()) -> None:
+def write_handeye(path: Path, result: HandEye, *, inputs: Sequence[Path] = ()) -> None:
     """Write handeye.yaml with the hashes of the files it was made from."""
     content = {
         "setup": str(result.setup),
@@ -230,27 +230,17 @@ def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence
         "loo_rms_rad": result.loo_rms_rad,
         "n_used": result.n_used,
         **({} if result.comparison is None else {"crossval": _crossval(result.comparison)}),
-        "verdict": verdict,
+        "verdict": result.verdict,
     }
     write_document(path, HANDEYE_FORMAT, content, inputs)
 
 
 def _crossval(comparison: ImageComparison) -> dict[str, object]:
     """Return what the result rests on, and the errors at images left out by what it could have rested on."""
-
-    def known(errors: LeftOutErrors) -> dict[str, float | None]:
-        figures = {
-            "position_m": errors.position_m,
-            "orientation_rad": errors.angle_rad,
-            "points_m": errors.points_m,
-            "reprojection_px": errors.reprojection_px,
-        }
-        return {name: value if np.isfinite(value) else None for name, value in figures.items()}
-
     return {
         "kept": str(comparison.kept),
         "n_images": comparison.n_judged,
-        "errors": {str(basis): known(errors) for basis, errors in comparison.errors.items()},
+        "errors": {str(basis): errors.to_dict() for basis, errors in comparison.errors.items()},
     }
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.demo import TruthError
 from armsight.app.record.export import ExportOutput
-from armsight.app.schemas.handeye import NoisePart
+from armsight.calibrate.handeye import Part, RejectedPair
 from armsight.errors import BadFile
 from armsight.records.fields import Doc
 from armsight.records.output import Output, figure, output
@@ -25,7 +25,7 @@ from armsight.store.codec import read_output
 
 
 def test_a_key_that_does_not_apply_is_left_out_and_a_figure_without_data_is_null() -> None:
-    known, unknown = NoisePart(value=1e-3, std=1e-4), NoisePart(value=None, at_most=2e-3)
+    known, unknown = Part(size=1e-3, deviation=1e-4), Part(size=2e-3, deviation=inf)
     assert known.to_dict() == {"value": 1e-3, "std": 1e-4}
     assert unknown.to_dict() == {"value": None, "at_most": 2e-3}
 
@@ -86,7 +86,7 @@ def test_numbers_of_any_kind_poses_and_arrays_become_what_json_knows_and_a_metho
 
 
 def test_a_result_that_was_written_is_read_again() -> None:
-    known = NoisePart(value=1e-3, std=1e-4)
-    assert read_output(NoisePart, json.loads(known.to_json()), "a file") == known
-    with pytest.raises(BadFile, match="unknown key stdd"):
-        read_output(NoisePart, {"value": 1.0, "stdd": 2.0}, "a file")
+    known = RejectedPair(row=3, name="row 3", why="it repeats row 1")
+    assert read_output(RejectedPair, json.loads(known.to_json()), "a file") == known
+    with pytest.raises(BadFile, match="unknown key rwo"):
+        read_output(RejectedPair, {"rwo": 1, "name": "a", "why": "b"}, "a file")

@@ -14,43 +14,25 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
-from armsight.app.schemas.handeye import (
-    HandEyeNoise,
-    HandEyeOutput,
-    ImageCrossval,
-    ImagesLeftOut,
-    NoisePart,
-    ProposedPose,
-    RejectedPair,
-    TargetScale,
-    TipOutput,
-)
+from armsight.app.schemas.handeye import TipOutput
 from armsight.calibrate.handeye import (
-    Basis,
     HandEye,
-    ImageComparison,
-    LeftOutErrors,
-    Noise,
-    Proposal,
+    RejectedPair,
     Setup,
-    TimeOffset,
     pairs_of_streams,
     propose,
-    verdict,
 )
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
-from armsight.records.output import keys
-from armsight.records.result_parts import PointStd, PoseStd, RejectedRow
+from armsight.records.result_parts import PointStd, RejectedRow
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
 from armsight.store.covariances import UNCORRELATED
 from armsight.store.handeye_file import (
-    named_poses,
     read_robot_poses,
     write_handeye,
     write_tip,
@@ -87,17 +69,15 @@ class HandEyeJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solved:
-    """A hand-eye calibration and what it came from: files, images without a board, the clocks' offset, the camera."""
+    """A hand-eye calibration and what stands beside it: the files read, the images seen, the camera that was freed."""
 
     result: HandEye
     inputs: Sequence[Path]
-    unseen: Sequence[tuple[str, str]] = ()
-    offset: TimeOffset | None = None
     boards: BoardViews | None = None
     freed: Camera | None = None
 
 
-def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEyeOutput:
+def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEye:
     """Calibrate, write handeye.yaml and its report; return the figures as --json gives them.
 
     Raises UsageError for a call with none or several kinds of input, DataRefused for data that cannot carry the answer,
@@ -106,11 +86,10 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     solved = solve_handeye(job, progress)
     proposed = propose(solved.result, job.propose) if job.propose else None
     camera_file = _write_camera(freed_camera_path(job.out), solved)
-    write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
+    write_handeye(job.out, solved.result, inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
-    output = handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
-    return replace(output, camera_file=camera_file)
+    return replace(solved.result, camera_file=camera_file, proposals=proposed)
 
 
 def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:
@@ -140,92 +119,6 @@ def _write_camera(path: Path, solved: Solved) -> str | None:
         return None
     write_camera(path, solved.freed, rms_px=solved.result.reprojection_rms_px, inputs=solved.inputs)
     return str(path)
-
-
-def handeye_output(
-    result: HandEye,
-    unseen: Sequence[tuple[str, str]] = (),
-    *,
-    offset: TimeOffset | None = None,
-    proposed: Sequence[Proposal] | None = None,
-) -> HandEyeOutput:
-    """Return a hand-eye calibration as --json gives it; unseen: images and poses that made no pair, with the reason.
-
-    offset: between the clocks of two streams. proposed: further poses; None where none were asked for.
-    """
-    row = {name: i + 1 for i, name in enumerate(result.pairs.names)}
-    rejected = [RejectedPair(row=row[name], name=name, why=why) for name, why in result.rejected]
-    rejected += [RejectedPair(row=None, name=name, why=why) for name, why in unseen]
-    scale = result.scale
-    return HandEyeOutput(
-        setup=str(result.setup),
-        **named_poses(result),  # type: ignore[arg-type]  # two of the four, by the setup
-        std=PoseStd(**result.std("camera")),
-        std_target=PoseStd(**result.std("target")),
-        n_pairs=len(result.pairs) + len(unseen),
-        n_used=result.n_used,
-        n_effective=None if result.correlation is None else result.correlation.n_effective,
-        correlation_time_s=None if result.correlation is None else result.correlation.time_s,
-        rejected=rejected,
-        residual_rms_m=result.residual_rms_m,
-        residual_rms_rad=result.residual_rms_rad,
-        loo_rms_m=result.loo_rms_m,
-        loo_rms_rad=result.loo_rms_rad,
-        noise=noise_output(result.noise),
-        covariance_factor=result.covariance_factor,
-        turning_rms_rad=result.rotation_excitation.rms_rad.tolist(),
-        verdict=verdict(result),
-        concerns=list(result.concerns),
-        advice=list(result.advice),
-        target_scale=None if scale is None else TargetScale(factor=scale.factor, std=scale.std, p=scale.p),
-        reprojection_rms_px=result.reprojection_rms_px,
-        crossval=None if result.comparison is None else _crossval(result.comparison),
-        time_offset_s=None if offset is None else offset.offset_s,
-        time_offset_std_s=None if offset is None else offset.std_s,
-        proposals=None if proposed is None else [_proposed(item) for item in proposed],
-    )
-
-
-def _crossval(comparison: ImageComparison) -> ImageCrossval:
-    def of(basis: Basis) -> ImagesLeftOut | None:
-        errors = comparison.errors.get(basis)
-        return None if errors is None else _left_out(errors)
-
-    return ImageCrossval(
-        kept=str(comparison.kept),
-        n_images=comparison.n_judged,
-        poses=of(Basis.POSES),
-        corners=of(Basis.CORNERS),
-        corners_and_camera=of(Basis.CORNERS_AND_CAMERA),
-        why=comparison.sentence(),
-    )
-
-
-def _left_out(errors: LeftOutErrors) -> ImagesLeftOut:
-    def known(value: float) -> float | None:
-        return value if np.isfinite(value) else None
-
-    return ImagesLeftOut(
-        position_m=known(errors.position_m),
-        orientation_rad=known(errors.angle_rad),
-        points_m=known(errors.points_m),
-        reprojection_px=known(errors.reprojection_px),
-    )
-
-
-def _proposed(item: Proposal) -> ProposedPose:
-    return ProposedPose(T_base_flange=item.T_base_flange, expected_std_m=item.expected_std_m)
-
-
-def noise_output(noise: Noise) -> HandEyeNoise:
-    """Return the noises with their standard deviations; null where the data cannot tell them apart."""
-    parts = {key.attribute: getattr(noise, key.attribute) for key in keys(HandEyeNoise)}
-    return HandEyeNoise(
-        **{
-            name: NoisePart(value=part.value, std=part.std) if part.known else NoisePart(value=None, at_most=part.value)
-            for name, part in parts.items()
-        }
-    )
 
 
 def calibrate_tip(
@@ -347,7 +240,8 @@ def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
     inputs = [job.camera, job.robot, *list_images(job.images)]
     boards = hand_boards(done.result, views, done.camera, board, pictures)
     freed = None if done.camera is camera else done.camera
-    return Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards, freed=freed)
+    missed = tuple(RejectedPair(row=None, name=name, why=why) for name, why in unseen)
+    return Solved(result=replace(done.result, unseen=missed), inputs=inputs, boards=boards, freed=freed)
 
 
 def _from_streams(job: HandEyeJob) -> Solved:
@@ -365,9 +259,8 @@ def _from_streams(job: HandEyeJob) -> Solved:
         times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s, camera_covariance=covariances[1]
     )
     pairs = replace(pairs, unweighed=_note(job.camera_stream, covariances[1]))
-    return Solved(
-        result=solve_pose_pairs(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset
-    )
+    result = replace(solve_pose_pairs(pairs, job.setup), offset=offset)
+    return Solved(result=result, inputs=[job.robot_stream, job.camera_stream])
 
 
 def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> np.ndarray | None:

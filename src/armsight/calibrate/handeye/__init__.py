@@ -1,6 +1,5 @@
 """Hand-eye calibration that says whether it is right."""
 
-from armsight.calibrate.handeye.advice import scale_is_wrong, verdict
 from armsight.calibrate.handeye.calibrate import (
     HandEyeOptions,
     calibrate_eye_in_hand,
@@ -11,8 +10,8 @@ from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, 
 from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
 from armsight.calibrate.handeye.noise import Noise, Part
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
-from armsight.calibrate.handeye.propose import Proposal, propose
-from armsight.calibrate.handeye.result import HandEye, Scale
+from armsight.calibrate.handeye.propose import propose
+from armsight.calibrate.handeye.result import HandEye, Proposal, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
 from armsight.calibrate.handeye.stream_pairing import pairs_of_streams
 from armsight.calibrate.handeye.timing import TimeOffset, time_offset
@@ -28,6 +27,7 @@ __all__ = [
     "Part",
     "PosePairs",
     "Proposal",
+    "RejectedPair",
     "Scale",
     "Setup",
     "Solution",
@@ -38,9 +38,7 @@ __all__ = [
     "expected_deviation",
     "pairs_of_streams",
     "propose",
-    "scale_is_wrong",
     "solve_pairs",
     "time_offset",
-    "verdict",
     "warm_up",
 ]

@@ -1,4 +1,4 @@
-"""What to tell the person: verdict, warnings, what to do next."""
+"""What to tell the person: warnings, what to do next."""
 
 from __future__ import annotations
 
@@ -8,12 +8,6 @@ import numpy as np
 
 from armsight.calibrate.handeye.result import HandEye
 from armsight.units import DEG, MM
-
-SCALE_SURE = 1e-5
-"""Chance below which a wrong scale is believed: one good set in a hundred thousand is accused."""
-
-SCALE_MATTERS = 2e-3
-"""A target whose size is right within 0.2 % is not worth a word."""
 
 CLAIM_OFF = 1.5
 """Standard deviations of the camera's poses that are right within this factor need no word: 20 pairs tell it to 0.2."""
@@ -30,41 +24,13 @@ def advise(result: HandEye, pitch_m: float | None) -> HandEye:
     return replace(result, concerns=concerns, advice=advice)
 
 
-def verdict(result: HandEye) -> str:
-    """Return the verdict in one sentence."""
-    std = result.std()
-    place = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
-    turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
-    text = (
-        f"The camera's place in the {result.camera_parent} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) "
-        f"from {result.n_used} of {len(result.pairs)} poses{_worth(result)}; a pose left out is predicted to "
-        f"{result.loo_rms_m / MM:.2g} mm "
-        f"and {result.loo_rms_rad / DEG:.2g} degrees"
-    )
-    if scale_is_wrong(result):
-        return text + ", but the target is not of the size that was given: measure it and run again."
-    return text + "."
-
-
-def _worth(result: HandEye) -> str:
-    """Return how many independent poses a recording's are worth, in words."""
-    correlation = result.correlation
-    return "" if correlation is None else f", worth {correlation.n_effective:.0f} independent ones"
-
-
 def _drift(result: HandEye) -> list[str]:
     return [] if result.correlation is None else list(result.correlation.warnings(result.n_used))
 
 
-def scale_is_wrong(result: HandEye) -> bool:
-    """Tell whether the robot's motion contradicts the target's size."""
-    scale = result.scale
-    return scale is not None and scale.p < SCALE_SURE and abs(scale.factor - 1.0) > SCALE_MATTERS
-
-
 def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
     scale = result.scale
-    if scale is None or not scale_is_wrong(result):
+    if scale is None or not scale.wrong:
         return []
     percent = 100.0 * (scale.factor - 1.0)
     uncertainty = 100.0 * scale.std
@@ -77,7 +43,7 @@ def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
 
 
 def _outliers(result: HandEye) -> list[str]:
-    wrong = [name for name, why in result.rejected if why.startswith("off by")]
+    wrong = [one.name for one in result.rejected_pairs if one.why.startswith("off by")]
     if not wrong:
         return []
     named = ", ".join(wrong[:8]) + (", ..." if len(wrong) > 8 else "")
@@ -88,7 +54,7 @@ def _outliers(result: HandEye) -> list[str]:
 
 
 def _copies(result: HandEye) -> list[str]:
-    copies = sum(not why.startswith("off by") for _, why in result.rejected)
+    copies = sum(not one.why.startswith("off by") for one in result.rejected_pairs)
     return [f"{copies} rows repeat others and were left out: copies add no knowledge."] if copies else []
 
 

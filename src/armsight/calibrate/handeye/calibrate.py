@@ -13,7 +13,7 @@ from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_r
 from armsight.calibrate.handeye.correlation import fit_drifting, left_out_blocks
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
-from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
+from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
 from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
@@ -100,7 +100,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         rotation_excitation=turned,
         pairs=pairs,
         used=used,
-        rejected=_rejected(pairs, repeated, used, errors),
+        rejected_pairs=_rejected(pairs, repeated, used, errors),
         residuals=found,
         left_out=errors,
         concerns=(),
@@ -248,8 +248,8 @@ def true_scale(solution: Solution) -> Scale | None:
 
 def _rejected(
     pairs: PosePairs, repeated: dict[int, str], used: NDArray[np.bool_], errors: Array
-) -> tuple[tuple[str, str], ...]:
-    """Return (name, why) of the pairs that were not used, in the order of the file."""
+) -> tuple[RejectedPair, ...]:
+    """Return the pairs that were not used, in the order of the file."""
     out = []
     for i in np.flatnonzero(~used).tolist():
         if i in repeated:
@@ -257,5 +257,5 @@ def _rejected(
         else:
             move, turn = np.linalg.norm(errors[i, :3]), np.linalg.norm(errors[i, 3:])
             why = f"off by {move / MM:.3g} mm and {turn / DEG:.3g} degrees from what the other pairs say"
-        out.append((pairs.names[i], why))
+        out.append(RejectedPair(row=i + 1, name=pairs.names[i], why=why))
     return tuple(out)

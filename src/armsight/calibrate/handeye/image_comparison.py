@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.records.fields import Doc
+from armsight.records.output import Output, figure, output
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -63,49 +66,63 @@ class ImageErrors:
         return np.isfinite(self.points_m) & np.isfinite(self.reprojection_px)
 
     def rms(self, which: NDArray[np.bool_]) -> LeftOutErrors:
-        """Return the figures over some of the images; infinite where one of them has no prediction."""
+        """Return the figures over some of the images; None where one of them has no prediction."""
         size_m, angle_rad = (np.linalg.norm(self.residuals[:, part], axis=1) for part in (slice(0, 3), slice(3, 6)))
         values = (size_m, angle_rad, self.points_m, self.reprojection_px)
-        position, angle, points, px = (_rms(x[which]) for x in values)
-        return LeftOutErrors(position_m=position, angle_rad=angle, points_m=points, reprojection_px=px)
+        position, angle, points, px = (rms if np.isfinite(rms := _rms(x[which])) else None for x in values)
+        return LeftOutErrors(position_m=position, orientation_rad=angle, points_m=points, reprojection_px=px)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeftOutErrors:
-    """Root mean squares over images left out.
+@output
+class LeftOutErrors(Output):
+    """Errors of one calibration at images left out, RMS."""
 
-    T_camera_target's position in m and angle in rad, the board's points in m, its corners in px.
-    """
-
-    position_m: float
-    angle_rad: float
-    points_m: float
-    reprojection_px: float
+    position_m: Annotated[float | None, Doc("Of T_camera_target's position, m; null where not all were predicted.")]
+    orientation_rad: Annotated[float | None, Doc("Of T_camera_target's orientation, rad.")]
+    points_m: Annotated[float | None, Doc("Of the board's points in space, m.")]
+    reprojection_px: Annotated[float | None, Doc("Of the corners in the image, px.")]
 
     def text(self) -> str:
         """Return the figures in words."""
-        if not np.isfinite(self.points_m):
+        if self.points_m is None or self.orientation_rad is None:
             return "no prediction"
-        return f"{self.points_m / MM:.3g} mm, {self.angle_rad / DEG:.2g} degrees and {self.reprojection_px:.3g} px"
+        return (
+            f"{self.points_m / MM:.3g} mm, {self.orientation_rad / DEG:.2g} degrees and {self.reprojection_px:.3g} px"
+        )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageComparison:
-    """What was kept, and the errors of all candidates at the same images left out.
+@output
+class ImageComparison(Output):
+    """Calibrations from the same images, each judged by images it never saw (nested folds).
 
     judged (k,): which of the used images a calibration from the poses of others predicts. errors: over these. residuals
     (k, 6): what was kept, as ImageErrors has them.
     """
 
-    kept: Basis
+    kept: Annotated[Basis, Doc("What the result is from: poses, corners, or corners and camera (freed).")]
     judged: NDArray[np.bool_]
     errors: Mapping[Basis, LeftOutErrors]
     residuals: Array
 
-    @property
+    @figure("Images left out that they are judged by.", key="n_images")
     def n_judged(self) -> int:
-        """Images that the candidates are compared by."""
         return int(self.judged.sum())
+
+    @figure("From the target's poses; null where no image can be judged.")
+    def poses(self) -> LeftOutErrors | None:
+        return self.errors.get(Basis.POSES)
+
+    @figure("From the corners (bundle adjustment).")
+    def corners(self) -> LeftOutErrors | None:
+        return self.errors.get(Basis.CORNERS)
+
+    @figure("From the corners, the camera freed; with --free-camera.", optional=True)
+    def corners_and_camera(self) -> LeftOutErrors | None:
+        return self.errors.get(Basis.CORNERS_AND_CAMERA)
+
+    @figure("Why it was kept, in words.")
+    def why(self) -> str:
+        return self.sentence()
 
     @property
     def few(self) -> bool:

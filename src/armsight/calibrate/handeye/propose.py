@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup, components
-from armsight.calibrate.handeye.result import HandEye
+from armsight.calibrate.handeye.result import HandEye, Proposal
 from armsight.errors import Inconsistent
 from armsight.units import DEG
 
@@ -24,16 +23,6 @@ MARGIN = 0.15
 """The flange stays within the box of its poses so far, widened by this share of its size."""
 
 LEAST_BOX_M = 0.05
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Proposal:
-    """T_base_flange to drive to, T_camera_target expected there, and the largest standard deviation of the camera's
-    place (m) expected after this pose and those before it."""
-
-    T_base_flange: RigidTransform
-    T_camera_target: RigidTransform
-    expected_std_m: float
 
 
 def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
@@ -117,7 +106,7 @@ def _whitened(result: HandEye, arrays: Arrays) -> Array:
     n = len(arrays[0])
     e, J, lever = np.empty((n, 6)), np.empty((n, 6, 12)), np.empty(n)
     noise = result.noise
-    theta = np.array([noise.translation_m.value**2, noise.camera_rad.value**2, noise.robot_rad.value**2])
+    theta = np.array([noise.translation_m.size**2, noise.camera_rad.size**2, noise.robot_rad.size**2])
     RX, tX = components(result.T_parent_camera)
     RZ, tZ = components(result.T_parent_target)
     kernels.weigh(

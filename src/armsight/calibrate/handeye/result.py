@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,58 +13,105 @@ from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
 from armsight.calibrate.handeye.rotation_excitation import RotationExcitation
+from armsight.calibrate.handeye.timing import TimeOffset
 from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
+from armsight.records.fields import Doc
+from armsight.records.output import Output, figure, output
+from armsight.records.result_parts import PoseStd
+from armsight.units import DEG, MM
+
+Vector3 = tuple[float, float, float]
+
+SCALE_SURE = 1e-5
+"""Chance below which a wrong scale is believed: one good set in a hundred thousand is accused."""
+
+SCALE_MATTERS = 2e-3
+"""A target whose size is right within 0.2 % is not worth a word."""
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 NAMES = tuple(f"{who}.{name}" for who in ("camera", "target") for name in POSE_NAMES)
-"""Names of the covariance: the camera's pose in its mount, then the target's in its seat."""
+"""Names of the covariance: the camera's pose in the frame that carries it, then the target's."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scale:
-    """True over assumed size of the target, as the robot's motion says, with its standard deviation; p: chance of
-    seeing so large a difference from 1 if there is none."""
+@output
+class Scale(Output):
+    """True over assumed size of the target, as the robot's motion says."""
 
-    factor: float
-    std: float
-    p: float
+    factor: Annotated[float, Doc("True size over assumed size.")]
+    std: Annotated[float, Doc("Standard deviation of the factor.")]
+    p: Annotated[float, Doc("Chance of so large a difference from 1 if there is none.")]
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the robot's motion contradicts the target's size."""
+        return self.p < SCALE_SURE and abs(self.factor - 1.0) > SCALE_MATTERS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HandEye:
-    """Where the camera and the target are, and how far to believe it.
+@output
+class Proposal(Output):
+    """A further pose that would make the result surer; T_camera_target: what the camera is expected to see there."""
 
-    setup: EYE_IN_HAND: T_parent_camera is T_flange_camera and T_parent_target is T_base_target. EYE_TO_HAND: they are
-    T_base_camera and T_flange_target. covariance (12, 12): of both, translation then rotation vector, in mount's
-    and seat's axes, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used (n,): which
-    pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
+    T_base_flange: Annotated[RigidTransform, Doc("Where to move the flange, in base axes.")]
+    T_camera_target: RigidTransform
+    expected_std_m: Annotated[float, Doc("Standard deviation of the camera's place to expect with it, m.")]
+
+
+@output
+class RejectedPair(Output):
+    """A pair, image or robot pose that was left out."""
+
+    row: Annotated[int | None, Doc("Its row, from 1; null for what made no pair.")]
+    name: Annotated[str, Doc("Its name: of the row or of the image.")]
+    why: Annotated[str, Doc("Why it was left out, in words.")]
+
+
+@output
+class HandEye(Output):
+    """armsight calibrate handeye: where the camera and the target are, and how far to believe it.
+
+    EYE_IN_HAND: T_parent_camera is T_flange_camera and T_parent_target is T_base_target. EYE_TO_HAND: they are
+    T_base_camera and T_flange_target. covariance (12, 12): of both, translation then rotation vector, in the axes of
+    the frames that carry them, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used
+    (n,): which pairs the answer rests on; rejected_pairs: the others. residuals (n, 6), left_out (n, 6): measured
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
     correlation: of the errors in time, where the poses are of one recording; left_out is then against what is further
-    away in time. covariance_factor: on the covariances of the camera's poses, by which the pairs are weighed with what
-    these leave unexplained; None where none were given. comparison: of images, what the result rests on and by which
-    errors. advice: what would make it surer; concerns: those that keep it from being trusted.
+    away in time. comparison: of images, what the result rests on and by which errors. unseen: images and robot poses
+    that made no pair. offset: between the clocks of two streams.
     """
 
-    setup: Setup
+    setup: Annotated[Setup, Doc("eye-in-hand or eye-to-hand.")]
     T_parent_camera: RigidTransform
     T_parent_target: RigidTransform
     covariance: NamedCovariance
     dof: float
-    noise: Noise
-    scale: Scale | None
+    noise: Annotated[Noise, Doc("Noise of robot and camera.")]
     rotation_excitation: RotationExcitation
     pairs: PosePairs
     used: NDArray[np.bool_]
-    rejected: tuple[tuple[str, str], ...]
+    rejected_pairs: tuple[RejectedPair, ...]
     residuals: Array
     left_out: Array
-    concerns: tuple[str, ...]
-    advice: tuple[str, ...]
-    reprojection_rms_px: float | None = None
+    concerns: Annotated[
+        tuple[str, ...], Doc("The advice to follow before the result can be trusted; empty: it can be.")
+    ]
+    advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
+    scale: Annotated[Scale | None, Doc("Whether the target's size is true.", key="target_scale")] = None
+    reprojection_rms_px: Annotated[
+        float | None, Doc("Reprojection residual of the images, RMS, px; with images only.")
+    ] = None
     correlation: Correlation | None = None
-    comparison: ImageComparison | None = None
-    covariance_factor: float | None = None
+    comparison: Annotated[
+        ImageComparison | None, Doc("Result from poses against that from corners; with images only.", key="crossval")
+    ] = None
+    covariance_factor: Annotated[
+        float | None,
+        Doc("On the covariances of the camera's poses, by which pairs are weighed; where they are known."),
+    ] = None
+    unseen: tuple[RejectedPair, ...] = ()
+    offset: TimeOffset | None = None
+    camera_file: Annotated[str | None, Doc("The freed camera that the result belongs to, where it was kept.")] = None
+    proposals: Annotated[tuple[Proposal, ...] | None, Doc("Further poses, with --propose.")] = None
 
     def __post_init__(self) -> None:
         n = len(self.pairs)
@@ -81,30 +128,94 @@ class HandEye:
         """The frame that carries the target."""
         return "base" if self.setup is Setup.EYE_IN_HAND else "flange"
 
-    @property
+    @figure("The camera; eye-in-hand only.", optional=True)
+    def T_flange_camera(self) -> RigidTransform | None:
+        return self.T_parent_camera if self.setup is Setup.EYE_IN_HAND else None
+
+    @figure("The target; eye-in-hand only.", optional=True)
+    def T_base_target(self) -> RigidTransform | None:
+        return self.T_parent_target if self.setup is Setup.EYE_IN_HAND else None
+
+    @figure("The camera; eye-to-hand only.", optional=True)
+    def T_base_camera(self) -> RigidTransform | None:
+        return self.T_parent_camera if self.setup is Setup.EYE_TO_HAND else None
+
+    @figure("The target; eye-to-hand only.", optional=True)
+    def T_flange_target(self) -> RigidTransform | None:
+        return self.T_parent_target if self.setup is Setup.EYE_TO_HAND else None
+
+    @figure("Standard deviations of the camera's pose, in axes of flange or base.", key="std")
+    def std_camera(self) -> PoseStd:
+        return PoseStd(**self.std("camera"))
+
+    @figure("Standard deviations of the target's pose, in axes of base or flange.")
+    def std_target(self) -> PoseStd:
+        return PoseStd(**self.std("target"))
+
+    @figure("Pairs, images and robot poses given.")
+    def n_pairs(self) -> int:
+        return len(self.pairs) + len(self.unseen)
+
+    @figure("Pairs that the result rests on.")
     def n_used(self) -> int:
-        """Pairs that the answer rests on."""
         return int(self.used.sum())
 
-    @property
+    @figure("Independent pairs that they are worth; of streams only.", optional=True)
+    def n_effective(self) -> float | None:
+        return None if self.correlation is None else self.correlation.n_effective
+
+    @figure("After which a drift of the errors is forgotten, s; of streams only.", optional=True)
+    def correlation_time_s(self) -> float | None:
+        return None if self.correlation is None else self.correlation.time_s
+
+    @figure("What was left out.")
+    def rejected(self) -> tuple[RejectedPair, ...]:
+        return (*self.rejected_pairs, *self.unseen)
+
+    @figure("Residual of T_camera_target's position, RMS, m.")
     def residual_rms_m(self) -> float:
-        """Root mean square of the position residuals' length over the used pairs."""
         return _rms(self.residuals[self.used, :3])
 
-    @property
+    @figure("Residual of T_camera_target's orientation, RMS, rad.")
     def residual_rms_rad(self) -> float:
-        """Root mean square of the orientation residuals' angle over the used pairs."""
         return _rms(self.residuals[self.used, 3:])
 
-    @property
+    @figure("Position error of each pair predicted from the others, RMS, m.")
     def loo_rms_m(self) -> float:
-        """Root mean square of the left-out position errors over the used pairs."""
         return _rms(self.left_out[self.used, :3])
 
-    @property
+    @figure("Orientation error of each pair predicted from the others, RMS, rad.")
     def loo_rms_rad(self) -> float:
-        """Root mean square of the left-out angles over the used pairs."""
         return _rms(self.left_out[self.used, 3:])
+
+    @figure("Turns of the hand about its principal axes, falling, RMS, rad.", key="turning_rms_rad")
+    def rotation_excitation_rms_rad(self) -> Vector3:
+        x, y, z = self.rotation_excitation.rms_rad.tolist()
+        return x, y, z
+
+    @figure("Add it to the camera's times to get the robot's, s; with streams only.", optional=True)
+    def time_offset_s(self) -> float | None:
+        return None if self.offset is None else self.offset.offset_s
+
+    @figure("Standard deviation of the time offset, s; with streams only.", optional=True)
+    def time_offset_std_s(self) -> float | None:
+        return None if self.offset is None else self.offset.std_s
+
+    @figure("Whether the result can be trusted, in words.")
+    def verdict(self) -> str:
+        std = self.std()
+        place = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
+        turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
+        worth = "" if self.n_effective is None else f", worth {self.n_effective:.0f} independent ones"
+        text = (
+            f"The camera's place in the {self.camera_parent} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) "
+            f"from {self.n_used} of {len(self.pairs)} poses{worth}; a pose left out is predicted to "
+            f"{self.loo_rms_m / MM:.2g} mm "
+            f"and {self.loo_rms_rad / DEG:.2g} degrees"
+        )
+        if self.scale is not None and self.scale.wrong:
+            return text + ", but the target is not of the size that was given: measure it and run again."
+        return text + "."
 
     @property
     def coverage_factor(self) -> float:
