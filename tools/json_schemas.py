@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
+from armsight.app.calibrate.arm import ArmOutput
+from armsight.app.calibrate.pivot import PivotOutput
 from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
@@ -26,7 +28,7 @@ from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
 from armsight.app.record.export import ExportOutput
 from armsight.app.record.record import RecordOutput, RepairOutput
 from armsight.app.reproduce.run import ReproduceOutput
-from armsight.app.schemas.arm import ArmOutput, IdentifyOutput, ProposedPlanOutput, RobotWorldOutput
+from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
 from armsight.app.schemas.cameras import (
     CameraOutput,
     MirrorCheckOutput,
@@ -35,7 +37,7 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.handeye import LightTargetOutput, PivotOutput, TipOutput
+from armsight.app.schemas.handeye import LightTargetOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
@@ -44,7 +46,9 @@ from armsight.app.schemas.timing import TimingOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.verify.plan import VerifyPlanOutput
+from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.handeye import HandEye
+from armsight.calibrate.tooltip import TipCalibration
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput
@@ -65,10 +69,10 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-target": LightTargetOutput,
     "calibrate-timing": TimingOutput,
     "calibrate-handeye": HandEye,
-    "calibrate-tooltip": TipOutput,
+    "calibrate-tooltip": TipCalibration,
     "calibrate-pivot": PivotOutput,
     "calibrate-arm": ArmOutput,
-    "calibrate-robot-world": RobotWorldOutput,
+    "calibrate-robot-world": WorldCalibration,
     "identify": IdentifyOutput,
     "identify-propose": ProposedPlanOutput,
     "verify": VerifyOutput,

@@ -33,7 +33,7 @@ def test_rows_of_the_other_socket_are_named_and_no_others() -> None:
     first, second, left = tip("front", "0"), tip("front", "1"), tip("left", "0")
     assert not first.rejected
     assert not second.rejected
-    assert [row for row, _ in left.rejected] == list(range(30, 36))
+    assert [row for row, _ in left.rejected_rows] == list(range(30, 36))
     off = np.linalg.norm(left.residuals_m[30:], axis=1)
     assert np.abs(off - 0.05).max() < 5e-3  # the sockets are 50 mm apart
     assert np.linalg.norm(first.point_m - second.point_m) == pytest.approx(0.05, abs=1e-3)

@@ -122,7 +122,7 @@ def test_a_measured_file_that_verify_takes_is_taken_and_rows_keep_their_numbers(
     read = read_arm_points(path)
     assert len(read) == 58 and read.row is not None and read.row[-1] == 59
     result = calibrate_arm(NOMINAL, replace(read, t_s=None))
-    assert 50 in [row for row, _ in result.outliers]
+    assert 50 in [row for row, _ in result.outlier_rows]
     path.write_text(path.read_text().replace(",lost", ",ok"))
     with pytest.raises(BadFile, match="line 5, column x_m: empty"):
         read_arm_points(path)

@@ -266,7 +266,7 @@ def test_a_perfect_arm_is_left_alone_and_gross_rows_are_named() -> None:
     moved[[7, 40]] += [[0.02, 0.0, 0.0], [0.0, -0.03, 0.01]]
     result = calibrate_arm(arm, ArmPoints(q=points.q, xyz_m=moved, point=points.point))
     assert not result.gain and result.free == () and "No gain" in result.verdict
-    assert [row for row, _ in result.outliers] == [7, 40]
+    assert [row for row, _ in result.outlier_rows] == [7, 40]
     np.testing.assert_array_equal(table(result.arm), table(arm))
 
 
@@ -335,7 +335,7 @@ def test_the_rig_is_found_at_the_base_with_true_deviations() -> None:
         seen = WHERE.inv().apply(base) + rng.normal(0.0, 1e-3, (25, 3))
         seen[3] += 0.05
         found = calibrate_world(arm, ArmPoints(q=q, xyz_m=seen))
-        assert [row for row, _ in found.rejected] == [3]
+        assert [row for row, _ in found.rejected_rows] == [3]
         error = np.append(
             found.T_base_rig.translation - WHERE.translation,
             (found.T_base_rig.rotation * WHERE.rotation.inv()).as_rotvec(),
@@ -352,7 +352,7 @@ def test_the_rig_is_found_where_a_half_of_the_rows_is_wrong() -> None:
     mirrored = seen.copy()
     mirrored[10:, 0] = 1.0 - mirrored[10:, 0]
     found = calibrate_world(arm, ArmPoints(q=q, xyz_m=mirrored))
-    assert [row for row, _ in found.rejected] == list(range(10, 20))
+    assert [row for row, _ in found.rejected_rows] == list(range(10, 20))
     np.testing.assert_allclose(found.T_base_rig.translation, WHERE.translation, atol=1e-3)
     moved = seen.copy()
     moved[10:] += [0.3, 0.0, 0.1]

@@ -53,7 +53,7 @@ def test_a_slip_is_named_and_left_out() -> None:
     M = poses.as_matrix().copy()
     M[[4, 17], 0, 3] += 5 * MM
     result = calibrate_tooltip(RigidTransform.from_matrix(M))
-    assert [row for row, _ in result.rejected] == [4, 17]
+    assert [row for row, _ in result.rejected_rows] == [4, 17]
     assert result.tip_m == pytest.approx(TIP, abs=0.6 * MM)
 
 

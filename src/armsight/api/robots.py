@@ -15,7 +15,7 @@ from armsight.api.arrays import Array, Poses, as_poses, as_rotations
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, as_arm
 from armsight.api.results import Result, Row, error_figure, pose_rows
-from armsight.app.calibrate.arm import arm_output, in_view, world_of, world_output
+from armsight.app.calibrate.arm import in_view, world_of
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -91,7 +91,7 @@ class ArmResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate arm --json` gives them."""
-        return arm_output(self.detail).to_dict()
+        return self.detail.to_dict()
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write arm.yaml, or a URDF where the name ends in .urdf, and return its path."""
@@ -202,7 +202,7 @@ class RobotWorldResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate robot-world --json` gives them."""
-        return world_output(self.detail).to_dict()
+        return self.detail.to_dict()
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write world.yaml and return its path."""

@@ -14,7 +14,6 @@ from armsight.api.arrays import Array, Poses, as_poses
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, RigLike, Source, TargetLike
 from armsight.api.results import Result, Row, error_figure, with_std
-from armsight.app.calibrate.handeye import tip_output
 from armsight.app.calibrate.pivot import PivotJob, find_tip
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, calibrate_tooltip
 from armsight.drivers import CameraSettings
@@ -60,7 +59,7 @@ class ToolTipResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate tooltip --json` gives them."""
-        return tip_output(self.detail).to_dict()
+        return self.detail.to_dict()
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write tip.yaml and return its path."""

@@ -14,7 +14,7 @@ from armsight.cli.tables import figure, parameter, pose_rows
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.arm import ArmOutput
+    from armsight.app.calibrate.arm import ArmOutput
 
 TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
 
@@ -73,7 +73,7 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
         for name, before, after in named
     ]
     face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
-    freed = [parameter(name, done.corrections[name], done.std[name]) for name in done.free]
+    freed = [parameter(name, done.corrections[name], done.deviations[name]) for name in done.free]
     if freed:
         face.table("Corrections", ["", "by", "+-"], freed)
     face.say(done.verdict)

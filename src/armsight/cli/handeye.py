@@ -16,8 +16,8 @@ from armsight.errors import UsageError
 from armsight.units import MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.handeye import TipOutput
     from armsight.calibrate.handeye import HandEye, Setup
+    from armsight.calibrate.tooltip import TipCalibration
 
 POINT_SIGMA_MM = 0.2
 """Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
@@ -106,7 +106,7 @@ def tooltip(
 
         format_ = table_options.format(face)
         done = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma, format_=format_)
-        face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
+        face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m.tolist(), done.std_tip))
         face.say(f"{_worth(done)}, residual {figure(done.residual_rms_m / MM)} mm RMS{_left_out(done)}. Result: {out}")
         for note in done.notes:
             face.say(note)
@@ -150,7 +150,7 @@ def pivot(
             camera_settings=camera_options.settings(),
         )
         done = run_pivot(job, face.progress("pivoting"))
-        face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
+        face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m.tolist(), done.std_tip))
         said = "good enough" if done.reached else "not yet as good as wanted: pivot on, or lower the goal"
         face.say(f"{_worth(done)}, {said}{_left_out(done)}. Result: {out}")
         for note in done.notes:
@@ -158,13 +158,13 @@ def pivot(
         face.result(done)
 
 
-def _worth(done: TipOutput) -> str:
+def _worth(done: TipCalibration) -> str:
     """Return how many poses there are, and how many independent ones those of a recording are worth, in words."""
     worth = "" if done.n_effective is None else f", worth {done.n_effective:.0f} independent ones"
     return f"{done.n_used} poses{worth}"
 
 
-def _left_out(done: TipOutput) -> str:
+def _left_out(done: TipCalibration) -> str:
     return "" if done.loo_rms_m is None else f", left out {figure(done.loo_rms_m / MM)} mm"
 
 

@@ -74,9 +74,10 @@ def figure(
 class Output(ByValue):
     """A result as programs get it: fixed keys, SI units, the unit in the key's name.
 
-    Keys are the fields with a Doc and what `figure` made. A field without a default is always there, null where there
-    is no data for it; one with a default is left out of the JSON object where it is None. Further fields, without a
-    Doc, are for Python only. Poses become position and quaternion, arrays lists.
+    Keys are the fields with a Doc and what `figure` made; a NamedTuple inside may have them too. A field without a
+    default is always there, null where there is no data for it; one with a default is left out of the JSON object
+    where it is None. Further fields, without a Doc, are for Python only. Poses become position and quaternion, arrays
+    lists.
     """
 
     __slots__ = ()
@@ -107,7 +108,7 @@ class Output(ByValue):
         return as_html(*self._shown())
 
 
-def keys(kind: type[Output]) -> tuple[Key, ...]:
+def keys(kind: type) -> tuple[Key, ...]:
     """Return the keys of a class of results: those of fields first, then its figures, each as declared."""
     of: Any = kind  # a class can be hashed
     return _keys(of)
@@ -117,6 +118,8 @@ def keys(kind: type[Output]) -> tuple[Key, ...]:
 def _keys(kind: Any) -> tuple[Key, ...]:
     hints = get_type_hints(kind, include_extras=True)
     found = []
+    if issubclass(kind, tuple):
+        return tuple(Key(name, hints[name], get_args(hints[name])[1], False) for name in kind._fields)
     for one in dataclass_fields(kind):
         hint = hints[one.name]
         doc = next((part for part in get_args(hint) if isinstance(part, Doc)), None)
@@ -124,12 +127,18 @@ def _keys(kind: Any) -> tuple[Key, ...]:
             optional = one.default is not MISSING
             found.append(Key(one.name, hint, doc, optional))
     worked_out: dict[str, Figure[Any]] = {}
-    for base in reversed(kind.__mro__):
+    mro: tuple[type, ...] = kind.__mro__
+    for base in reversed(mro):
         worked_out |= {name: value for name, value in vars(base).items() if isinstance(value, Figure)}
     for name, value in worked_out.items():
         hint = get_type_hints(value.of, include_extras=True)["return"]
         found.append(Key(name, hint, value.doc, value.optional))
     return tuple(found)
+
+
+def is_output(hint: Any) -> bool:
+    """Tell whether a type is a class of results, or of named tuples whose fields have a Doc."""
+    return isinstance(hint, type) and (issubclass(hint, Output) or hasattr(hint, "_fields"))
 
 
 def _plain(value: Any, hint: Any) -> Any:
@@ -149,6 +158,8 @@ def _plain(value: Any, hint: Any) -> Any:
     if isinstance(value, RigidTransform):
         xyz, quat = xyz_quat(value)
         return {"xyz_m": xyz.tolist(), "quat_xyzw": quat.tolist()}
+    if hasattr(value, "_fields"):
+        return {key.name: _plain(one, key.hint) for key, one in zip(keys(type(value)), value, strict=True)}
     inner = _inner(hint)
     if isinstance(value, Mapping):
         return {str(name): _plain(one, inner) for name, one in value.items()}

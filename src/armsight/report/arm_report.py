@@ -50,7 +50,7 @@ def arm_report(
     if result.fixed:
         page.add("Not corrected", "", table(["parameter", "why"], [list(item) for item in result.fixed]))
     if result.outliers:
-        rows = [[row + 1, figure_of(error / MM, "mm")] for row, error in result.outliers]
+        rows = [[row, figure_of(error / MM, "mm")] for row, error in result.outliers]
         page.add("Rows that miss by far", "They pulled little.", table(["row", "error"], rows, numbers=(1,)))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))

@@ -21,7 +21,7 @@ from armsight.errors import BadFile, DataRefused
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import NamedCovariance
 from armsight.records.fields import Bounds, Shape
-from armsight.records.output import Output, keys
+from armsight.records.output import Output, is_output, keys
 from armsight.store.atomic import plain
 
 Kind = TypeVar("Kind", bound=Output)
@@ -120,7 +120,7 @@ def structure(kind: type) -> type[Strict]:
     return model
 
 
-def output_model(kind: type[Output]) -> type[BaseModel]:
+def output_model(kind: type) -> type[BaseModel]:
     """Return the model of a result's keys as its JSON object holds them; its JSON schema is the result's."""
     of: Any = kind  # a class can be hashed
     return _output_model(of)
@@ -141,16 +141,25 @@ def _shown(hint: Any) -> Any:
     """Return the type that the JSON object of a result holds for a field."""
     parts = typing.get_args(hint)
     if typing.get_origin(hint) is Annotated:
-        return _shown(parts[0])
+        shape = next((one for one in parts if isinstance(one, Shape)), None)
+        return _shown(parts[0]) if shape is None else _rows(shape)
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         return typing.Union[tuple(map(_shown, parts))]  # noqa: UP007  # of a tuple that is known at run time only
     if typing.get_origin(hint) in (list, tuple, dict):
         return typing.get_origin(hint)[tuple(one if one is Ellipsis else _shown(one) for one in parts)]
-    if isinstance(hint, type) and issubclass(hint, Output):
+    if is_output(hint):
         return output_model(hint)
     if isinstance(hint, type) and issubclass(hint, StrEnum):
         return str
     return PoseOutput if hint is RigidTransform else hint
+
+
+def _rows(shape: Shape) -> Any:
+    """Return the type of an array's numbers as rows in rows."""
+    out: Any = float
+    for n in reversed(shape.lengths):
+        out = list[out] if n is None else tuple[(out,) * n]  # type: ignore[misc]  # known at run time only
+    return out
 
 
 def read_output(kind: type[Kind], content: Mapping[str, Any], where: str) -> Kind:
@@ -173,7 +182,7 @@ def _result(hint: Any, value: Any) -> Any:
 
 def outputs_in(hint: Any) -> Iterator[type[Output]]:
     """Yield the results that a type speaks of, such as Output | None or list[Output]."""
-    if isinstance(hint, type) and not isinstance(hint, types.GenericAlias) and issubclass(hint, Output):
+    if is_output(hint):
         yield hint
     for inner in typing.get_args(hint):
         yield from outputs_in(inner)

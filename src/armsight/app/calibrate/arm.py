@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,25 +13,9 @@ from numpy.typing import NDArray
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.schemas.arm import (
-    ArmCalibrationOutput,
-    ArmNoise,
-    ArmOutput,
-    BeforeAfter,
-    CouplingOutput,
-    FixedParameter,
-    KnownArmOutput,
-    LimitOutput,
-    MisfitOutput,
-    OtherArmOutput,
-    Outlier,
-    RobotWorldOutput,
-    ToolErrors,
-)
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
-    Errors,
     Proposal,
     Tolerance,
     WorldCalibration,
@@ -42,7 +26,8 @@ from armsight.calibrate.arm import (
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.optics import Rig
-from armsight.records.result_parts import PoseStd, RejectedRow
+from armsight.records.fields import Doc
+from armsight.records.output import output
 from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
@@ -76,6 +61,19 @@ class ArmJob:
     table: TableFormat = OURS
 
 
+@output
+class ArmOutput(ArmCalibration):
+    """armsight calibrate arm."""
+
+    proposals: Annotated[
+        list[list[float]] | None, Doc("Further joint readings to measure at, rad or m; with --propose.")
+    ] = None
+    expected_std: Annotated[dict[str, float] | None, Doc("Standard deviations to expect with those measured too.")] = (
+        None
+    )
+    urdf: Annotated[str | None, Doc("The URDF written; null for scales, sag and couplings, which it cannot hold.")]
+
+
 def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     """Calibrate; write arm.yaml, the URDF and the table of corrections beside it, and the report; return the figures.
 
@@ -96,7 +94,7 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     urdf = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
-    return arm_output(result).extended(
+    return result.extended(
         ArmOutput,
         proposals=None if proposal is None else nominal.readings(proposal.q).tolist(),
         expected_std=None if proposal is None else proposal.expected_std,
@@ -168,58 +166,6 @@ def in_view(rig: Rig, world: World) -> Any:
     return seen
 
 
-def arm_output(result: ArmCalibration) -> ArmCalibrationOutput:
-    """Return an arm's calibration as --json gives it, without what the command adds."""
-    held = _before_after(result.left_before, result.left_after) if result.held else None
-    return ArmCalibrationOutput(
-        n=len(result.error_m),
-        n_effective=None if result.correlation is None else result.correlation.n_effective,
-        correlation_time_s=None if result.correlation is None else result.correlation.time_s,
-        before=_errors(result.before),
-        after=_errors(result.after),
-        crossval=_before_after(result.cross_before, result.cross_after),
-        holdout=held,
-        free=list(result.free),
-        fixed=[FixedParameter(name=name, why=why) for name, why in result.fixed],
-        std=result.std(),
-        corrections={name: result.change(name) for name in result.free},
-        condition=result.condition,
-        outliers=[Outlier(row=row + 1, error_m=error) for row, error in result.outliers],
-        still=list(result.still),
-        couplings=[CouplingOutput(joint=a, by=b, share=share) for a, b, share in result.couplings],
-        noise=ArmNoise(place_m=result.place_noise_m, rotation_rad=_rotation_noise(result)),
-        at_limit=[LimitOutput(name=x.name, change=x.change, limit=x.limit, flag=x.flag) for x in result.at_limit],
-        notes=list(result.notes),
-        model=result.level,
-        verdict=result.verdict,
-        gain=result.gain,
-        other_arm=_other_arm(result),
-    )
-
-
-def _other_arm(result: ArmCalibration) -> OtherArmOutput | None:
-    other = result.other_arm
-    if other is None:
-        return None
-    return OtherArmOutput(
-        misfits=[MisfitOutput(name=x.name, nominal=x.nominal, wanted=x.wanted, std=x.std) for x in other.found],
-        known=None if other.known is None else KnownArmOutput(name=other.known[0], error_m=other.known[1]),
-        nominal_error_m=other.nominal_m,
-    )
-
-
-def _before_after(before: Errors, after: Errors) -> BeforeAfter:
-    return BeforeAfter(before=_errors(before), after=_errors(after))
-
-
-def _errors(errors: Errors) -> ToolErrors:
-    return ToolErrors(mean_m=errors.mean_m, rms_m=errors.rms_m, max_m=errors.max_m)
-
-
-def _rotation_noise(result: ArmCalibration) -> float | None:
-    return result.fitted.sigma_rad if result.model.turned else None
-
-
 def corrections(result: ArmCalibration) -> str:
     """Return a CSV text in a controller's terms: per joint the zero to add to its reading, its standard deviation, the
     scale.
@@ -251,12 +197,12 @@ def _zero_covariance(result: ArmCalibration, names: Sequence[str]) -> Array:
     return C
 
 
-def run_calibrate_world(arm: str, points: Path, out: Path, format_: TableFormat = OURS) -> RobotWorldOutput:
+def run_calibrate_world(arm: str, points: Path, out: Path, format_: TableFormat = OURS) -> WorldCalibration:
     """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
     model = load_arm(arm)
     result = calibrate_world(model, _measurements(model, points, format_))
     write_world(out, world_of(result), inputs=[points])
-    return world_output(result)
+    return result
 
 
 def world_of(result: WorldCalibration) -> World:
@@ -266,17 +212,5 @@ def world_of(result: WorldCalibration) -> World:
         T_parent_rig=result.T_base_rig,
         covariance=result.covariance,
         residual_rms_m=result.residual_rms_m,
-        n_used=len(result.residual_m) - len(result.rejected),
-    )
-
-
-def world_output(result: WorldCalibration) -> RobotWorldOutput:
-    """Return where the rig stands as --json gives it."""
-    return RobotWorldOutput(
-        T_base_rig=result.T_base_rig,
-        std=PoseStd(**result.covariance.std()),
-        residual_rms_m=result.residual_rms_m,
-        n_used=len(result.residual_m) - len(result.rejected),
-        rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
-        notes=list(result.notes),
+        n_used=result.n_used,
     )

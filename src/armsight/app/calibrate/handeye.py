@@ -14,7 +14,6 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
-from armsight.app.schemas.handeye import TipOutput
 from armsight.calibrate.handeye import (
     HandEye,
     RejectedPair,
@@ -27,7 +26,6 @@ from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
-from armsight.records.result_parts import PointStd, RejectedRow
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
@@ -128,7 +126,7 @@ def calibrate_tip(
     point: Sequence[float] | None = None,
     sigma_m: float = 0.0,
     format_: TableFormat = OURS,
-) -> TipOutput:
+) -> TipCalibration:
     """Find the tip from a poses.csv, write tip.yaml; return the figures as --json gives them.
 
     point (3,) in m, sigma_m: where it rests, if measured, and how well. Poses with times are taken as of one recording,
@@ -145,26 +143,7 @@ def calibrate_tip(
     result = calibrate_tooltip(chosen, _covariances(read), measured, _times(found, read))
     write_tip(out, result, inputs=[poses])
     note = _note(poses, _covariances(read))
-    return tip_output(result, (note,) if note else ())
-
-
-def tip_output(result: TipCalibration, notes: tuple[str, ...] = ()) -> TipOutput:
-    """Return a tool-tip calibration as --json gives it; notes: on what it was found from."""
-    paper, drift = result.paper_tip_m, result.correlation
-    return TipOutput(
-        tip_m=result.tip_m.tolist(),
-        point_m=result.point_m.tolist(),
-        std=PointStd(**result.std()),
-        residual_rms_m=result.residual_rms_m,
-        loo_rms_m=result.loo_rms_m,
-        n_used=result.n_used,
-        n_effective=None if drift is None else drift.n_effective,
-        correlation_time_s=None if drift is None else drift.time_s,
-        rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
-        turning_rms_rad=result.turn_rms_rad.tolist(),
-        mean_tip_m=None if paper is None else paper.tolist(),
-        notes=[*result.notes, *notes],
-    )
+    return replace(result, remarks=(note,)) if note else result
 
 
 def _of_setup(job: HandEyeJob) -> TableFormat:

@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.handeye import tip_output
 from armsight.app.measure.run import target_of
-from armsight.app.schemas.handeye import PivotOutput
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, TipRecording
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
@@ -21,6 +20,8 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.records import PoseStatus, Progress, Silent, TargetPose
+from armsight.records.fields import Doc
+from armsight.records.output import output
 from armsight.store import read_rig, write_poses
 from armsight.store.handeye_file import write_tip
 
@@ -43,6 +44,14 @@ class PivotJob:
     camera_settings: CameraSettings = AUTOMATIC
 
 
+@output
+class PivotOutput(TipCalibration):
+    """armsight calibrate pivot."""
+
+    goal_m: Annotated[float, Doc("Standard deviation of the tip that was good enough, m.")]
+    reached: Annotated[bool, Doc("Whether the tip is known so well.")]
+
+
 def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     """Measure while the tool pivots; write tip.yaml, and the poses beside it; return the figures as --json gives them.
 
@@ -52,7 +61,7 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     recording, tip, taken = find_tip(job, progress)
     write_poses(job.out.with_suffix(".poses.csv"), taken)
     write_tip(job.out, tip, inputs=[job.rig])
-    return tip_output(tip).extended(PivotOutput, goal_m=job.goal_m, reached=recording.good_enough)
+    return tip.extended(PivotOutput, goal_m=job.goal_m, reached=recording.good_enough)
 
 
 def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecording, TipCalibration, list[TargetPose]]:

@@ -212,7 +212,7 @@ class TipCalibrationStep(PoseSamples):
         poses.parent.mkdir(parents=True, exist_ok=True)
         write_poses(poses, self._poses)
         tip = calibrate_tip(poses, self.out)
-        std_m = float(np.linalg.norm(tip.std.translation_m))
+        std_m = float(np.linalg.norm(tip.std_tip.translation_m))
         rows = (
             ("tip", " ".join(f"{1e3 * v:.2f}" for v in tip.tip_m) + " mm in target axes"),
             ("± tip", f"{1e3 * std_m:.3f} mm (1 σ)"),
@@ -221,7 +221,7 @@ class TipCalibrationStep(PoseSamples):
         words = (
             f"{tip.n_used} poses agree on one point." if not tip.rejected else f"{len(tip.rejected)} poses left out."
         )
-        return Verdict(good=tip.turning_rms_rad[1] >= TURNED, words=words, rows=rows, file=self.out)
+        return Verdict(good=tip.rotation_excitation_rms_rad[1] >= TURNED, words=words, rows=rows, file=self.out)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -6,39 +6,8 @@ from typing import Annotated
 
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
-from armsight.records.result_parts import PointStd, RejectedRow
 
 Vector = tuple[float, float, float]
-
-
-@output
-class TipOutput(Output):
-    """armsight calibrate tooltip."""
-
-    tip_m: Annotated[Vector, Doc("The tool's tip in the axes of the turned frame, target or flange, m.")]
-    point_m: Annotated[Vector, Doc("The point on which it rested, in the poses' parent frame, m.")]
-    std: Annotated[PointStd, Doc("Standard deviations of the tip.")]
-    residual_rms_m: Annotated[float, Doc("Distance of the tip from the point, RMS over the used poses, m.")]
-    loo_rms_m: Annotated[
-        float | None, Doc("The same by the tip of the other poses, RMS, m; with times: of those further away in time.")
-    ] = None
-    n_used: Annotated[int, Doc("Poses that the result rests on.")]
-    n_effective: Annotated[float | None, Doc("Independent poses that they are worth; of poses with times only.")] = None
-    correlation_time_s: Annotated[
-        float | None, Doc("After which a drift of the errors is forgotten, s; with times only.")
-    ] = None
-    rejected: Annotated[list[RejectedRow], Doc("Poses left out.")]
-    turning_rms_rad: Annotated[Vector, Doc("Turns of the tool about its principal axes, falling, RMS, rad.")]
-    mean_tip_m: Annotated[Vector | None, Doc("The mean of Pachidis eq. (13), m; where the point was measured.")] = None
-    notes: Annotated[list[str], Doc("What to know of the result, and to do.")]
-
-
-@output
-class PivotOutput(TipOutput):
-    """armsight calibrate pivot."""
-
-    goal_m: Annotated[float, Doc("Standard deviation of the tip that was good enough, m.")]
-    reached: Annotated[bool, Doc("Whether the tip is known so well.")]
 
 
 @output

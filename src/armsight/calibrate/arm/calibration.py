@@ -12,10 +12,9 @@ from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
 from armsight.calibrate.arm.held_geometry import with_held_geometry
 from armsight.calibrate.arm.initial_guess import start
-from armsight.calibrate.arm.limits import LimitReached, limits_reached
+from armsight.calibrate.arm.limits import limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
-    Couplings,
     Level,
     best_level,
     coupled,
@@ -24,10 +23,11 @@ from armsight.calibrate.arm.model_selection import (
     significant_gain,
 )
 from armsight.calibrate.arm.one_place import check_one_place
-from armsight.calibrate.arm.other_arm import OtherArm, other_arm
+from armsight.calibrate.arm.other_arm import other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
 from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
 from armsight.calibrate.arm.tool_points import tool_points
@@ -45,74 +45,6 @@ CONFIRMED = 1.0
 """Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the
 folds have a fifth fewer rows, and some take a poorer kind."""
 UNPROVED = "no gain is proved by correcting it"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Errors:
-    """Errors at the tool's point in m."""
-
-    mean_m: float
-    rms_m: float
-    max_m: float
-
-    @classmethod
-    def of(cls, size_m: Array) -> Errors:
-        """Return the figures of errors (m,)."""
-        return cls(mean_m=float(size_m.mean()), rms_m=float(np.sqrt(np.mean(size_m**2))), max_m=float(size_m.max()))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ArmCalibration:
-    """What came out.
-
-    arm: corrected where gain, else nominal; base and tool fitted in both. before, after: errors on the rows used, with
-    the nominal arm and the one kept; cross_before, cross_after: on rows left out by cross-validation, in which all that
-    looked at the rows, the kind of model included, is done again without them; left_before, left_after: on the holdout
-    where one was given (held), else the same. free, condition: see Choice. fixed: (name, why) of what is as in the
-    nominal arm. at_limit: corrections as large as the nominal arm is believed to; notes: what else to know. model,
-    fitted: names and values of the parameters (changes to the nominal arm), noise. outliers: (row from 0, error in
-    m). couplings: (joint, by which, share). correlation: of the errors in time, of samples of a stream; folds are
-    blocks of time then, and covariance is widened for it. level: which kind of model was taken. still: joints that did
-    not move. before_m, error_m: (m,) before and after, by row. place_noise_m: of one coordinate of the middle row.
-    other_arm: why the nominal arm is that of another one; nothing is corrected then.
-    """
-
-    arm: Arm
-    nominal: Arm
-    model: ArmModel
-    fitted: ArmFit
-    gain: bool
-    level: str
-    before: Errors
-    after: Errors
-    cross_before: Errors
-    cross_after: Errors
-    left_before: Errors
-    left_after: Errors
-    held: bool
-    free: tuple[str, ...]
-    fixed: tuple[tuple[str, str], ...]
-    condition: float
-    covariance: NamedCovariance | None
-    outliers: tuple[tuple[int, float], ...]
-    couplings: Couplings
-    still: tuple[str, ...]
-    at_limit: tuple[LimitReached, ...]
-    notes: tuple[str, ...]
-    verdict: str
-    error_m: Array
-    before_m: Array
-    place_noise_m: float
-    other_arm: OtherArm | None = None
-    correlation: Correlation | None = None
-
-    def std(self) -> dict[str, float]:
-        """Return the standard deviations of the freed parameters, base and tool."""
-        return {} if self.covariance is None else self.covariance.std()
-
-    def change(self, name: str) -> float:
-        """Return the change of a parameter to the nominal arm."""
-        return float(self.fitted.p[self.model.names.index(name)])
 
 
 def calibrate_arm(
@@ -244,7 +176,7 @@ def _result(
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=fitted.fit.covariance,
-        outliers=_gross(model, points, best.fitted, after_m),
+        outlier_rows=_gross(model, points, best.fitted, after_m),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
@@ -254,6 +186,7 @@ def _result(
         before_m=before_m,
         place_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
+        other_arm=None,
     )
 
 
@@ -329,10 +262,10 @@ def _arm(model: ArmModel, fitted: ArmFit) -> Arm:
     return arm
 
 
-def _fixed(best: Level, richest: Level) -> tuple[tuple[str, str], ...]:
-    """Return (name, why) of every parameter that the kept or the richest model offered and that was not corrected."""
+def _fixed(best: Level, richest: Level) -> tuple[FixedParameter, ...]:
+    """Return every parameter that the kept or the richest model offered and that was not corrected."""
     why = dict.fromkeys(richest.choice.free, UNPROVED) | dict(richest.choice.fixed) | dict(best.choice.fixed)
-    return tuple((name, reason) for name, reason in why.items() if name not in best.choice.free)
+    return tuple(FixedParameter(name, reason) for name, reason in why.items() if name not in best.choice.free)
 
 
 def _in_another_frame(model: ArmModel, first: Level, holdout: ArmPoints | None) -> list[str]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm.fit import Tolerance
 from armsight.calibrate.arm.model import ArmModel
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -18,14 +20,14 @@ BINDS = 0.9
 the tolerance holds a correction back by a fifth at most: one that is really beyond it is not missed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LimitReached:
-    """A parameter, its change to the nominal arm, the tolerance (unit in the name), and the option that raises it."""
+@output
+class LimitReached(Output):
+    """A correction as large as the nominal arm is believed to."""
 
-    name: str
-    change: float
-    limit: float
-    flag: str | None
+    name: Annotated[str, Doc("The parameter.")]
+    change: Annotated[float, Doc("Its change to the nominal arm, unit in the name.")]
+    limit: Annotated[float, Doc("What the nominal arm is believed to, unit in the name.")]
+    flag: Annotated[str | None, Doc("The option that raises it; null where there is none.")]
 
     @property
     def sentence(self) -> str:

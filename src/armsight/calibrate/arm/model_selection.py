@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,20 @@ from armsight.calibrate.arm.parameter_selection import Choice, choose, orthonorm
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotConverged
 from armsight.fitting.quantiles import t_ppf
+from armsight.records.fields import Doc
 
 Array = NDArray[np.float64]
-Couplings = tuple[tuple[str, str, float], ...]
+
+
+class CoupledReading(NamedTuple):
+    """A joint whose reading another joint's moves along."""
+
+    joint: Annotated[str, Doc("The joint.")]
+    by: Annotated[str, Doc("The joint that moves it along.")]
+    share: Annotated[float, Doc("How much of that joint's reading.")]
+
+
+Couplings = tuple[CoupledReading, ...]
 
 FOLDS = 5
 PROVED = 2.0
@@ -93,7 +105,7 @@ def coupled(model: ArmModel, points: ArmPoints, nominal: Array) -> tuple[Array, 
                 p = other.copy()
                 p[6 * model.arm.n + i - 1] = share
                 size = _robust(model, p, points)
-                found = ((joints[i].name, joints[i - 1].name, share),)
+                found = (CoupledReading(joints[i].name, joints[i - 1].name, share),)
     return p, found
 
 

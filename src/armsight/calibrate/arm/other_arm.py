@@ -8,7 +8,8 @@ against the tolerance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from armsight.calibrate.arm.parameter_selection import Choice
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import ArmsightError, NotConverged
 from armsight.kinematics import PRESETS, Arm, in_convention, preset
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -65,18 +68,18 @@ LEAST_DIFFERENCE_M = 1e-3
 NOTHING = Choice(free=(), fixed=(), condition=1.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Misfit:
-    """A parameter of the nominal arm that measurements contradict.
+@output
+class Misfit(Output):
+    """A figure of the nominal arm that the measurements contradict.
 
-    name: 'j2.a_m', 'j3.alpha_rad', 'j5.scale'. nominal, wanted, std: in m, rad or 1. excess: correction over what is
-    allowed for one length. beside: parameters that the measurements cannot tell from it, and whose errors add up in it.
+    excess: correction over what is allowed for one length. beside: parameters that the measurements cannot tell from
+    it, and whose errors add up in it.
     """
 
-    name: str
-    nominal: float
-    wanted: float
-    std: float
+    name: Annotated[str, Doc("Its name: a joint's a_m, d_m, alpha_rad, beta_rad or scale.")]
+    nominal: Annotated[float, Doc("As the nominal arm has it, unit in the name.")]
+    wanted: Annotated[float, Doc("As the measurements want it.")]
+    std: Annotated[float, Doc("Standard deviation of what they want.")]
     excess: float
     beside: tuple[str, ...] = ()
 
@@ -106,19 +109,27 @@ class Misfit:
         return f"{joint} would have to move {100.0 * abs(by):.2f} +- {100.0 * self.std:.1g} % {word} than its reading"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OtherArm:
-    """Why the nominal arm is another one.
+class KnownArm(NamedTuple):
+    """An arm known by name that fits the measurements as it is."""
 
-    found: what the measurements contradict, the worst first. known: (name, median error in m) of the arm known by name
-    that fits as it is; differences: where its figures are not the nominal ones, in words. nominal_m: the median error
-    of the nominal arm; left_m: mean error of rows left out with what was found, None where it explains too little.
+    name: Annotated[str, Doc("Its name.")]
+    error_m: Annotated[float, Doc("Median error of a place, base and tool fitted, m.")]
+
+
+@output
+class OtherArm(Output):
+    """Why the nominal arm is that of another one.
+
+    differences: where the figures of the known arm are not the nominal ones, in words. left_m: mean error of rows left
+    out with what was found, None where it explains too little.
     """
 
-    found: tuple[Misfit, ...]
-    known: tuple[str, float] | None
+    found: Annotated[
+        tuple[Misfit, ...], Doc("Figures that the measurements contradict, the worst first.", key="misfits")
+    ]
+    known: Annotated[KnownArm | None, Doc("The arm known by name that fits far better; null for none.")]
     differences: tuple[str, ...]
-    nominal_m: float
+    nominal_error_m: Annotated[float, Doc("Median error of a place with the nominal arm, m.")]
     left_m: float | None
 
     def text(self) -> str:
@@ -132,7 +143,7 @@ class OtherArm:
             lengths = f" ({'; '.join(self.differences[:TOLD])})" if self.differences else ""
             why.append(
                 f"the figures of {name} fit these measurements to {error_m / MM:.2g} mm as they are, the nominal ones "
-                f"to {self.nominal_m / MM:.3g} mm{lengths}"
+                f"to {self.nominal_error_m / MM:.3g} mm{lengths}"
             )
         return (
             f"This is not the nominal geometry of this arm: {'. And '.join(why)}. That is more than nominal "
@@ -190,7 +201,7 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
     if not certain and known is None:
         return None
     differences = () if known is None else _differences(model.arm, preset(known[0]))
-    return OtherArm(found=kept, known=known, differences=differences, nominal_m=error_m, left_m=left_m)
+    return OtherArm(found=kept, known=known, differences=differences, nominal_error_m=error_m, left_m=left_m)
 
 
 def explained(model: ArmModel, points: ArmPoints) -> str:
@@ -201,7 +212,7 @@ def explained(model: ArmModel, points: ArmPoints) -> str:
         found = other_arm(model, points, level, level, Tolerance())
     except ArmsightError:
         return ""
-    few = found is not None and (found.known is not None or (found.left_m or np.inf) < EXPLAINS * found.nominal_m)
+    few = found is not None and (found.known is not None or (found.left_m or np.inf) < EXPLAINS * found.nominal_error_m)
     return found.text() if found is not None and few else ""
 
 
@@ -263,7 +274,7 @@ def _misfit(model: ArmModel, name: str, change: float, std: float, excess: float
     return Misfit(name=name, nominal=nominal, wanted=nominal + change, std=std, excess=excess, beside=tuple(beside))
 
 
-def known_arm(model: ArmModel, points: ArmPoints, share: float = FITS) -> tuple[str, float] | None:
+def known_arm(model: ArmModel, points: ArmPoints, share: float = FITS) -> KnownArm | None:
     """Return the arm known by name that fits the rows far better than the nominal one, with its median error in m.
 
     share: of the nominal arm's error that its own may be. All are placed from one tool's point; the few that fit best
@@ -280,10 +291,10 @@ def known_arm(model: ArmModel, points: ArmPoints, share: float = FITS) -> tuple[
 
     arms = [arm for arm in map(preset, PRESETS) if arm.n == model.arm.n and (arm.revolute == model.arm.revolute).all()]
     others = sorted((replace(model, arm=arm) for arm in arms), key=lambda other: error_m(other, like))
-    errors = [(other.arm.name, error_m(other)) for other in others[:SHORT_LIST]]
-    best = min(errors, key=lambda item: item[1], default=("", np.inf))
+    errors = [KnownArm(other.arm.name, error_m(other)) for other in others[:SHORT_LIST]]
+    best = min(errors, key=lambda item: item.error_m, default=KnownArm("", np.inf))
     spread = float(np.median(np.linalg.norm(points.xyz_m - np.median(points.xyz_m, axis=0), axis=1)))
-    return best if best[1] < min(share * error_m(model), KNOWN_FITS * spread) else None
+    return best if best.error_m < min(share * error_m(model), KNOWN_FITS * spread) else None
 
 
 def _differences(arm: Arm, other: Arm) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solv
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import Arm, fk
 from armsight.records import NamedCovariance
+from armsight.records.fields import Doc
+from armsight.records.output import Output, figure, output
+from armsight.records.result_parts import PoseStd, RejectedRow
 
 Array = NDArray[np.float64]
 
@@ -35,22 +39,35 @@ LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WorldCalibration:
-    """T_base_rig with its covariance (dt, dw in base axes), residuals (m,) in m, the rows left out, from 0, and notes
-    on how the rows were weighed."""
+@output
+class WorldCalibration(Output):
+    """armsight calibrate robot-world.
 
-    T_base_rig: RigidTransform
+    covariance: of T_base_rig, dt, dw in base axes. residual_m (m,). rejected_rows: (row from 0, why).
+    """
+
+    T_base_rig: Annotated[RigidTransform, Doc("Where the rig stands, in base axes.")]
     covariance: NamedCovariance
     residual_m: Array
-    rejected: tuple[tuple[int, str], ...]
-    notes: tuple[str, ...] = ()
+    rejected_rows: tuple[tuple[int, str], ...]
+    notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
 
-    @property
+    @figure("Standard deviations of T_base_rig.")
+    def std(self) -> PoseStd:
+        return PoseStd(**self.covariance.std())
+
+    @figure("Residual of a point, RMS, m.")
     def residual_rms_m(self) -> float:
-        """RMS of the residuals of the rows used."""
-        used = np.delete(self.residual_m, [row for row, _ in self.rejected])
+        used = np.delete(self.residual_m, [row for row, _ in self.rejected_rows])
         return float(np.sqrt(np.mean(used**2)))
+
+    @figure("Rows that the result rests on.")
+    def n_used(self) -> int:
+        return len(self.residual_m) - len(self.rejected_rows)
+
+    @figure("Rows left out.")
+    def rejected(self) -> tuple[RejectedRow, ...]:
+        return tuple(RejectedRow(row=row + 1, why=why) for row, why in self.rejected_rows)
 
 
 def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
@@ -83,7 +100,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
         notes, out = (*notes, note), np.setdiff1d(np.arange(len(points)), kept)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
-    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected=rejected, notes=notes)
+    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected_rows=rejected, notes=notes)
 
 
 def _weighed(
