@@ -104,7 +104,7 @@ def averaged(frames: list[LitFrame]) -> np.ndarray:
 
 def by_edge(done: TargetCalibration) -> tuple[np.ndarray, np.ndarray]:
     """Return distances and standard deviations (3,)."""
-    found = done.distances().values()
+    found = done.distances_m.values()
     return np.array([d.value_m for d in found]), np.array([d.std_m for d in found])
 
 

@@ -37,17 +37,17 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.handeye import LightTargetOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.teach import TeachOutput
-from armsight.app.schemas.timing import TimingOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.handeye import HandEye
+from armsight.calibrate.light_target import TargetCalibration
+from armsight.calibrate.timing import TimingCalibration
 from armsight.calibrate.tooltip import TipCalibration
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
@@ -66,8 +66,8 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-zoom-rig": ZoomRigOutput,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
-    "calibrate-target": LightTargetOutput,
-    "calibrate-timing": TimingOutput,
+    "calibrate-target": TargetCalibration,
+    "calibrate-timing": TimingCalibration,
     "calibrate-handeye": HandEye,
     "calibrate-tooltip": TipCalibration,
     "calibrate-pivot": PivotOutput,

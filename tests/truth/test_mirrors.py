@@ -282,7 +282,7 @@ def test_the_target_is_measured_through_the_mirrors() -> None:
     done = calibrate_target(rig, frames, 3)
     truth = np.array(list(SPOTS.values()))
     sides = sorted(float(np.linalg.norm(truth[i] - truth[j])) for i, j in ((0, 1), (0, 2), (1, 2)))
-    found = sorted((d.value_m, d.std_m) for d in done.distances().values())
+    found = sorted((d.value_m, d.std_m) for d in done.distances_m.values())
     assert done.n_used >= 11
     for (value, std), side in zip(found, sides, strict=True):
         assert abs(value - side) < 4.0 * std + 1e-6 and std < 2e-4

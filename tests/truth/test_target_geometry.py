@@ -174,7 +174,7 @@ def test_more_lights_in_space(n: int) -> None:
     done = calibrate_target(RIG, frames, lights=n)
     lengths = np.linalg.norm(X[:, None] - X[None], axis=-1)[np.triu_indices(n, 1)]
     np.testing.assert_allclose(
-        np.sort([d.value_m for d in done.distances().values()]), np.sort(lengths), atol=6 * max(done.std_m.max(), 1e-6)
+        np.sort([d.value_m for d in done.distances_m.values()]), np.sort(lengths), atol=6 * max(done.std_m.max(), 1e-6)
     )
     assert done.n_used == 8 and done.names == tuple("ABCDEF"[:n])
     # one rigid body: not its mirror image
@@ -193,7 +193,7 @@ def test_two_lights_give_their_distance() -> None:
     errors = []
     for seed in range(25):
         done = calibrate_target(RIG, recording(X, np.random.default_rng([6, seed])), lights=2)
-        d = done.distances()["AB"]
+        d = done.distances_m["AB"]
         errors.append((d.value_m - 0.08) / d.std_m)
     assert chi2_law.ppf(1e-4, 25) < np.square(errors).sum() < chi2_law.isf(1e-4, 25)
     assert any("two lights" in text for text in done.advice)

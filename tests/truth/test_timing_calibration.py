@@ -137,10 +137,10 @@ RUNS = 6
 
 def off(truth: Truth, found: TimingCalibration) -> tuple[Array, Array]:
     """Errors and claimed standard deviations of: delay in the middle, drift, both read-outs."""
-    shift = found.delay_s - truth.delay_s + 1e-6 * (found.drift_ppm - truth.drift_ppm) * found.mid_s
+    shift = found.delay_s - truth.delay_s + 1e-6 * (found.drift_ppm - truth.drift_ppm) * found.middle_s
     read = np.subtract(found.readout_s, truth.readout_s)
     std = found.std
-    claimed = [found.delay_std_s, *(std[k] for k in ("drift_ppm", "left.readout_s", "right.readout_s"))]
+    claimed = [found.std_middle_s, *(std[k] for k in ("drift_ppm", "left.readout_s", "right.readout_s"))]
     return np.array([shift, found.drift_ppm - truth.drift_ppm, *read]), np.array(claimed)
 
 
@@ -208,7 +208,7 @@ def test_files_hold_what_was_found() -> None:
     assert left.names == ("readout_s", "jitter_s")
     assert right.names == ("delay_s", "drift_ppm", "readout_s", "jitter_s")
     assert right.std["delay_s"] == pytest.approx(found.std["delay_s"])
-    assert right.clock_std_s([found.mid_s])[0] < right.clock_std_s([found.mid_s + 1000.0])[0]
+    assert right.clock_std_s([found.middle_s])[0] < right.clock_std_s([found.middle_s + 1000.0])[0]
 
 
 def refused(kind: type[DataRefused], match: str, rig: Rig, left: SpotTrack, right: SpotTrack) -> None:

@@ -13,24 +13,22 @@ from armsight.app.calibrate.mirrors_check import run_check
 from armsight.app.calibrate.timing import TimingJob, calibrate_cameras_timing
 from armsight.app.calibrate.zoom import ZoomRigJob, zoom_rig
 from armsight.app.schemas.cameras import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
-from armsight.app.schemas.handeye import LightTargetOutput
-from armsight.app.schemas.timing import TimingOutput
+from armsight.calibrate.light_target import TargetCalibration
+from armsight.calibrate.timing import TimingCalibration
 from armsight.drivers import CameraSettings
 from armsight.optics import Camera, Rig
 from armsight.records import NoiseModel, Progress, Target
 from armsight.records.output import output
-from armsight.store import read_rig, read_target
+from armsight.store import read_rig
 
 
 @output
-class TargetResult(LightTargetOutput):
+class TargetResult(TargetCalibration):
     """What `calibrate_target` found: its figures, and `target`."""
 
-    target: Target
-
 
 @output
-class TimingResult(TimingOutput):
+class TimingResult(TimingCalibration):
     """What `calibrate_timing` found: its figures, and `rig`, the rig with its cameras' timing."""
 
     rig: Rig
@@ -83,7 +81,7 @@ def calibrate_target(
     """
     with Given(out, name="target.yaml") as given:
         done = calibrate_lit_target(given.job(TargetJob, locals(), limit=frames, out=given.out), progress)
-        return done.extended(TargetResult, target=read_target(given.out))
+        return done.extended(TargetResult)
 
 
 @speaks_python

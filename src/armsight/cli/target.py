@@ -14,7 +14,7 @@ from armsight.cli.tables import figure
 from armsight.units import MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.handeye import LightTargetOutput
+    from armsight.calibrate.light_target import TargetCalibration
 
 
 SHOWN = 8
@@ -56,7 +56,7 @@ def target(
         face.result(done)
 
 
-def target_tables(face: CommandUI, done: LightTargetOutput, out: Path) -> None:
+def target_tables(face: CommandUI, done: TargetCalibration, out: Path) -> None:
     """Print a target's geometry."""
     rows = [
         [name, *(figure(x / MM, 6) for x in xyz), " ".join(figure(s / MM, 2) for s in done.std[name])]

@@ -13,7 +13,7 @@ from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, Threshold
 from armsight.cli.tables import figure
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.timing import TimingOutput
+    from armsight.calibrate.timing import TimingCalibration
 
 MS = 1e3
 TABLE = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
@@ -62,7 +62,7 @@ def timing(
         face.result(done)
 
 
-def timing_tables(face: CommandUI, done: TimingOutput, out: Path) -> None:
+def timing_tables(face: CommandUI, done: TimingCalibration, out: Path) -> None:
     """Print the timing of two cameras."""
     std = done.std
     rows = [
@@ -87,7 +87,7 @@ def timing_tables(face: CommandUI, done: TimingOutput, out: Path) -> None:
     face.say(f"Result: {out}")
 
 
-def _shift(done: TimingOutput) -> str:
+def _shift(done: TimingCalibration) -> str:
     return f"{MS * (done.delay_s + 1e-6 * done.drift_ppm * done.middle_s):.3f}"
 
 

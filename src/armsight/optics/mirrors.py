@@ -8,6 +8,7 @@ degrees.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,8 @@ from armsight.fitting import Evaluation, Problem, solve
 from armsight.optics.camera import INTRINSICS, SIDES, Camera, Plate
 from armsight.optics.kernels.camera import plate_shift
 from armsight.optics.rig import Rig, RigKind
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -155,15 +158,15 @@ def _closed(
     return np.column_stack([x, y, depth - 0.5 * b])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FormError:
-    """How far a form is off over a workspace: largest errors in m by axis, and the largest epipolar mismatch in px."""
+@output
+class FormError(Output):
+    """How far one form of the paper's equations is off with this rig, largest from 0.4 to 0.8 m."""
 
-    name: str
-    x_m: float
-    y_m: float
-    z_m: float
-    epipolar_px: float
+    name: Annotated[str, Doc("Which form.")]
+    x_m: Annotated[float, Doc("Along x, m.")]
+    y_m: Annotated[float, Doc("Along y, m.")]
+    z_m: Annotated[float, Doc("In depth, m.")]
+    epipolar_px: Annotated[float, Doc("Distance from the epipolar line, px.")]
 
 
 def form_errors(camera: Camera, mirrors: Mirrors, points_m: ArrayLike) -> tuple[FormError, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
@@ -26,24 +26,21 @@ class RefusalOutput(Output):
     error: Annotated[Refusal, Doc("Why there is no result.")]
 
 
-@output
-class BothSeconds(Output):
+class BothSeconds(NamedTuple):
     """A time of each camera."""
 
     left: Annotated[float, Doc("Of the left camera, s.", unit="s")]
     right: Annotated[float, Doc("Of the right camera, s.", unit="s")]
 
 
-@output
-class BothCounts(Output):
+class BothCounts(NamedTuple):
     """A number of frames of each camera."""
 
     left: Annotated[int, Doc("Of the left camera.")]
     right: Annotated[int, Doc("Of the right camera.")]
 
 
-@output
-class BothPixels(Output):
+class BothPixels(NamedTuple):
     """A distance in the image of each camera."""
 
     left: Annotated[float, Doc("Of the left camera, px.", unit="px")]

@@ -8,7 +8,6 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from armsight.app.schemas.handeye import LightDistance, LightTargetOutput, RejectedFrame
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
@@ -42,7 +41,7 @@ class TargetJob:
     camera_settings: CameraSettings = AUTOMATIC
 
 
-def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> LightTargetOutput:
+def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> TargetCalibration:
     """Find the target's geometry, write target.yaml, and return the figures as --json gives them.
 
     Raises UsageError, DataRefused (frames of another size, and as calibrate_target), DeviceFailed, Cancelled.
@@ -58,24 +57,8 @@ def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> Li
     with source as pairs:
         frames = _lit_frames(rig, pairs, settings, job.limit, progress or Silent())
     done = calibrate_target(rig, frames, job.lights, overlaid=overlaid)
-    std = dict(zip(done.names, done.std_m.tolist(), strict=True))
-    write_target(job.out, done.target, inputs=[job.rig], std_m=std)
-    return target_output(done)
-
-
-def target_output(done: TargetCalibration) -> LightTargetOutput:
-    """Return the figures of a target's calibration as --json gives them."""
-    return LightTargetOutput(
-        spots_m=dict(zip(done.names, done.xyz_m.tolist(), strict=True)),
-        std=dict(zip(done.names, done.std_m.tolist(), strict=True)),
-        distances_m={k: LightDistance(value_m=d.value_m, std_m=d.std_m) for k, d in done.distances().items()},
-        n_frames=done.n_frames,
-        n_used=done.n_used,
-        rejected=[RejectedFrame(frame=frame, why=why) for frame, why in done.rejected],
-        residual_rms_px=done.residual_rms_px,
-        loo_rms_px=done.loo_rms_px,
-        advice=list(done.advice),
-    )
+    write_target(job.out, done.target, inputs=[job.rig], std_m={name: list(std) for name, std in done.std.items()})
+    return done
 
 
 def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overlaid: bool = False) -> LitFrame:

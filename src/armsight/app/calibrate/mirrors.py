@@ -17,7 +17,6 @@ from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
 from armsight.app.schemas.cameras import (
-    FormOutput,
     MirrorAlignment,
     MirrorsOutput,
     PlateOutput,
@@ -163,10 +162,7 @@ def mirrors_output(
         alignment=alignment,
         metric=pair.metric or dict.fromkeys(("expected_m", "mean_m", "rms_m")),
         one_lens=done.one_lens,
-        forms=[
-            FormOutput(name=one.name, x_m=one.x_m, y_m=one.y_m, z_m=one.z_m, epipolar_px=one.epipolar_px)
-            for one in forms
-        ],
+        forms=list(forms),
     )
 
 

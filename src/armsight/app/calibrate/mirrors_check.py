@@ -12,9 +12,7 @@ from armsight.app.calibrate.mirrors import MirrorsJob, Pair, board_name, complex
 from armsight.app.schemas.cameras import (
     CheckedAlignment,
     MirrorCheckOutput,
-    MirrorTurnOutput,
     PoseChange,
-    SuspectMirror,
 )
 from armsight.calibrate.mirrors.adjustment import Adjustment, adjust_to_parallel
 from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
@@ -132,13 +130,10 @@ def check_output(found: Alignment | Adjustment, missed: Sequence[str]) -> Mirror
     if isinstance(found, Adjustment):
         change, std = (np.concatenate([np.zeros(3), part]) for part in (found.rotation_rad, found.std_rad))
         moved, certain, suspects = not found.parallel, False, []
-        turns = [MirrorTurnOutput(mirror=t.mirror, turn_rad=t.turn_rad, tilt_rad=t.tilt_rad) for t in found.turns]
+        turns = list(found.turns)
     else:
         change, std, moved, certain, turns = found.change, found.std, found.moved, found.certain, None
-        suspects = [
-            SuspectMirror(mirror=one.mirror, turn_rad=one.turn_rad, tilt_rad=one.tilt_rad, chi2=one.chi2)
-            for one in found.suspects
-        ]
+        suspects = list(found.suspects)
     return MirrorCheckOutput(
         alignment=CheckedAlignment(
             **{name: getattr(found.now, name) for name in (key.attribute for key in keys(CheckedAlignment))}

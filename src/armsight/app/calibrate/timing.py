@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.timing import TimingOutput
 from armsight.app.sources.frames import camera_source
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
@@ -22,7 +21,6 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import SIDES, Rig
 from armsight.records import Progress, Silent, Spots, SpotTrack, Target
-from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.store import read_rig, read_spot_track, read_target, write_rig
 
 Array = NDArray[np.float64]
@@ -49,7 +47,7 @@ class TimingJob:
     camera_settings: CameraSettings = AUTOMATIC
 
 
-def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingOutput:
+def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingCalibration:
     """Find the timing, write rig.yaml with it, and return the figures as --json gives them.
 
     Raises UsageError, DataRefused (as calibrate_timing, and frames of another size), DeviceFailed, Cancelled.
@@ -63,32 +61,7 @@ def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -
         for found, before in zip(done.cameras(), rig.timing, strict=True)
     )
     write_rig(job.out, replace(rig, timing=(timing[0], timing[1])), inputs=[job.rig])
-    return timing_output(done)
-
-
-def timing_output(done: TimingCalibration) -> TimingOutput:
-    """Return the figures of a timing's calibration as --json gives them."""
-    return TimingOutput(
-        delay_s=done.delay_s,
-        drift_ppm=done.drift_ppm,
-        readout_s=_both(done.readout_s),
-        jitter_s=_both(done.jitter_s),
-        std=done.std,
-        middle_s=done.mid_s,
-        std_middle_s=done.delay_std_s,
-        period_s=_both(done.period_s),
-        n_frames=sum(done.n_frames),
-        lost=BothCounts(left=done.lost[0], right=done.lost[1]),
-        common_s=done.common_s,
-        lights=list(done.lights),
-        residual_px=BothPixels(left=done.residual_px[0], right=done.residual_px[1]),
-        verdict=done.verdict,
-        advice=list(done.advice()),
-    )
-
-
-def _both(values: tuple[float, float]) -> BothSeconds:
-    return BothSeconds(left=values[0], right=values[1])
+    return done
 
 
 def _positions(target: Target | None) -> dict[str, Array] | None:

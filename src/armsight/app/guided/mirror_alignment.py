@@ -12,7 +12,8 @@ from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.calibrate.mirrors_check import AlignmentWatch, check_output, reference_of
 from armsight.app.live.station import Station
-from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput
+from armsight.app.schemas.cameras import MirrorCheckOutput
+from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import APART, STILL
 from armsight.drivers import read_image
 from armsight.errors import UsageError
@@ -41,7 +42,7 @@ class Stand:
     number: int
     check: MirrorCheckOutput | None = None
     why: str = ""
-    turns: tuple[MirrorTurnOutput, ...] = ()
+    turns: tuple[MirrorTurn, ...] = ()
     others: tuple[int, ...] = ()
     several: bool = False
 
@@ -127,7 +128,7 @@ def stand_of(number: int, check: MirrorCheckOutput) -> Stand:
         turns = tuple(turn for turn in check.turns if check.moved and _large(turn))
     elif check.suspects:
         best, *rest = check.suspects
-        turns = (MirrorTurnOutput(mirror=best.mirror, turn_rad=-best.turn_rad, tilt_rad=-best.tilt_rad),)
+        turns = (MirrorTurn(mirror=best.mirror, turn_rad=-best.turn_rad, tilt_rad=-best.tilt_rad),)
         others = tuple(one.mirror for one in rest if one.chi2 - best.chi2 <= APART)
         several = not others and best.chi2 > 4.0 * STILL
         return Stand(number=number, check=check, turns=turns, others=others, several=several)
@@ -136,5 +137,5 @@ def stand_of(number: int, check: MirrorCheckOutput) -> Stand:
     return Stand(number=number, check=check, turns=turns)
 
 
-def _large(turn: MirrorTurnOutput) -> bool:
+def _large(turn: MirrorTurn) -> bool:
     return max(abs(turn.turn_rad), abs(turn.tilt_rad)) >= FINE_RAD

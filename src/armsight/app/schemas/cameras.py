@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from armsight.calibrate.mirrors.adjustment import MirrorTurn
+from armsight.calibrate.mirrors.diagnosis import Suspect
+from armsight.optics.mirrors import FormError
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedFile
@@ -194,23 +197,12 @@ class MirrorAlignment(AlignmentOutput):
 
 
 @output
-class FormOutput(Output):
-    """How far one form of the paper's equations is off with this rig, largest from 0.4 to 0.8 m."""
-
-    name: Annotated[str, Doc("Which form.")]
-    x_m: Annotated[float, Doc("Along x, m.")]
-    y_m: Annotated[float, Doc("Along y, m.")]
-    z_m: Annotated[float, Doc("In depth, m.")]
-    epipolar_px: Annotated[float, Doc("Distance from the epipolar line, px.")]
-
-
-@output
 class MirrorsOutput(StereoOutput):
     """armsight calibrate mirrors."""
 
     alignment: Annotated[MirrorAlignment, Doc("How parallel the two views stand, and the plate.")]
     one_lens: Annotated[bool, Doc("Whether one lens explains both views.")]
-    forms: Annotated[list[FormOutput], Doc("How far the paper's equations are off; empty without a plate.")]
+    forms: Annotated[list[FormError], Doc("How far the paper's equations are off; empty without a plate.")]
 
 
 @output
@@ -237,27 +229,6 @@ class PoseChange(Output):
 
 
 @output
-class SuspectMirror(Output):
-    """A mirror that may have moved."""
-
-    mirror: Annotated[int, Doc("Which, 1 to 4.")]
-    turn_rad: Annotated[float, Doc("How far about the vertical, rad.")]
-    tilt_rad: Annotated[float, Doc("How far about the line in its face square to the vertical, rad.")]
-    chi2: Annotated[float, Doc("Chi-square that it leaves.")]
-
-
-@output
-class MirrorTurnOutput(Output):
-    """How a mirror is to be turned so that the virtual optical axes become parallel."""
-
-    mirror: Annotated[int, Doc("1 to 4.")]
-    turn_rad: Annotated[float, Doc("About the vertical y (down): positive is clockwise seen from above.")]
-    tilt_rad: Annotated[
-        float, Doc("About the line in its face square to y: positive brings its upper edge back, to the camera's side.")
-    ]
-
-
-@output
 class MirrorCheckOutput(Output):
     """armsight calibrate mirrors --check."""
 
@@ -266,9 +237,9 @@ class MirrorCheckOutput(Output):
     change_std: Annotated[PoseChange, Doc("Standard deviations of the change.")]
     moved: Annotated[bool, Doc("Whether anything has moved beyond the views' noise.")]
     certain: Annotated[bool, Doc("Whether one mirror alone explains the change.")]
-    suspects: Annotated[list[SuspectMirror], Doc("Mirrors that may have moved, the likeliest first.")]
+    suspects: Annotated[list[Suspect], Doc("Mirrors that may have moved, the likeliest first.")]
     turns: Annotated[
-        list[MirrorTurnOutput] | None, Doc("Against the design: turns of mirrors 2 and 4 that make the axes parallel.")
+        list[MirrorTurn] | None, Doc("Against the design: turns of mirrors 2 and 4 that make the axes parallel.")
     ] = None
     advice: Annotated[list[str], Doc("Which mirror to turn, and how.")]
     n_views: Annotated[int, Doc("Images that the answer rests on.")]

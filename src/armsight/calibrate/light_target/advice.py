@@ -26,9 +26,10 @@ def advise(done: TargetCalibration) -> TargetCalibration:
         advice.append("two lights: only their distance is known, and a pose's turn about their line never is")
     if done.n_used < GOOD_FRAMES:
         advice.append(f"{done.n_used} frames were used: {GOOD_FRAMES} and more tell wrong ones better")
-    if done.turn_rms_rad[1] < GOOD_TURN_RAD:
+    second_rad = done.rotation_excitation_rms_rad[1]
+    if second_rad < GOOD_TURN_RAD:
         advice.append(
-            f"the target was tilted by {done.turn_rms_rad[1] / DEG:.2g} degrees RMS about its second axis: turn it by "
+            f"the target was tilted by {second_rad / DEG:.2g} degrees RMS about its second axis: turn it by "
             "20 to 40 degrees to several sides, so that its depth is seen across the image"
         )
     if done.rig_share is None:
@@ -56,7 +57,7 @@ def _apex(done: TargetCalibration) -> list[str]:
     """Return a word on an isosceles target whose unlike corner is not A."""
     if len(done.names) != 3:
         return []
-    lengths = done.distances()
+    lengths = done.distances_m
     ab, bc, ac = (lengths[k] for k in ("AB", "BC", "AC"))
     for corner, (p, q) in {"B": (ab, bc), "C": (ac, bc)}.items():
         if abs(p.value_m - q.value_m) < EQUAL_SIGMA * np.hypot(p.std_m, q.std_m):

@@ -35,7 +35,7 @@ from armsight.calibrate.light_target.layout import (
     plane_layout,
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
-from armsight.calibrate.light_target.result import TargetCalibration, distances_of
+from armsight.calibrate.light_target.result import RejectedFrame, TargetCalibration, distances_of
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
 from armsight.geometry.lengths import TARGET_M, check_metres
 from armsight.optics import Rig, triangulate
@@ -92,12 +92,13 @@ def calibrate_target(
             covariance=NamedCovariance(names=tuple(f"{n}.{a}_m" for n in names for a in "xyz"), matrix=covariance),
             n_frames=len(frames),
             used=tuple(frames[i].name for i in numbers[used]),
-            rejected=tuple((frames[i].name, why) for i, why in sorted(labelled.rejected)),
+            rejected=tuple(RejectedFrame(frames[i].name, why) for i, why in sorted(labelled.rejected)),
             residual_px=bundle.residual_px,
             left_out_px=bundle.left_out_px,
             scale=float(np.sqrt(bundle.scale2)),
             rig_share=None if rig.covariance is None else _share(layout, bundle, covariance),
-            turn_rms_rad=turns,
+            rotation_excitation_rms_rad=turns,
+            advice=(),
         )
     )
 

@@ -12,7 +12,7 @@ from armsight.calibrate.light_target.adjustment import LightBundle
 from armsight.calibrate.light_target.align import align
 from armsight.calibrate.light_target.layout import LETTERS, line_frame
 from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, distances, facing
-from armsight.calibrate.light_target.result import Distance
+from armsight.calibrate.light_target.result import LightDistance
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.units import DEG, MM
@@ -97,7 +97,7 @@ def on_one_line(named: Named) -> bool:
     return bool(heights[far] < LINE_SIGMA * float(np.median(np.sqrt(sigma2))))
 
 
-def on_line(lengths: Mapping[str, Distance]) -> Degenerate:
+def on_line(lengths: Mapping[str, LightDistance]) -> Degenerate:
     """Return the refusal of lights on one line, with the distances that are known."""
     known = ", ".join(f"{k} {d.value_m / MM:.4f} +- {d.std_m / MM:.2g} mm" for k, d in lengths.items())
     return Degenerate(

@@ -2,88 +2,108 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.light_target.naming import pairs_of
 from armsight.records import NamedCovariance, Target, frozen_array, spot_target
+from armsight.records.fields import Doc
+from armsight.records.output import Output, figure, output
 
 Array = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Distance:
-    """Distance of two lights in m with its standard deviation."""
+@output
+class LightDistance(Output):
+    """The distance of two lights."""
 
-    value_m: float
-    std_m: float
+    value_m: Annotated[float, Doc("The distance, m.")]
+    std_m: Annotated[float, Doc("Its standard deviation, m.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TargetCalibration:
-    """names (n,) and xyz_m (n, 3) of the lights in the target's frame; covariance of 'A.x_m', ... in that frame.
+class RejectedFrame(NamedTuple):
+    """A frame that was left out."""
 
-    used: names of the frames that the answer rests on. rejected: (frame, why). residual_px (g, n, 2, 2) [frame, light,
+    frame: Annotated[str, Doc("The frame's file or source.")]
+    why: Annotated[str, Doc("Why it was left out, in words.")]
+
+
+@output
+class TargetCalibration(Output):
+    """armsight calibrate target.
+
+    names (n,) and xyz_m (n, 3) of the lights in the target's frame; covariance of 'A.x_m', ... in that frame.
+
+    used: names of the frames that the answer rests on. residual_px (g, n, 2, 2) [frame, light,
     side, axis] predicted minus seen; left_out_px: the same, each frame by the shape that the others give. scale:
     residuals over the spots' own standard deviations; above 1 the covariance is widened by it. rig_share: part of the
-    standard deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
-    root mean square turns between frames about their principal axes, falling.
+    standard deviation that comes from the rig's calibration, None where the rig has no covariance.
+    rotation_excitation_rms_rad (3,): root mean square turns between frames about their principal axes, falling.
     """
 
     names: tuple[str, ...]
     xyz_m: Array
     covariance: NamedCovariance
-    n_frames: int
+    n_frames: Annotated[int, Doc("Pairs of frames read.")]
     used: tuple[str, ...]
-    rejected: tuple[tuple[str, str], ...]
+    rejected: Annotated[tuple[RejectedFrame, ...], Doc("Frames left out.")]
     residual_px: Array
     left_out_px: Array
     scale: float
     rig_share: float | None
-    turn_rms_rad: Array
-    advice: tuple[str, ...] = ()
+    rotation_excitation_rms_rad: Array
+    advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
         for name in ("residual_px", "left_out_px"):
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), (None, len(self.names), 2, 2)))
-        object.__setattr__(self, "turn_rms_rad", frozen_array("turn_rms_rad", self.turn_rms_rad, (3,)))
+        object.__setattr__(
+            self,
+            "rotation_excitation_rms_rad",
+            frozen_array("rotation_excitation_rms_rad", self.rotation_excitation_rms_rad, (3,)),
+        )
 
-    @property
+    @figure("Place of each light by name, in the target's frame, m.")
+    def spots_m(self) -> dict[str, Vector3]:
+        return {name: (x, y, z) for name, (x, y, z) in zip(self.names, self.xyz_m.tolist(), strict=True)}
+
+    @figure("Standard deviations of these positions, m.", unit="m")
+    def std(self) -> dict[str, Vector3]:
+        return {name: (x, y, z) for name, (x, y, z) in zip(self.names, self.std_m.tolist(), strict=True)}
+
+    @figure("Distances of the lights by pair of names.")
+    def distances_m(self) -> dict[str, LightDistance]:
+        return distances_of(self.names, self.xyz_m, self.covariance.matrix)
+
+    @figure("Pairs that the result rests on.")
     def n_used(self) -> int:
-        """Frames that the answer rests on."""
         return len(self.used)
 
     @property
     def target(self) -> Target:
         """The target, with positions and their covariance."""
-        positions = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
         rows = tuple(f"{name}.{axis}_m" for name in self.names for axis in "xyz")
-        return spot_target(positions, covariance=self.covariance.block(rows))
+        return spot_target(self.spots_m, covariance=self.covariance.block(rows))
 
     @property
     def std_m(self) -> Array:
         """Standard deviations (n, 3) of the positions; zero where the frame's convention fixes a coordinate."""
         return np.sqrt(np.maximum(np.diag(self.covariance.matrix), 0.0)).reshape(-1, 3)
 
-    @property
+    @figure("Reprojection residual of the fit, RMS, px.")
     def residual_rms_px(self) -> float:
-        """Root mean square of the residuals' coordinates."""
         return float(np.sqrt(np.mean(self.residual_px**2)))
 
-    @property
+    @figure("Reprojection residual of each frame by the shape of the others, RMS, px.")
     def loo_rms_px(self) -> float:
-        """The same of the frames by the shape of the other frames, the pose fitted."""
         return float(np.sqrt(np.mean(self.left_out_px**2)))
 
-    def distances(self) -> dict[str, Distance]:
-        """Return the distance of every two lights, by both names."""
-        return distances_of(self.names, self.xyz_m, self.covariance.matrix)
 
-
-def distances_of(names: tuple[str, ...], X: Array, covariance: Array) -> dict[str, Distance]:
+def distances_of(names: tuple[str, ...], X: Array, covariance: Array) -> dict[str, LightDistance]:
     """Return distances of the lights X (n, 3) with covariance (3 n, 3 n), by their names."""
     out = {}
     for i, j in zip(*pairs_of(len(X)), strict=True):
@@ -92,5 +112,5 @@ def distances_of(names: tuple[str, ...], X: Array, covariance: Array) -> dict[st
         J = np.zeros((len(X), 3))
         J[i], J[j] = v / length, -v / length
         variance = float(J.ravel() @ covariance @ J.ravel())
-        out[names[i] + names[j]] = Distance(value_m=length, std_m=float(np.sqrt(max(variance, 0.0))))
+        out[names[i] + names[j]] = LightDistance(value_m=length, std_m=float(np.sqrt(max(variance, 0.0))))
     return out

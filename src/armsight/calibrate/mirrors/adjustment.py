@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, Target
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -29,13 +32,16 @@ FREE = ((1, 0), (1, 1), (3, 1))
 """What is turned: mirror 2 about the vertical and across, mirror 4 across (mirrors counted from 0)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MirrorTurn:
-    """A mirror (1 to 4) and the turns that it needs, about the vertical y and the line in its face square to y."""
+@output
+class MirrorTurn(Output):
+    """How a mirror is to be turned so that the virtual optical axes become parallel."""
 
-    mirror: int
-    turn_rad: float
-    tilt_rad: float
+    mirror: Annotated[int, Doc("1 to 4.")]
+    turn_rad: Annotated[float, Doc("About the vertical y (down): positive is clockwise seen from above.")]
+    tilt_rad: Annotated[
+        float,
+        Doc("About the line in its face square to y: positive brings its upper edge back, to the camera's side."),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

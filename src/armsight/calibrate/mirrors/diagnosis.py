@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ from armsight.optics import INTRINSICS, SIDES, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, NamedCovariance, Target, TargetPose
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -41,14 +44,14 @@ FIXED = frozenset(f"{side}.{name}" for side in SIDES for name in INTRINSICS)
 POSE = ("right.tx", "right.ty", "right.tz", "right.rx", "right.ry", "right.rz")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Suspect:
-    """A mirror (1 to 4) that may have turned about the vertical y and the line in its face square to y; chi2 left."""
+@output
+class Suspect(Output):
+    """A mirror that may have moved."""
 
-    mirror: int
-    turn_rad: float
-    tilt_rad: float
-    chi2: float
+    mirror: Annotated[int, Doc("Which, 1 to 4.")]
+    turn_rad: Annotated[float, Doc("How far about the vertical, rad.")]
+    tilt_rad: Annotated[float, Doc("How far about the line in its face square to the vertical, rad.")]
+    chi2: Annotated[float, Doc("Chi-square that it leaves.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -28,6 +28,7 @@ from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Fit, Prior
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import NamedCovariance, SpotTrack
+from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 
 Array = NDArray[np.float64]
 
@@ -210,14 +211,14 @@ def _result(
     return TimingCalibration(
         delay_s=float(x[0] - 1e-6 * x[1] * mid_s),
         drift_ppm=float(x[1]),
-        readout_s=(float(x[2]), float(x[3])),
-        jitter_s=(left.jitter_s, right.jitter_s),
-        period_s=(left.period_s, right.period_s),
+        readout_s=BothSeconds(float(x[2]), float(x[3])),
+        jitter_s=BothSeconds(left.jitter_s, right.jitter_s),
+        period_s=BothSeconds(left.period_s, right.period_s),
         covariance=NamedCovariance(names=names, matrix=full),
-        n_frames=(len(tracks[0]), len(tracks[1])),
-        lost=(left.lost, right.lost),
-        mid_s=mid_s,
+        n_frames=len(tracks[0]) + len(tracks[1]),
+        lost=BothCounts(left.lost, right.lost),
+        middle_s=mid_s,
         common_s=float(common.max() - common.min()),
-        residual_px=solved.rms_px,
+        residual_px=BothPixels(*solved.rms_px),
         lights=views.names,
     )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from armsight.records import CameraTiming, NamedCovariance
+from armsight.records.fields import Doc
+from armsight.records.output import Output, figure, output
+from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.records.timing import CLOCK
-
-Pair = tuple[float, float]
 
 GOOD_DELAY_S = 1e-3
 """At 0.5 m/s this is half a millimetre."""
@@ -21,37 +22,38 @@ UNEVEN, UNEVEN_PX = 4.0, 0.2
 leave 0.33 px beside 0.04."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TimingCalibration:
-    """Timing of the left and right camera: t_left = t_right + delay_s + 1e-6 drift_ppm t_right.
+@output
+class TimingCalibration(Output):
+    """armsight calibrate timing.
 
-    covariance: of delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, right.jitter_s. mid_s: right
-    stamp in the middle of what both saw, common_s: how long that was. residual_px: of a coordinate, RMS. lost: frames
-    missing between the first and the last one.
+    t_left = t_right + delay_s + 1e-6 drift_ppm t_right. covariance: of the names that std has.
     """
 
-    delay_s: float
-    drift_ppm: float
-    readout_s: Pair
-    jitter_s: Pair
-    period_s: Pair
+    delay_s: Annotated[
+        float, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right turns the right stamps into left ones, s.")
+    ]
+    drift_ppm: Annotated[float, Doc("How much faster the left camera's clock runs, parts in a million.")]
+    readout_s: Annotated[BothSeconds, Doc("From the first line's exposure to the last one's; 0: global shutter.")]
+    jitter_s: Annotated[BothSeconds, Doc("Standard deviation of a single stamp about the camera's steady clock.")]
+    period_s: Annotated[BothSeconds, Doc("From frame to frame, by the camera's own stamps.")]
     covariance: NamedCovariance
-    n_frames: tuple[int, int]
-    lost: tuple[int, int]
-    mid_s: float
-    common_s: float
-    residual_px: Pair
-    lights: tuple[str, ...]
+    n_frames: Annotated[int, Doc("Frames of both cameras together.")]
+    lost: Annotated[BothCounts, Doc("Frames missing, recognised from the spacing of the stamps.")]
+    middle_s: Annotated[float, Doc("Right stamp in the middle of the recording, where the delay is known best, s.")]
+    common_s: Annotated[float, Doc("How long both cameras saw the lights, s.")]
+    residual_px: Annotated[BothPixels, Doc("RMS residual of a spot's coordinate.")]
+    lights: Annotated[tuple[str, ...], Doc("Lights used.")]
 
-    @property
+    @figure(
+        "Standard deviations by name: delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, "
+        "right.jitter_s."
+    )
     def std(self) -> dict[str, float]:
-        """Standard deviations by name."""
         return self.covariance.std()
 
-    @property
-    def delay_std_s(self) -> float:
-        """Standard deviation of the difference of both clocks in the middle of the recording."""
-        return float(self.cameras()[1].clock_std_s([self.mid_s])[0])
+    @figure("Standard deviation of t_left there, s.")
+    def std_middle_s(self) -> float:
+        return float(self.cameras()[1].clock_std_s([self.middle_s])[0])
 
     def cameras(self) -> tuple[CameraTiming, CameraTiming]:
         """Return the timing of the left and the right camera as files hold it."""
@@ -70,8 +72,8 @@ class TimingCalibration:
         short = tuple(name.rpartition(".")[2] for name in names)
         return NamedCovariance(names=short, matrix=np.array(self.covariance.block(names)))
 
+    @figure("What would make the result surer.")
     def advice(self) -> tuple[str, ...]:
-        """Return what would make the result surer; empty where nothing is needed."""
         std, out = self.std, []
         if max(self.residual_px) > LARGE_RESIDUAL_PX:
             out.append(
@@ -85,9 +87,9 @@ class TimingCalibration:
                 "frames are not exposed when their stamps say, and the standard deviations do not hold; record with "
                 "the camera's own stamps"
             )
-        if self.delay_std_s > GOOD_DELAY_S:
+        if self.std_middle_s > GOOD_DELAY_S:
             out.append(
-                f"the delay is known to {1e3 * self.delay_std_s:.2g} ms only: wave faster, and up and down as well, "
+                f"the delay is known to {1e3 * self.std_middle_s:.2g} ms only: wave faster, and up and down as well, "
                 "for 20 s"
             )
         if max(std["left.readout_s"], std["right.readout_s"]) > GOOD_READOUT_S:
@@ -101,8 +103,7 @@ class TimingCalibration:
             )
         return tuple(out)
 
-    @property
+    @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
-        """Whether the result can be used, in words."""
-        advice = self.advice()
-        return f"good: clocks to {1e3 * self.delay_std_s:.2g} ms" if not advice else "weak: " + "; ".join(advice)
+        advice = self.advice
+        return f"good: clocks to {1e3 * self.std_middle_s:.2g} ms" if not advice else "weak: " + "; ".join(advice)

@@ -10,7 +10,8 @@ from nicegui.elements.mixins.text_element import TextElement
 from pydantic import ValidationError
 
 from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
-from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput
+from armsight.app.schemas.cameras import MirrorCheckOutput
+from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.console import texts
 from armsight.console.fields import number, ticked
 from armsight.console.layout import SIGNS, button, card, set_attribute, set_text, text_of
@@ -174,7 +175,7 @@ def _angle(check: MirrorCheckOutput, name: str) -> tuple[float, float | None]:
     return getattr(check.alignment, name) / MRAD, None if std is None else std[name] / MRAD
 
 
-def turn_words(turn: MirrorTurnOutput) -> str:
+def turn_words(turn: MirrorTurn) -> str:
     """Return in words which way a mirror is to be turned, by how much."""
     parts = [
         (texts.TURN_CLOCKWISE if angle > 0.0 else texts.TURN_ANTICLOCKWISE)
