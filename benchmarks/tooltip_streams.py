@@ -10,7 +10,8 @@ import argparse
 
 import numpy as np
 
-from armsight.calibrate.tooltip import TipCalibration, calibrate_tooltip
+from armsight.calibrate.tooltip import calibrate_tooltip
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.errors import ArmsightError
 from bench import machine, table, test_scene
 

@@ -48,7 +48,7 @@ from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetCalibration
 from armsight.calibrate.timing import TimingCalibration
-from armsight.calibrate.tooltip import TipCalibration
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput

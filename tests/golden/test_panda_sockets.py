@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
-from armsight.calibrate.tooltip import TipCalibration, calibrate_tooltip
+from armsight.calibrate.tooltip import calibrate_tooltip
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.errors import Degenerate
 from armsight.kinematics import preset
 

@@ -19,7 +19,7 @@ import zstandard
 from mcap.opcode import Opcode
 from scipy.io import savemat
 
-from armsight.app.compare.shared import shared
+from armsight.app.compare.runs import shared
 from armsight.app.record.export import export
 from armsight.drivers import images as image_files
 from armsight.drivers.egm import packets

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
-from armsight.app.measure.consistency import consistency_output
+from armsight.app.measure.outputs import consistency_output
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.check import RunCheck

@@ -11,7 +11,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.calibrate.handeye import calibrate_tip
-from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
+from armsight.calibrate.tooltip import MeasuredPoint, calibrate_tooltip
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.errors import Inconsistent
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses

@@ -27,8 +27,7 @@ from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.teach import TeachOutput
 from armsight.app.servo.job import LATENCY_S, ServoDevices, ServoJob
 from armsight.app.servo.run import run_servo
-from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import open_pairs, open_source
+from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.app.teach.following import teach_following
 from armsight.app.teach.job import PATH, TeachJob
 from armsight.app.teach.standing import StandingJob, teach_poses, teach_standing

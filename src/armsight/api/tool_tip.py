@@ -15,7 +15,8 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import Given, RigLike, Source, TargetLike
 from armsight.api.results import Result, Row, error_figure, with_std
 from armsight.app.calibrate.pivot import PivotJob, find_tip
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, calibrate_tooltip
+from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, calibrate_tooltip
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import CameraSettings
 from armsight.records import Progress, checked_array, require_number
 from armsight.store.handeye_file import write_tip

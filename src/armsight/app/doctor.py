@@ -7,22 +7,147 @@ import platform
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
 import cv2
 
 from armsight._version import __version__
-from armsight.app.accuracy import ResolutionAt, RigResolution, accuracy_plan
 from armsight.app.simulate.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, SETS, cameras_there, cores, known
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
+from armsight.measure.planning import LEAST_COMMON, Accuracy, Choice, plan
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
+from armsight.units import MM
+
+
+@output
+class ResolutionAt(Output):
+    """What a rig can tell apart at a distance."""
+
+    depth_m: Annotated[float, Doc("The distance along the mean optical axis, m.")]
+    sigma_depth_m: Annotated[float, Doc("Standard deviation of a point along that axis, m.")]
+    sigma_lateral_m: Annotated[tuple[float, float], Doc("Across it: along the baseline, and square to it, m.")]
+    depth_per_px_m: Annotated[float, Doc("Change of depth for one pixel of disparity, m.")]
+    lateral_per_px_m: Annotated[float, Doc("Change across for one pixel, m.")]
+    in_view: Annotated[bool, Doc("Whether both cameras have the point in their image.")]
+
+
+@output
+class ReachedAccuracy(Output):
+    """How well the worst point of the common view is placed, in its worst direction, as standard deviations."""
+
+    spots_m: Annotated[float | None, Doc("What the spots' noise brings, m; null where both views share nothing.")]
+    rig_m: Annotated[float | None, Doc("What the rig's calibration brings, m; 0 where its file does not tell.")]
+    total_m: Annotated[float | None, Doc("Both, m.")]
+    common: Annotated[float, Doc("Share of the left picture, 0 to 1, that the right camera sees as well.")]
+    width_m: Annotated[float, Doc("Width of the left picture at the nearest depth, m.")]
+
+
+@output
+class SettingPlan(Output):
+    """One setting of the lenses."""
+
+    zoom_left: Annotated[float | None, Doc("Of the left lens; null without zoom.")]
+    zoom_right: Annotated[float | None, Doc("Of the right lens; null without zoom.")]
+    focal_px: Annotated[float, Doc("Focal length of the left camera, px.")]
+    now: Annotated[ReachedAccuracy, Doc("With the rig's own baseline.")]
+    reached: Annotated[bool, Doc("Whether that reaches the wanted accuracy.")]
+    baseline_m: Annotated[float | None, Doc("The shortest baseline that reaches it, m; null where none does.")]
+    at_baseline: Annotated[ReachedAccuracy | None, Doc("What that baseline gives; null where none does.")]
+
+
+@output
+class AccuracyPlan(Output):
+    """Which settings and which baseline reach a wanted accuracy."""
+
+    accuracy_m: Annotated[float, Doc("The wanted standard deviation of a point in its worst direction, m.")]
+    depths_m: Annotated[list[float], Doc("The depths at which it is wanted, m.", unit="m")]
+    sigma_px: Annotated[float, Doc("Standard deviation taken of a spot's centre, px.")]
+    baseline_m: Annotated[float, Doc("The rig's own baseline, m.")]
+    settings: Annotated[list[SettingPlan], Doc("By setting; one without zoom.")]
+    advice: Annotated[list[str], Doc("What to do.")]
+
+
+@output
+class RigResolution(Output):
+    """What a rig can tell apart."""
+
+    baseline_m: Annotated[float, Doc("Distance of the two centres of projection, m.")]
+    rms_px: Annotated[float | None, Doc("RMS of the rig's calibration, px; null where its file does not say.")]
+    sigma_px: Annotated[float, Doc("Standard deviation taken of a spot's centre, px.")]
+    distances: Annotated[list[ResolutionAt], Doc("By distance.")]
+    accuracy: Annotated[AccuracyPlan | None, Doc("What reaches the accuracy of --accuracy.")] = None
+
+
+def accuracy_plan(rig: Rig, accuracy_m: float, depths_m: Sequence[float], sigma_px: float) -> AccuracyPlan:
+    """Return the plan as --json gives it. Raises as measure.planning.plan."""
+    choices = plan(rig, accuracy_m, depths_m, sigma_px)
+    return AccuracyPlan(
+        accuracy_m=accuracy_m,
+        depths_m=list(depths_m),
+        sigma_px=sigma_px,
+        baseline_m=rig.baseline_m,
+        settings=[
+            SettingPlan(
+                zoom_left=one.zoom[0],
+                zoom_right=one.zoom[1],
+                focal_px=one.focal_px,
+                now=_told(one.now),
+                reached=one.reached,
+                baseline_m=one.baseline_m,
+                at_baseline=None if one.at_baseline is None else _told(one.at_baseline),
+            )
+            for one in choices
+        ],
+        advice=_advice(rig, choices, accuracy_m),
+    )
+
+
+def _told(found: Accuracy) -> ReachedAccuracy:
+    parts = {name: getattr(found, name) for name in ("spots_m", "rig_m", "total_m")}
+    finite = {name: value if isfinite(value) else None for name, value in parts.items()}
+    return ReachedAccuracy(**finite, common=found.common, width_m=found.width_m)
+
+
+def _advice(rig: Rig, choices: Sequence[Choice], accuracy_m: float) -> list[str]:
+    """Return what to do: what is there, the least to change, or why nothing helps."""
+    out = []
+    if rig.covariance is None:
+        out.append(
+            "The rig's file tells no covariance of the cameras' places: what these bring comes on top of the figures"
+        )
+    reached = [one for one in choices if one.reached]
+    if reached:
+        widest = max(reached, key=lambda one: one.now.width_m)
+        return [*out, f"The rig as it stands reaches {accuracy_m / MM:g} mm{_at(widest)}; that has the widest view"]
+    able = [one for one in choices if one.baseline_m is not None]
+    if able:
+        least = min(able, key=lambda one: one.baseline_m or 0.0)
+        return [
+            *out,
+            f"Move the cameras {(least.baseline_m or 0.0) / MM:.0f} mm apart{_at(least)} and calibrate the rig anew",
+        ]
+    seen = [one for one in choices if one.now.common >= LEAST_COMMON and isfinite(one.now.total_m)]
+    if not seen:
+        return [*out, "The cameras have no common view there: turn them towards it, or take a shorter focal length"]
+    best = min(seen, key=lambda one: one.now.total_m)
+    if best.now.rig_m > best.now.spots_m:
+        return [*out, f"The calibration is what limits it ({best.now.rig_m / MM:.2g} mm{_at(best)}): take more views"]
+    return [*out, "No baseline that was tried reaches it: come closer, take longer lenses, or place spots more surely"]
+
+
+def _at(one: Choice) -> str:
+    named = zip(("left", "right"), one.zoom, strict=True)
+    values = [f"--zoom-{side} {value:g}" for side, value in named if value is not None]
+    return f" at {' '.join(values)}" if values else ""
+
 
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pydantic", "plotly", "typer")
 DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)

@@ -10,27 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.correlation import Correlation
 from armsight.calibrate.regions import regions, widened
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.calibrate.tooltip_stream import PivotStream, checked_times, slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.geometry.lie import skew
 from armsight.records import NamedCovariance, frozen_array
-from armsight.records.fields import Doc, Shape
-from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import PointStd, RejectedRow
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
-Vector = Annotated[Array, Shape((3,))]
 
 NAMES = ("tip.x_m", "tip.y_m", "tip.z_m", "point.x_m", "point.y_m", "point.z_m")
 
@@ -79,76 +74,6 @@ class MeasuredPoint:
         """Return (tip, point) as it wants them, (6,), and how sure it is of each, (6, 6) in 1/m^2: of the tip not."""
         sure = np.diag([0.0, 0.0, 0.0, *[1.0 / self.sigma_m**2] * 3])
         return np.concatenate([np.zeros(3), self.xyz_m]), sure
-
-
-@output
-class TipCalibration(Output):
-    """armsight calibrate tooltip.
-
-    tip_m, point_m: (3,); covariance of both by name, widened so that +- 1.96 std holds 95 %. residuals_m (n, 3):
-    R tip + t - point of all poses; left_out_m (n, 3): the same by the other poses (by those further away in time, where
-    they are of one recording), NaN where these do not tell. used (n,). rejected_rows: (row from 0, why). correlation:
-    of the errors in time, where times were given.
-    """
-
-    tip_m: Annotated[Vector, Doc("The tool's tip in the axes of the turned frame, target or flange, m.")]
-    point_m: Annotated[Vector, Doc("The point on which it rested, in the poses' parent frame, m.")]
-    covariance: NamedCovariance
-    residuals_m: Array
-    left_out_m: Array
-    used: NDArray[np.bool_]
-    rejected_rows: tuple[tuple[int, str], ...]
-    rotation_excitation_rms_rad: Annotated[
-        Vector, Doc("Turns of the tool about its principal axes, falling, RMS, rad.", key="turning_rms_rad")
-    ]
-    mean_tip_m: Annotated[Vector | None, Doc("The mean of Pachidis eq. (13), m; where the point was measured.")] = None
-    correlation: Correlation | None = None
-    remarks: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("tip_m", "point_m", "rotation_excitation_rms_rad"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (3,)))
-        object.__setattr__(self, "residuals_m", frozen_array("residuals_m", self.residuals_m, (None, 3)))
-        self.left_out_m.setflags(write=False)
-
-    @figure("Standard deviations of the tip.", key="std")
-    def std_tip(self) -> PointStd:
-        return PointStd(**self.std())
-
-    @figure("Distance of the tip from the point, RMS over the used poses, m.")
-    def residual_rms_m(self) -> float:
-        return float(np.sqrt((self.residuals_m[self.used] ** 2).sum(axis=1).mean()))
-
-    @figure("The same by the tip of the other poses, RMS, m; with times: of those further away in time.", optional=True)
-    def loo_rms_m(self) -> float | None:
-        squares = (self.left_out_m[self.used] ** 2).sum(axis=1)
-        squares = squares[np.isfinite(squares)]
-        return float(np.sqrt(squares.mean())) if len(squares) else None
-
-    @figure("Poses that the result rests on.")
-    def n_used(self) -> int:
-        return int(self.used.sum())
-
-    @figure("Independent poses that they are worth; of poses with times only.", optional=True)
-    def n_effective(self) -> float | None:
-        return None if self.correlation is None else self.correlation.n_effective
-
-    @figure("After which a drift of the errors is forgotten, s; with times only.", optional=True)
-    def correlation_time_s(self) -> float | None:
-        return None if self.correlation is None else self.correlation.time_s
-
-    @figure("Poses left out.")
-    def rejected(self) -> tuple[RejectedRow, ...]:
-        return tuple(RejectedRow(row=row + 1, why=why) for row, why in self.rejected_rows)
-
-    @figure("What to know of the result, and to do.")
-    def notes(self) -> tuple[str, ...]:
-        return (*(() if self.correlation is None else self.correlation.warnings(self.n_used)), *self.remarks)
-
-    def std(self) -> dict[str, float]:
-        """Return the standard deviations of the tip by coordinate."""
-        whole = self.covariance.std()
-        return {name: whole[f"tip.{name}"] for name in ("x_m", "y_m", "z_m")}
 
 
 def calibrate_tooltip(

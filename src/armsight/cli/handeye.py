@@ -17,7 +17,7 @@ from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.calibrate.handeye import HandEye, Setup
-    from armsight.calibrate.tooltip import TipCalibration
+    from armsight.calibrate.tooltip_result import TipCalibration
 
 POINT_SIGMA_MM = 0.2
 """Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""

@@ -1,7 +1,7 @@
 """The nouns that flow through armsight: frozen, checked, copied, read-only."""
 
 from armsight.records.board import BoardView
-from armsight.records.by_value import ByValue
+from armsight.records.by_value import ByValue, Saveable
 from armsight.records.checks import (
     checked_array,
     checked_poses,
@@ -20,13 +20,11 @@ from armsight.records.checks import (
 )
 from armsight.records.covariance import NamedCovariance
 from armsight.records.frames import Frame
-from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
+from armsight.records.measured import NotSeen, Points, PoseStatus, Spots, TargetPose
 from armsight.records.motion import JointReading, Motion
 from armsight.records.noise import LinearNoise, NoiseModel
-from armsight.records.not_seen import NotSeen
 from armsight.records.path import WELD_OFF, WELD_ON, TaughtPath
 from armsight.records.progress import Progress, Silent
-from armsight.records.saving import Saveable
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.timing import AT_ONCE, CameraTiming
 from armsight.records.tracks import SpotTrack

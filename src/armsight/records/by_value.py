@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,3 +51,18 @@ def _content(record: Any) -> Mapping[str, Any]:
     if known is None:
         return dict(vars(record))
     return {name: getattr(record, name, MISSING) for name, field in known.items() if field.init}
+
+
+class Saveable(ByValue):
+    """A record with `save`. The writer is reached by name: records know of no files."""
+
+    __slots__ = ()
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write the record's own kind of file (docs/file-formats.md), whole or not at all, and return its path.
+
+        The ending decides: .yaml, of an arm also .urdf, of a path .csv. Raises UsageError for another ending or where
+        there is no such folder, DeviceFailed.
+        """
+        file: Path = import_module("armsight.store.saving").save(self, path)
+        return file

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import Inconsistent, Unseen, UsageError
 from armsight.records.checks import checked_array, frozen_array, real_array, require_kind, require_texts, trusted
 
 
@@ -175,3 +175,15 @@ class TargetPose:
         if self.T_parent_target is None:
             return None
         return RigidTransform(self.T_parent_target, normalize=False, copy=True)
+
+
+@dataclass(frozen=True, slots=True)
+class NotSeen:
+    """What stands in the place of a view that there is none of: why, in words for people, and the cause for code.
+
+    size: larger and smaller count of the points of the board that is seen instead, where one is.
+    """
+
+    why: str
+    cause: Unseen = Unseen.OTHER
+    size: tuple[int, int] | None = None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, StaleData
 from armsight.records.checks import frozen_array
 
 
@@ -43,3 +44,94 @@ class Motion:
                 consequence="The track has no order",
                 cure="Give each time once, in order",
             )
+
+
+Array = NDArray[np.float64]
+
+KEPT = 2000
+"""Readings remembered: four seconds at 500 Hz, more than any camera is late."""
+AHEAD_CYCLES = 2.5
+"""A moment so many cycles after the newest reading is still told, by the last speed; one reading may be late."""
+GAP_CYCLES = 3.5
+"""Readings further apart than so many cycles leave the moments between them untold."""
+
+MOST_ACCELERATION = 30.0
+"""No joint of an arm of this size speeds up faster (rad/s^2, m/s^2): a reading that leaps more is no bend."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointsAt:
+    """Joint values q (n,) in rad or m at a moment, their speed (n,) a second, and by how much the way between readings
+    may be off, bend (n,): what the last change of speed does over that time."""
+
+    q: Array
+    speed: Array
+    bend: Array
+
+
+class JointHistory:
+    """The newest readings of a robot, in the order of their times."""
+
+    def __init__(self, cycle_s: float) -> None:
+        """Begin empty; cycle_s: between two readings of the robot."""
+        self._cycle_s = cycle_s
+        self._readings: deque[tuple[float, Array]] = deque(maxlen=KEPT)  # one deque: another thread may add meanwhile
+
+    def add(self, reading: JointReading) -> bool:
+        """Take a reading; False for one that is not newer than the last."""
+        if self._readings and reading.t_s <= self._readings[-1][0]:
+            return False
+        self._readings.append((reading.t_s, reading.q))
+        return True
+
+    @property
+    def newest_s(self) -> float | None:
+        """The time of the newest reading; None before the first."""
+        return self._readings[-1][0] if self._readings else None
+
+    def at(self, t_s: float) -> JointsAt:
+        """Return the joints at a moment: on a straight line between two readings, or on after the last one.
+
+        Raises StaleData where no readings surround the moment closely enough.
+        """
+        t, q = self._near(t_s)
+        k = min(max(int(np.searchsorted(t, t_s)) - 1, 0), len(t) - 2)
+        step_s = float(t[k + 1] - t[k])
+        if step_s > GAP_CYCLES * self._cycle_s:
+            raise StaleData(f"no joint reading came for {step_s:.3f} s", consequence="Where the arm was is not known")
+        speed = (q[k + 1] - q[k]) / step_s
+        since, until = t_s - t[k], t_s - t[k + 1]
+        return JointsAt(
+            q=np.asarray(q[k] + since * speed),
+            speed=np.asarray(speed),
+            bend=np.asarray(0.5 * self._acceleration(t, q, k) * abs(since * until)),
+        )
+
+    def _near(self, t_s: float) -> tuple[Array, Array]:
+        """Return times (m,) and values (m, n), m >= 2, of the readings about a moment."""
+        known = list(self._readings)
+        if len(known) < 2:
+            raise StaleData("fewer than two joint readings have come", consequence="Where the arm is is not known")
+        if t_s - known[-1][0] > AHEAD_CYCLES * self._cycle_s:
+            raise StaleData(
+                f"the newest joint reading is {t_s - known[-1][0]:.3f} s older than the exposure",
+                consequence="Where the arm was is not known",
+                cure="Look at the robot's link; a constant lag belongs into --latency",
+            )
+        after = len(known) - 1
+        while after > 1 and known[after - 1][0] > t_s:
+            after -= 1
+        if t_s < known[after - 1][0]:
+            raise StaleData(f"the first joint reading came {known[after - 1][0] - t_s:.3f} s after the exposure")
+        chosen = known[max(after - 2, 0) : after + 2]
+        return np.array([t for t, _ in chosen]), np.array([q for _, q in chosen])
+
+    @staticmethod
+    def _acceleration(t: Array, q: Array, k: int) -> Array:
+        """Return (n,) how fast the speed changed at either end of step k, the larger, at most MOST_ACCELERATION."""
+        speeds = np.diff(q, axis=0) / np.diff(t)[:, None]
+        change = np.zeros(q.shape[1])
+        for a, b in ((k - 1, k), (k, k + 1)):
+            if a >= 0 and b < len(speeds):
+                change = np.maximum(change, np.abs(speeds[b] - speeds[a]) / (0.5 * (t[b + 1] - t[a])))
+        return np.minimum(change, MOST_ACCELERATION)

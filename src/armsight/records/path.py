@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
+from armsight.records.by_value import Saveable
 from armsight.records.checks import checked_array, checked_poses, frozen_array, real_array, require_kind, require_texts
-from armsight.records.saving import Saveable
 
 Array = NDArray[np.float64]
 

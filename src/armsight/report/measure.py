@@ -95,18 +95,13 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         if not low <= inside <= high:
             level, word = "warn", "Claim doubted"
     found = run.consistency
-    uncertainty = None if found is None else VERDICTS.get(found.verdict)
-    if found is not None and uncertainty is not None:
-        level, word = uncertainty
+    if found is not None and found.verdict in VERDICTS:
+        level, word = VERDICTS[found.verdict]
         sentence = f"{found.sentence} By what they claim: {sentence}"
     if run.error:
         level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
-    to_do = after_measuring(
-        word,
-        unchecked=found is not None and found.verdict == "unchecked",
-        advice="" if found is None else found.advice,
-    )
-    return Verdict(level=level, word=word, sentence=sentence, to_do=to_do)
+    unchecked, advice = (False, "") if found is None else (found.verdict == "unchecked", found.advice)
+    return Verdict(level=level, word=word, sentence=sentence, to_do=after_measuring(word, unchecked, advice))
 
 
 def _rms_columns(values: Array) -> Array:

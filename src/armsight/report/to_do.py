@@ -37,7 +37,7 @@ LIVE: Mapping[str, str] = {
 }
 
 
-def after_measuring(word: str, *, unchecked: bool = False, advice: str = "") -> str:
+def after_measuring(word: str, unchecked: bool = False, advice: str = "") -> str:
     """Return the next step after a measurement. word: of its verdict; unchecked: the residuals could not be checked."""
     if word in ("Doubtful", "Inconsistent") and advice:
         return advice

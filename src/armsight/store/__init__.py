@@ -1,9 +1,9 @@
 """Files, written so that a crash cannot eat them."""
 
 from armsight.store.atomic import json_text, sha256, write_bytes, write_json, write_text
-from armsight.store.noise import add_noise
 from armsight.store.rigs import (
     CameraFile,
+    add_noise,
     read_camera,
     read_camera_file,
     read_rig,

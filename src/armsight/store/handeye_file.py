@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, ImageComparison, PosePairs, Setup
-from armsight.calibrate.tooltip import TipCalibration
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance

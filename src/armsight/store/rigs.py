@@ -23,9 +23,9 @@ from armsight.store.codec import (
     structure,
     validated,
 )
-from armsight.store.noise import NoiseKey
 from armsight.store.schema import Origin, read_document, write_document
-from armsight.store.timing import TimingKey, timing_mapping
+from armsight.store.sensor_keys import NoiseKey, TimingKey, timing_mapping
+from armsight.store.yamls import read_yaml
 from armsight.store.zoom import (
     CAMERA_FORMAT,
     IntrinsicsModel,
@@ -34,6 +34,20 @@ from armsight.store.zoom import (
     is_zoom_camera,
     settings_mapping,
 )
+
+
+def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[Path] = ()) -> None:
+    """Write the noise into a camera.yaml (side "") or a rig.yaml (sides left, right); all else in it stays.
+
+    The file must have been read before, as what it is: nothing is checked here.
+    """
+    content = read_yaml(path)
+    for side, one in noise.items():
+        place = content["cameras"][side] if side else content
+        place["noise"] = mapping(one)
+    origin = {name: content.pop(name, None) for name in ("format", "version", *Origin.model_fields)}
+    write_document(path, str(origin["format"]), content, inputs, earlier=origin["inputs"] or ())
+
 
 RIG_FORMAT = "armsight/rig"
 

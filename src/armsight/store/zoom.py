@@ -23,9 +23,8 @@ from armsight.store.codec import (
     record_of,
     validated,
 )
-from armsight.store.noise import NoiseKey
 from armsight.store.schema import Origin, read_document, write_document
-from armsight.store.timing import TimingKey, timing_mapping
+from armsight.store.sensor_keys import NoiseKey, TimingKey, timing_mapping
 
 CAMERA_FORMAT = "armsight/camera"
 

@@ -18,7 +18,7 @@ from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry.lie import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.joint_history import JointsAt
+from armsight.records.motion import JointsAt
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]

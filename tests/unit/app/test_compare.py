@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from armsight.app.compare.parameters import Value, differences, judged
 from armsight.app.compare.run import CompareJob, compare
-from armsight.app.measure.made_with import made_with
+from armsight.app.measure.outputs import made_with
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError

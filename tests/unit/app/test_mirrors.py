@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 from armsight.app.calibrate import mirrors, mirrors_lit_target
 from armsight.app.measure.run import MeasureJob, measure
 from armsight.app.simulate.run import simulate
-from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import open_source
+from armsight.app.sources.frames import complex_pairs, open_source
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError

@@ -14,7 +14,7 @@ from armsight.errors import BadImage, Inconsistent, Unseen, UsageError
 from armsight.measure.boards import find_board, same_way_up
 from armsight.measure.boards.kernels.subpixel import REST, ROWS, V, X, Y, corner_rows, dot_rows
 from armsight.records import Target, TargetKind, board_target, spot_target
-from armsight.records.symmetry import symmetries
+from armsight.records.board import symmetries
 
 SIZE = (480, 360)
 K = np.array([[405.0, 0.0, 238.0], [0.0, 403.0, 183.0], [0.0, 0.0, 1.0]])

@@ -10,7 +10,7 @@ from armsight.control.teach import CarriedRig, PathRecorder, StandingRig, Teachi
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.kinematics import presets
 from armsight.records import JointReading, PoseStatus, TargetPose
-from armsight.records.joint_history import JointHistory
+from armsight.records.motion import JointHistory
 
 T_WORLD_RIG = RigidTransform.from_components([1.0, 2.0, 0.5], Rotation.from_rotvec([0.0, 0.0, np.pi / 2]))
 TIP = RigidTransform.from_translation([0.0, 0.0, 0.1])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import StaleData, UsageError
 from armsight.kinematics import fk, preset
 from armsight.records import JointReading, PoseStatus, TargetPose
-from armsight.records.joint_history import JointHistory, JointsAt
+from armsight.records.motion import JointHistory, JointsAt
 from armsight.verify.supervision import CALM, Compared, Expectation, Level, Limits, Watch
 
 ARM = preset("irb120")

@@ -21,7 +21,8 @@ from armsight.calibrate.handeye import (
     pairs_of_streams,
     propose,
 )
-from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
+from armsight.calibrate.tooltip import MeasuredPoint, calibrate_tooltip
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera

@@ -8,8 +8,7 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import open_pairs, open_source
+from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import Cancelled, UsageError

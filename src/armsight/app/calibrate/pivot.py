@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from armsight.app.measure.run import target_of
 from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, TipRecording
+from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
+from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import NotEnoughData
 from armsight.measure.poses.pipeline import Setup

@@ -13,10 +13,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.measure.consistency import consistency_output
 from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measure_free_running
-from armsight.app.measure.made_with import made_with
-from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
+from armsight.app.measure.outputs import (
+    POINTS,
+    POSES,
+    REPORT,
+    SPOTS,
+    SUMMARY,
+    TUM,
+    consistency_output,
+    made_with,
+    moved_pose,
+)
 from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.sources.bags import read_motion

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import hashlib
+import math
 from array import array
 from collections import Counter
-from collections.abc import MutableSequence
+from collections.abc import MutableSequence, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.measure.consistency import consistency_output
 from armsight.drivers import Skew
 from armsight.errors import Unseen
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import settled
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.diagnosis import Consistency, Finding
+from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pipeline import Measured
-from armsight.measure.results import Candidates, FrameTime, MeasureOutput, PoseDeviations, SkewOutput
-from armsight.records import PoseStatus, TargetPose
+from armsight.measure.results import (
+    Candidates,
+    ConsistencyOutput,
+    Estimated,
+    FrameTime,
+    MadeWith,
+    MeasureOutput,
+    OtherCause,
+    PoseDeviations,
+    SkewOutput,
+)
+from armsight.optics import SIDES, Rig
+from armsight.records import PoseStatus, Target, TargetPose
 from armsight.records.result_parts import PoseStd
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_points, write_poses, write_tum
 from armsight.store.atomic import RowFile
@@ -223,3 +236,83 @@ def _moved(T_parent_rig: RigidTransform, covariance: Array | None) -> Array | No
         return None if covariance is None else moved_parent_covariance(T_parent_rig, covariance)
     R = T_parent_rig.rotation.as_matrix()
     return np.asarray(R @ covariance @ R.T)
+
+
+DECIMALS = 9
+"""m and px are compared to so many places: what a file's text or a quaternion's rounding changes is far below."""
+
+
+def made_with(rig: Rig, target: Target) -> MadeWith:
+    """Return the fingerprints of a rig's cameras and of a target's points: of what is measured with, not of files.
+
+    A comment, a covariance or another name of the file changes nothing; a camera calibrated anew does.
+    """
+    cameras: list[ArrayLike] = []
+    for side in SIDES:
+        camera = rig.camera(side)
+        plate = [] if camera.plate is None else [camera.plate.thickness_m, camera.plate.index]
+        cameras += [[camera.width, camera.height, *plate], camera.intrinsics, rig.T_rig_camera(side).as_matrix()]
+    lenses = [str(rig.camera(side).lens) for side in SIDES]
+    return MadeWith(
+        rig=_fingerprint([str(rig.kind), *lenses], cameras),
+        target=_fingerprint([str(target.kind), str(target.model_known), *target.names], [target.xyz_m]),
+    )
+
+
+def _fingerprint(words: Sequence[str], numbers: Sequence[ArrayLike]) -> str:
+    """Return the SHA-256, as 64 hexadecimal digits, of words and of numbers rounded to DECIMALS."""
+    digest = hashlib.sha256("\n".join([*words, ""]).encode())
+    for one in numbers:
+        digest.update((np.round(np.asarray(one, dtype="<f8"), DECIMALS) + 0.0).tobytes())  # + 0.0: no -0.0
+    return digest.hexdigest()
+
+
+LISTED = 4
+"""Causes that are told in all."""
+
+
+def consistency_output(found: Consistency) -> ConsistencyOutput:
+    """Return the check as measure.json holds it; figures that there is no data for are None."""
+    first = found.findings[0] if found.findings else None
+    return ConsistencyOutput(
+        verdict=found.verdict,
+        cause=first.cause.key if first else None,
+        estimate=first.size if first and first.cause.unit else None,
+        std=first.std if first and first.cause.unit else None,
+        unit=first.unit if first else None,
+        effect_m=first.effect_m if first else None,
+        effect_rad=first.effect_rad if first else None,
+        since_s=first.since_s if first else None,
+        equally_likely=[f.cause.key for f in found.findings[1 : found.equal]],
+        others=[_other(f, found.findings[0]) for f in found.findings[1:LISTED]],
+        components=_components(first) if first else {},
+        chi2_per_dof=_number(found.chi2_per_dof),
+        noise_scale=found.noise_scale,
+        refused=found.refused,
+        claimed_m=_number(found.claimed_m),
+        n_frames=found.frames,
+        undetected_m=dict(found.undetected),
+        sentence=sentence(found),
+        advice=advice(found),
+    )
+
+
+def _other(f: Finding, best: Finding) -> OtherCause:
+    return OtherCause(
+        cause=f.cause.key,
+        estimate=f.size if f.cause.unit else None,
+        std=f.std if f.cause.unit else None,
+        unit=f.unit,
+        effect_m=f.effect_m,
+        log_odds=f.evidence - best.evidence,
+    )
+
+
+def _components(f: Finding) -> dict[str, Estimated]:
+    deviations = f.covariance.diagonal().clip(min=0.0) ** 0.5
+    rows = zip(f.cause.labels, f.estimate.tolist(), deviations.tolist(), strict=True)
+    return {label: Estimated(estimate=value, std=std) for label, value, std in rows}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 
 from armsight.app.measure.collector import About, Collector
 from armsight.app.measure.free_output import measure_free
-from armsight.app.measure.made_with import made_with
-from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
+from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs, made_with
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
 from armsight.app.sources.bags import origin_ns
-from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frame_times import frame_times
-from armsight.app.sources.frames import is_recording, open_pairs, open_source, recordings_in
+from armsight.app.sources.frames import complex_pairs, is_recording, open_pairs, open_source, recordings_in
 from armsight.drivers import (
     AUTOMATIC,
     CameraSettings,

@@ -18,7 +18,7 @@ from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.teach import seen
-from armsight.app.verify.in_view import seen_whole
+from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.clock import Clock, SystemClock
 from armsight.control.visits import Leg, PoseObserver, Visit, Visitor

@@ -22,7 +22,7 @@ from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.joint_history import JointHistory
+from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
 from armsight.store import write_text
 from armsight.store.atomic import write_json

@@ -20,7 +20,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPlace, StandingRig, Teaching
 from armsight.errors import ArmsightError, NotEnoughData
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.joint_history import JointHistory
+from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_handeye
 

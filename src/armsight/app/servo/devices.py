@@ -8,8 +8,7 @@ from armsight.app.robot.opening import open_robot
 from armsight.app.servo.job import ServoDevices, ServoJob
 from armsight.app.servo.stepped import SteppedClock
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import open_pairs, open_source
+from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import CameraSettings, is_live
 from armsight.errors import UsageError

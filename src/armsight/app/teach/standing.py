@@ -13,8 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.teach import TeachOutput
-from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import open_pairs, open_source
+from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.app.teach.job import Begun, TeachJob, save, saved
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.drivers import CameraSettings, PairSource

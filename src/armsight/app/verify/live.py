@@ -10,15 +10,18 @@ import numpy as np
 from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.verify.live_devices import open_supervised
+from armsight.app.robot.opening import open_robot
+from armsight.app.simulate.scenarios import live_cell
+from armsight.app.sources.frames import open_pairs
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import RECORDING, LiveVerifyJob, Show, Supervised, Supervision
 from armsight.clock import Clock, SystemClock
+from armsight.drivers import is_live
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
-from armsight.records import Frame, Progress, Silent
+from armsight.records import Frame, Progress, Silent, Target
 from armsight.report.live_report import live_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.atomic import write_json
@@ -154,3 +157,32 @@ def _inputs(job: LiveVerifyJob) -> list[tuple[str, str]]:
     named = (("robot", job.robot), ("left", job.left), ("right", job.right), ("arm", job.arm))
     files = (("rig", job.rig), ("target", job.target), ("world", job.world))
     return [*named, *((what, path.name) for what, path in files)]
+
+
+SIM = "sim:"
+
+
+def open_supervised(job: LiveVerifyJob, target: Target, clock: Clock) -> Supervised:
+    """Return what the job names; nothing is opened yet. Raises UsageError, DeviceNotFound, BadFile."""
+    if job.robot.startswith(SIM):
+        return _simulated(job, clock)
+    if job.play:
+        raise UsageError(f"--play is of simulated robots, and {job.robot} is none", cure="Leave --play away")
+    for text in (job.left, job.right):
+        if not is_live(text) or text.startswith("camera:sim:"):
+            raise UsageError(f"{text} does not see {job.robot} now", cure="Give camera:NAME for --left and --right")
+    robot = open_robot(job.robot, clock)
+    pairs = open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
+    return Supervised(robot=robot, pairs=pairs)
+
+
+def _simulated(job: LiveVerifyJob, clock: Clock) -> Supervised:
+    name = job.robot.removeprefix(SIM)
+    for view, text in (("left", job.left), ("right", job.right)):
+        if text != f"camera:sim:{name}:{view}":
+            raise UsageError(
+                f"{text} does not see the simulated robot {job.robot}", cure=f"Give camera:sim:{name}:{view}"
+            )
+    job.camera_settings.require_none(f"the simulated robot {job.robot}")
+    cell = live_cell(name, clock, play=job.play)
+    return Supervised(robot=cell.robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))

@@ -11,11 +11,10 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
-from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, fk
-from armsight.optics import Rig
+from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow
 from armsight.report.mastering_report import mastering_report
@@ -219,3 +218,19 @@ def _output(result: Mastering, arm: Arm, rejected: list[tuple[int, str]], notes:
 
 def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean((error[:, :3] ** 2).sum(axis=1))))
+
+
+BORDER = 0.03
+"""Share of the image's width that lights keep from its border."""
+
+
+def seen_whole(rig: Rig, target: Target, T_rig_target: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell for poses (m, 4, 4) whether all lights of the target fall into both images, whichever way they shine."""
+    points = np.einsum("mij,pj->mpi", T_rig_target[:, :3, :3], target.xyz_m) + T_rig_target[:, None, :3, 3]
+    seen = np.ones(len(T_rig_target), dtype=np.bool_)
+    for side, uv in zip(SIDES, rig.project(points.reshape(-1, 3)), strict=True):
+        camera = rig.camera(side)
+        border = BORDER * camera.width
+        limit = np.array([camera.width, camera.height]) - border
+        seen &= ((uv > border) & (uv < limit)).all(axis=1).reshape(len(T_rig_target), -1).all(axis=1)
+    return seen

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 
 from armsight.app.record.recorder import Recorder
-from armsight.app.verify.joint_reader import JointReader
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot
-from armsight.errors import StaleData
+from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker
-from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.records import Frame, JointReading, PoseStatus, TargetPose
+from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
 from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Limits, Watch
 
@@ -197,3 +200,61 @@ class Supervision:
                 writer.event(told.t_s, told.why, level="error" if told.level is Level.STOP else "warning")
 
         recorder.add(write)
+
+
+JOIN_S = 2.0
+"""How long the end of the thread is waited for."""
+
+
+class JointReader:
+    """Keeps the readings of an open robot; as a context manager it reads them in a thread.
+
+    Where reading fails, `why` says so until it succeeds again: a link may come back.
+    """
+
+    def __init__(self, robot: Robot, clock: Clock) -> None:
+        self._robot = robot
+        self._clock = clock
+        self.history = JointHistory(robot.cycle_s)
+        self.why = ""
+        self._new: list[JointReading] = []
+        self._lock = threading.Lock()
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def poll(self) -> None:
+        """Read once."""
+        try:
+            reading = self._robot.read()
+        except DeviceFailed as error:
+            self.why = error.cause
+            return
+        self.why = ""
+        if self.history.add(reading):
+            with self._lock:
+                self._new.append(reading)
+
+    def take(self) -> list[JointReading]:
+        """Return the readings since the last call."""
+        with self._lock:
+            new, self._new = self._new, []
+        return new
+
+    def __enter__(self) -> Self:
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._run, name=f"joints of {self._robot.name}", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join(timeout=JOIN_S)
+        self._thread = None
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            self.poll()
+            self._ending.wait(self._robot.cycle_s)

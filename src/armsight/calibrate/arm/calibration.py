@@ -160,7 +160,6 @@ def _result(
     fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
     return ArmCalibration(
         arm=_arm(model, fitted),
-        nominal=model.arm,
         model=model,
         fitted=fitted,
         gain=gain,

@@ -78,7 +78,6 @@ class ArmCalibration(Output):
     """
 
     arm: Arm
-    nominal: Arm
     model: ArmModel
     fitted: ArmFit
     gain: Annotated[bool, Doc("Whether left-out errors fall beyond their own uncertainty.")]
@@ -108,6 +107,11 @@ class ArmCalibration(Output):
         Doc("Where the nominal arm is another one than was measured: why; nothing is corrected then. Else null."),
     ]
     correlation: Correlation | None = None
+
+    @property
+    def nominal(self) -> Arm:
+        """The arm that was given."""
+        return self.model.arm
 
     @figure("Rows given.")
     def n(self) -> int:

@@ -17,7 +17,7 @@ from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec_of
 from armsight.records import Target
-from armsight.records.symmetry import symmetries
+from armsight.records.board import symmetries
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

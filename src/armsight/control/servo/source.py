@@ -21,7 +21,7 @@ from armsight.errors import Inconsistent, StaleData
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import JointReading, PoseStatus, Target, TargetPose
-from armsight.records.joint_history import JointHistory
+from armsight.records.motion import JointHistory
 from armsight.units import DEG, MM, MS
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import Protocol
 from scipy.spatial.transform import RigidTransform
 
 from armsight.kinematics import Arm
-from armsight.records.joint_history import JointHistory
+from armsight.records.motion import JointHistory
 
 
 class RigPlace(Protocol):

@@ -13,7 +13,7 @@ from armsight.measure.boards.miscount import refuse_miscount
 from armsight.measure.boards.orient import most_upright
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
-from armsight.records.symmetry import grid_turns
+from armsight.records.board import grid_turns
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

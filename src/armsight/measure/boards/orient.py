@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.records import BoardView, Target
-from armsight.records.symmetry import symmetries
+from armsight.records.board import symmetries
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,7 @@ from armsight.store.interpret.plausibility import (
     looks_like_radians,
 )
 from armsight.store.interpret.rotations import EulerOrder
-from armsight.store.interpret.table_format import TableFormat
-from armsight.store.interpret.units import UNITS
+from armsight.store.interpret.table_format import UNITS, TableFormat
 
 Array = NDArray[np.float64]
 

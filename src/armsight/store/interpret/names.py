@@ -6,8 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from armsight.store.interpret.table_format import TableFormat
-from armsight.store.interpret.units import UNITS
+from armsight.store.interpret.table_format import UNITS, TableFormat
 
 # frames of a pair: (whose pose, whether the name says it the other way round)
 _HANDS = (

@@ -14,8 +14,7 @@ from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
 from armsight.store.interpret.names import Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import PAIR_FRAMES, POSITION, QUATERNION, Role
-from armsight.store.interpret.table_format import SKIPPED, TableFormat
-from armsight.store.interpret.units import UNITS
+from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
 from armsight.store.tables import bare, number, number_column, word
 
 Array = NDArray[np.float64]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from armsight.errors import UsageError
 from armsight.store.interpret.rotations import EulerOrder, RobotFormat, euler_order, robot_format
-from armsight.store.interpret.units import UNITS
+from armsight.units import DEG, MM
 
 
 def _silent(text: str) -> None:
@@ -154,3 +154,25 @@ def _written_out(token: str, maker: RobotFormat | None) -> list[str]:
         "euler": ("euler_1", "euler_2", "euler_3"),
     }[what]
     return [frame + part + unit for part in parts]
+
+
+UNITS: Mapping[str, tuple[str, float]] = {
+    "m": ("length", 1.0),
+    "mm": ("length", MM),
+    "cm": ("length", 1e-2),
+    "um": ("length", 1e-6),
+    "in": ("length", 0.0254),
+    "inch": ("length", 0.0254),
+    "rad": ("angle", 1.0),
+    "mrad": ("angle", 1e-3),
+    "deg": ("angle", DEG),
+    "degree": ("angle", DEG),
+    "degrees": ("angle", DEG),
+    "°": ("angle", DEG),
+    "s": ("time", 1.0),
+    "sec": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+}
+"""Kind of quantity, and the SI unit's part."""

@@ -1,4 +1,4 @@
-"""The key `timing` of camera.yaml and rig.yaml."""
+"""The keys noise and timing of camera.yaml and rig.yaml."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from typing import Any
 import numpy as np
 
 from armsight.errors import Inconsistent
-from armsight.records import CameraTiming, NamedCovariance
+from armsight.records import CameraTiming, NamedCovariance, NoiseModel
 from armsight.records.timing import TIMING
-from armsight.store.codec import Finite, mapping, record_of, structure
+from armsight.store.codec import (
+    Finite,
+    mapping,
+    record_of,
+    structure,
+)
 
 
 class TimingKey(structure(CameraTiming)):  # type: ignore[misc]  # made of the record's fields
@@ -36,3 +41,6 @@ def timing_mapping(timing: CameraTiming) -> dict[str, Any]:
     """Return a camera's timing as files hold it."""
     content = mapping(timing)
     return content if timing.covariance is None else content | {"std": timing.std}
+
+
+NoiseKey = structure(NoiseModel)
