@@ -41,10 +41,7 @@ def raw(arrays: tuple[np.ndarray, ...], x: np.ndarray, gamma: float) -> tuple[np
     RX, RZ = (np.ascontiguousarray(Rotation.from_rotvec(x[k : k + 3]).as_matrix()) for k in (3, 9))
     n = len(arrays[0])
     e, J = np.empty((n, 6)), np.empty((n, 6, 13))
-    P, t_hat, work = np.empty((3, 3)), np.empty(3), np.empty((2, 3, 3))
-    for i in range(n):
-        kernels.residual(RX, x[:3], RZ, x[6:9], gamma, *(a[i] for a in arrays), e[i], P, t_hat, work)
-        kernels.jacobian(RX, gamma, e[i], P, t_hat, J[i])
+    kernels.derivatives(((RX, x[:3]), (RZ, x[6:9]), gamma), arrays, e, J)
     return e.ravel(), J.reshape(-1, 13)
 
 
@@ -149,7 +146,7 @@ def test_the_noise_at_the_target_is_what_a_shaken_robot_makes(setup: Setup) -> N
     e, J, lever = np.empty((3000, 6)), np.empty((3000, 6, 12)), np.empty(3000)
     theta = np.array([s_t**2, 1e-14, s_r**2])
     X, Z = (exact.R_X, exact.t_x), (exact.R_Z, exact.t_z)
-    kernels.weigh(X, Z, 1.0, arrays, theta, setup is Setup.EYE_TO_HAND, np.ones(3000, bool), e, J, lever)
+    kernels.weigh((X, Z, 1.0), (arrays, np.ones(3000, bool), setup is Setup.EYE_TO_HAND), theta, e, J, lever)
     # the scatter of a covariance of n samples is sqrt(2 / n) on the diagonal; five of those
     assert e.T @ e / 3000 == pytest.approx(np.eye(6), abs=5 * np.sqrt(2 / 3000))
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from armsight.calibrate.cameras.kernels.move_poses import move_poses
-from armsight.calibrate.cameras.kernels.normal_equations import view_normal_equations
+from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
@@ -109,9 +108,8 @@ class BoardEquations:
         kinds = [[FISHEYE, WIDEST_FIT] if lens is LensKind.FISHEYE else [0.0, 1.0] for lens in seen.lenses]
         packed = np.ascontiguousarray(np.column_stack([k, kinds]))
         sides, poses = np.array(side), np.array(local)  # writable: one compilation serves all
-        fine = view_normal_equations(
-            packed, sides, poses, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W
-        )
+        board, views = (seen.X, seen.radius_m), (seen.uv, seen.weight)
+        fine = view_normal_equations((packed, sides, poses), board, views, r, (A, b, C, c, W))
         if self.tied:
             _tie(A, b, W)
         return Evaluation(

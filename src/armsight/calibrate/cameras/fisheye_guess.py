@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies, start_intrinsics
-from armsight.calibrate.cameras.kernels.rotations import matrices_of
+from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Degenerate
 from armsight.optics import Camera, LensKind

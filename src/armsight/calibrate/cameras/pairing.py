@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
-from armsight.calibrate.cameras.kernels.rotations import matrices_of
+from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec_of

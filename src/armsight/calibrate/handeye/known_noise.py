@@ -68,7 +68,7 @@ def linearise(arrays: Arrays, X: Pose, Z: Pose, gamma: float, *, to_hand: bool) 
     """Return the residuals and their derivatives by dtX, dwX, dtZ, dwZ, gamma."""
     n = len(arrays[0])
     e, J, reach = np.empty((n, 6)), np.empty((n, 6, 13)), np.empty((n, 3))
-    kernels.linearise(X, Z, gamma, arrays, to_hand, e, J, reach)
+    kernels.linearise((X, Z, gamma), arrays, to_hand, e, J, reach)
     at = np.concatenate([-skew(reach), np.tile(np.eye(3), (n, 1, 1))], axis=1)  # (n, 6, 3): dw at the flange
     return Linear(e=e, J=J, L=at @ at.transpose(0, 2, 1), lever=np.linalg.norm(reach, axis=1))
 
@@ -172,8 +172,7 @@ def left_out(
         y = np.linalg.solve(S, e[i])
         step = C @ J[i].T @ y if keep[i] else np.zeros(m)
         one = tuple(a[i : i + 1] for a in arrays)
-        X1, Z1, gamma1 = moved(X, Z, gamma, step)
-        kernels.linearise(X1, Z1, gamma1, one, to_hand, e1, J1, reach)
+        kernels.linearise(moved(X, Z, gamma, step), one, to_hand, e1, J1, reach)
         out[i], q[i] = e1[0], e[i] @ y
     return out, q
 

@@ -120,16 +120,6 @@ def _whitened(result: HandEye, arrays: Arrays) -> Array:
     theta = np.array([noise.translation_m.value**2, noise.camera_rad.value**2, noise.robot_rad.value**2])
     RX, tX = components(result.T_parent_camera)
     RZ, tZ = components(result.T_parent_target)
-    kernels.weigh(
-        (RX, tX),
-        (RZ, tZ),
-        1.0,
-        arrays,
-        np.maximum(theta, [1e-14, 1e-14, 0.0]),
-        result.setup is Setup.EYE_TO_HAND,
-        np.ones(n, bool),
-        e,
-        J,
-        lever,
-    )
+    observed = arrays, np.ones(n, bool), result.setup is Setup.EYE_TO_HAND
+    kernels.weigh(((RX, tX), (RZ, tZ), 1.0), observed, np.maximum(theta, [1e-14, 1e-14, 0.0]), e, J, lever)
     return J

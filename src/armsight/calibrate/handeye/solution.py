@@ -75,7 +75,7 @@ class Solution:
         if self.weighed is not None:
             return left_out(self.arrays, X, Z, self.gamma, self.weighed.V, self.keep, self.C, to_hand=to_hand)
         out = np.empty((len(self.keep), 6))
-        q = kernels.left_out(X, Z, self.gamma, self.arrays, self.variances, to_hand, self.keep, self.C, out)
+        q = kernels.left_out((X, Z, self.gamma), (self.arrays, self.keep, to_hand), self.variances, self.C, out)
         return out, q
 
 
@@ -105,9 +105,9 @@ def solve_pairs(
         return _solve_weighed(arrays, setup, keep, (X, Z, gamma), known, 13 if free_scale else 12)
     theta, floor = _first_variances(X, Z, gamma, arrays, keep) if variances is None else _held(variances)
     m = 13 if free_scale else 12
-    to_hand = setup is Setup.EYE_TO_HAND
-    done = kernels.fit_pairs(X, Z, gamma, arrays, theta, variances is None, floor, to_hand, keep, m, TOLERANCE, LIMIT)
-    ok, (RX, tX), (RZ, tZ), gamma, theta, C, e, J, lever, likelihood, iterations = done
+    observed, noise = (arrays, keep, setup is Setup.EYE_TO_HAND), (theta, floor, variances is None)
+    done = kernels.fit_pairs((X, Z, gamma), observed, noise, m, (TOLERANCE, LIMIT))
+    ok, (RX, tX), (RZ, tZ), gamma, theta, C, (e, J, lever), likelihood, iterations = done
     if not ok:
         raise _not_converged(f"no minimum after {iterations} iterations")
     return Solution(
@@ -179,7 +179,7 @@ def _first_variances(
     X: tuple[Array, Array], Z: tuple[Array, Array], gamma: float, arrays: Arrays, keep: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Return the variances (3,) that the residuals at the start show, and the least they may become."""
-    theta, floor = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR), FLOOR.copy()
+    theta, floor = kernels.first_variances((X, Z, gamma), arrays, keep, FLOOR), FLOOR.copy()
     floor[0] = max(floor[0], LEAST_OWN * theta[0])
     return theta, floor
 

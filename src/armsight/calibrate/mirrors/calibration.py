@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtrc
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of
-from armsight.calibrate.cameras.kernels.rotations import matrices_of
+from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
