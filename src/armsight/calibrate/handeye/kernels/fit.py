@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inline_kernel, inner_kernel, kernel
 from armsight.calibrate.handeye.kernels.closed_forms import multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
     Search,
@@ -72,7 +72,7 @@ def prediction():
     return Prediction(np.empty((3, 3)), np.empty(3), np.empty((2, 3, 3)))
 
 
-@inner_kernel
+@inline_kernel
 def residual(at, pairs, row, e, out):
     """Fill e (6,) and the Prediction out of the pair of this row at the Unknowns at."""
     X, Z, gamma = at
@@ -94,7 +94,7 @@ def residual(at, pairs, row, e, out):
     rotvec_of(work[1], e[3:])
 
 
-@inner_kernel
+@inline_kernel
 def jacobian(at, e, predicted, J):
     """Fill J (6, 13) = d e / d parameters of one pair, given what `residual` left."""
     Rx, gamma = at.X.R, at.gamma
@@ -185,7 +185,7 @@ def _weighed(at, observed, theta, e, J, lever):
     return total
 
 
-@inner_kernel
+@inline_kernel
 def _lever(at, pairs, i, predicted, to_hand, E):
     """Fill E with the lever's axes of pair i; return the lever's length."""
     return lever_frame(at.X.R, at.X.t, at.gamma, pairs[0][i], pairs[1][i], predicted.t_hat, to_hand, E)
