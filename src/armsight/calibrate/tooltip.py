@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.correlation import Correlation
-from armsight.calibrate.regions import regions, widened
+from armsight.calibrate.correlation import Correlation, regions, widened
 from armsight.calibrate.tooltip_stream import PivotStream, checked_times, slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
 

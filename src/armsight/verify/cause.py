@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm.parameter_selection import APART
-from armsight.calibrate.regions import regions
+from armsight.calibrate.correlation import regions
 from armsight.verify.effects import Effect, Kind, effects, still
-from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of
-from armsight.verify.left_out import falls as fall_by_chance
+from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
+from armsight.verify.evidence import falls as fall_by_chance
 from armsight.verify.model import ModelFit
-from armsight.verify.moved_rig import moved_rig
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,7 @@ from armsight.verify.alignment import Align, align, free_names, gross
 from armsight.verify.cause import CHANCE, RIVAL_LOG, JointVerdict, judge
 from armsight.verify.deciding import best_poses
 from armsight.verify.effects import Effect, Kind
-from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance
+from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
 from armsight.verify.model import ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.verify.records import Measured
 
 Array = NDArray[np.float64]

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent
 from armsight.verify.body import FEWEST, Bodies, bodies_of
-from armsight.verify.clocks import SHARED
 from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
 from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
+from armsight.verify.pairing import SHARED
 from armsight.verify.records import Measured, Repeats
 
 Array = NDArray[np.float64]

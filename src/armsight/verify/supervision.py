@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
 from armsight.fitting.quantiles import chi2_ppf
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.joint_history import JointsAt

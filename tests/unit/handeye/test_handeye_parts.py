@@ -10,8 +10,8 @@ from armsight.calibrate.handeye import PosePairs, Setup, calibrate_eye_to_hand, 
 from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
+from armsight.calibrate.handeye.known_noise import restricted_variances
 from armsight.calibrate.handeye.solution import uncertainty
-from armsight.calibrate.handeye.variances import restricted_variances
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Problem, solve
 from armsight.geometry.kernels import rotvec_of

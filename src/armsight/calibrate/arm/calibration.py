@@ -8,29 +8,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
-from armsight.calibrate.arm.held_geometry import with_held_geometry
+from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, with_held_geometry
+from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance, fit_arm, limits_reached, tool_points
 from armsight.calibrate.arm.initial_guess import start
-from armsight.calibrate.arm.limits import LimitReached, limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
     Couplings,
+    LeftOut,
     Level,
     best_level,
     coupled,
+    cross_validate,
     fit_levels,
     left_out,
     significant_gain,
 )
-from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
-from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, exceeded, spread_m
+from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, check_one_place, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
-from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
-from armsight.calibrate.arm.tool_points import tool_points
 from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.model import POSE, ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
+from armsight.kinematics import ToolPoint
 
 Array = NDArray[np.float64]
 
@@ -156,3 +157,71 @@ def added_noise(place: Array, points: ArmPoints) -> float:
         size = np.linalg.slogdet(points.covariance + sigma**2 * np.eye(3))[1]
         cost[k] = float((size + (TAILS + 3.0) * np.log1p(q / TAILS)).sum())
     return float(candidates[np.argmin(cost)])
+
+
+# Corrections that stand at the limit of what the nominal arm is believed to.
+
+BINDS = 0.9
+"""Share of its tolerance from which a correction stands at the limit. What is freed is known to half its tolerance, so
+the tolerance holds a correction back by a fifth at most: one that is really beyond it is not missed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitReached:
+    """A parameter, its change to the nominal arm, the tolerance (unit in the name), and the option that raises it."""
+
+    name: str
+    change: float
+    limit: float
+    flag: str | None
+
+    @property
+    def sentence(self) -> str:
+        """What to tell the person, without a full stop."""
+        factor, unit = (1e3, " mm") if self.name.endswith("_m") else (float(np.rad2deg(1.0)), " degrees")
+        if self.flag is None:
+            factor, unit = 1.0, ""
+        said = f"{self.name} stands at its limit of {self.limit * factor:.3g}{unit} (it changed by "
+        said += f"{self.change * factor:.3g}{unit}): "
+        if self.name.endswith(".sag"):
+            return said + "check the links' masses, or whether the tool is heavier than they say"
+        if self.flag is None:
+            return said + "check the gear ratio and the unit of the joint's readings"
+        return said + f"raise {self.flag} if the arm may be so far off"
+
+
+def limits_reached(model: ArmModel, p: Array, free: Sequence[str], tolerance: Tolerance) -> tuple[LimitReached, ...]:
+    """Return the freed parameters whose change in p (P,) stands at the limit of its tolerance, or beyond."""
+    found = []
+    for name in free:
+        change, limit = float(p[model.names.index(name)]), tolerance.of(name)
+        if abs(change) >= BINDS * limit:
+            found.append(LimitReached(name=name, change=change, limit=limit, flag=_flag(name)))
+    return tuple(found)
+
+
+def _flag(name: str) -> str | None:
+    if name.endswith("_m"):
+        return "--tolerance-mm"
+    return "--tolerance-deg" if name.endswith("_rad") else None
+
+
+# Where the tool's points are on the flange, with standard deviations.
+
+
+def tool_points(model: ArmModel, fitted: ArmFit) -> tuple[ToolPoint, ...]:
+    """Return the places of all points with a name, in flange axes; none where the one point has no name.
+
+    Standard deviations hold the uncertainty of the fitted geometry too; they are infinite where a fit leaves a
+    direction open.
+    """
+    std = fitted.fit.std()
+    return tuple(
+        ToolPoint(
+            name=label,
+            xyz_m=np.asarray(model.pose(fitted.p, k).translation),
+            std_m=np.array([std.get(f"tool:{label}.{key}", np.inf) for key in POSE[:3]]),
+        )
+        for k, label in enumerate(model.labels, start=1)
+        if label
+    )

@@ -21,7 +21,7 @@ from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, MUCH_BETTER, NEAR, RIGHT, UNRELATED, rolled, samples
 from armsight.calibrate.handeye.kernels.closed_forms import MEDIAN_NORM, rotation_consensus
-from armsight.calibrate.handeye.rotation_excitation import LEAST_TURN_RAD as TURNED_RAD
+from armsight.calibrate.handeye.pairs import LEAST_TURN_RAD as TURNED_RAD
 from armsight.errors import Degenerate, Inconsistent
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import fk

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, names_of, residuals_px, start_at
-from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, RobustFit, fit_without_outliers
+from armsight.calibrate.cameras.pairing import rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS
-from armsight.calibrate.cameras.rigs import rig_of
 from armsight.errors import DataRefused
 from armsight.geometry import align_points
 from armsight.optics import Rig

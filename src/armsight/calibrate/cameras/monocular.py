@@ -12,11 +12,10 @@ from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.observations import Observations, pack
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
+from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
-from armsight.calibrate.cameras.rigs import camera_of
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.optics import Camera, LensKind
 from armsight.records import BoardView, NamedCovariance, Progress, Target, TargetKind

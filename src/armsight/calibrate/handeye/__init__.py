@@ -1,6 +1,5 @@
 """Hand-eye calibration that says whether it is right."""
 
-from armsight.calibrate.handeye.advice import scale_is_wrong, verdict
 from armsight.calibrate.handeye.calibrate import (
     HandEyeOptions,
     calibrate_eye_in_hand,
@@ -9,13 +8,11 @@ from armsight.calibrate.handeye.calibrate import (
 )
 from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, LeftOutErrors
 from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
-from armsight.calibrate.handeye.noise import Noise, Part
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
 from armsight.calibrate.handeye.propose import Proposal, propose
-from armsight.calibrate.handeye.result import HandEye, Scale
+from armsight.calibrate.handeye.result import HandEye, Noise, Part, Scale, scale_is_wrong, verdict
 from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
-from armsight.calibrate.handeye.stream_pairing import pairs_of_streams
-from armsight.calibrate.handeye.timing import TimeOffset, time_offset
+from armsight.calibrate.handeye.stream_pairing import TimeOffset, pairs_of_streams, time_offset
 
 __all__ = [
     "Basis",

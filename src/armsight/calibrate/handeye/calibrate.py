@@ -8,13 +8,21 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.handeye.advice import advise
+from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
-from armsight.calibrate.handeye.correlation import fit_drifting, left_out_blocks
-from armsight.calibrate.handeye.noise import noise_of_pairs
-from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
-from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
-from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
+from armsight.calibrate.handeye.known_noise import moved, whitener
+from armsight.calibrate.handeye.pairs import (
+    MIN_PAIRS,
+    Array,
+    Arrays,
+    PosePairs,
+    Setup,
+    pose,
+    require_metres,
+    require_turning,
+    rotation_excitation,
+)
+from armsight.calibrate.handeye.result import NAMES, HandEye, Scale, advise, noise_of_pairs
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
 from armsight.fitting.quantiles import f_isf, t_sf
@@ -259,3 +267,87 @@ def _rejected(
             why = f"off by {move / MM:.3g} mm and {turn / DEG:.3g} degrees from what the other pairs say"
         out.append((pairs.names[i], why))
     return tuple(out)
+
+
+# Errors that drift: the fit to poses of one recording, whose errors are alike for a while.
+
+STEP = 1e-6
+"""Of the numerical derivatives, m and rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriftingFit:
+    """The unknowns of F X B = Z, their covariance C (12, 12) of (dtX, dwX, dtZ, dwZ), turns from the left, and why."""
+
+    R_X: Array
+    t_x: Array
+    R_Z: Array
+    t_z: Array
+    C: Array
+    correlation: Correlation
+
+
+def fit_drifting(
+    arrays: Arrays,
+    keep: NDArray[np.bool_],
+    start: tuple[Array, Array, Array, Array],
+    t_s: Array,
+    noise: Array | None = None,
+) -> DriftingFit:
+    """Return the fit to the kept pairs whose errors are white noise and a drift that is forgotten exponentially.
+
+    arrays: of PosePairs.arrays, start: RX, tX, RZ, tZ near the answer, t_s (n,): times of the pairs. In the camera's
+    axes all components drift alike, places and turns each by their own size, or each pair by its noise (n, 6, 6).
+    """
+    used: Arrays = tuple(a[keep] for a in arrays)  # type: ignore[assignment]  # four stay four
+    r, J = _linear(used, start)  # (n, 6), (n, 6, 12)
+    if noise is None:
+        size = np.repeat(np.sqrt([np.mean(r[:, :3] ** 2), np.mean(r[:, 3:] ** 2)]), 3)
+        size = np.maximum(size, 1e-12)
+        r, J = r / size, J / size[:, None]
+    else:
+        W = whitener(noise[keep])
+        r, J = np.einsum("nij,nj->ni", W, r), W @ J
+    found = fit_averaged(r, J, t_s[keep])
+    RX, tX, RZ, tZ = _moved(start, found.step)
+    return DriftingFit(R_X=RX, t_x=tX, R_Z=RZ, t_z=tZ, C=found.C, correlation=found.correlation)
+
+
+def _linear(arrays: Arrays, start: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+    """Return the residuals (n, 6) in camera axes, and their derivative (n, 6, 12) by steps of `_moved`."""
+    r = residuals(arrays, *start)
+    J = np.empty((len(r), 6, 12))
+    for a in range(12):
+        step = np.zeros(12)
+        step[a] = STEP
+        J[:, :, a] = (residuals(arrays, *_moved(start, step)) - residuals(arrays, *_moved(start, -step))) / (2.0 * STEP)
+    return r, J
+
+
+def _moved(start: tuple[Array, Array, Array, Array], step: Array) -> tuple[Array, Array, Array, Array]:
+    """Return RX, tX, RZ, tZ after a step (12,) of (dtX, dwX, dtZ, dwZ)."""
+    (RX, tX), (RZ, tZ), _ = moved(start[:2], start[2:], 1.0, step)
+    return RX, tX, RZ, tZ
+
+
+def left_out_blocks(
+    arrays: Arrays,
+    keep: NDArray[np.bool_],
+    start: tuple[Array, Array, Array, Array],
+    t_s: Array,
+    correlation: Correlation,
+    noise: Array | None = None,
+) -> Array:
+    """Return the error (n, 6) of each pair against the fit to the pairs further away in time than a drift lasts.
+
+    The recording is parted into blocks of equal time; each is left out with what lies within a correlation time.
+    """
+    out = residuals(arrays, *start)
+    for inside, away in time_blocks(t_s, correlation):
+        others = keep & away
+        if others.sum() < 4:
+            continue
+        fitted = fit_drifting(arrays, others, start, t_s, noise)
+        there: Arrays = tuple(a[inside] for a in arrays)  # type: ignore[assignment]  # four stay four
+        out[inside] = residuals(there, fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
+    return out

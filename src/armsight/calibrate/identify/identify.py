@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.identify.chain import Axis, at_home, moved_by
-from armsight.calibrate.identify.coupling import suggest_coupling
-from armsight.calibrate.identify.curves import Tilt, basis
+from armsight.calibrate.identify.chain import Axis, at_home, moved_by, suggest_coupling
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
     all_covariance,
@@ -19,14 +17,13 @@ from armsight.calibrate.identify.global_fit import (
     fit_globally,
     possible_axes,
 )
-from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured
-from armsight.calibrate.identify.kapucu2005 import pair_line, triple_circle
-from armsight.calibrate.identify.path_fit import PathFit
-from armsight.calibrate.identify.residuals import SweepResiduals, position_residuals
-from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
-from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
-from armsight.calibrate.identify.table import (
+from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured, pair_line, triple_circle
+from armsight.calibrate.identify.path_fit import PathFit, Tilt, basis
+from armsight.calibrate.identify.result import (
     KEYS,
+    Identification,
+    JointFound,
+    ParameterUncertainty,
     arm_of,
     degeneracy_notes,
     deviations,
@@ -34,6 +31,7 @@ from armsight.calibrate.identify.table import (
     place_frames,
     propagate_covariance,
 )
+from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, check_sweeps, placed, position_residuals
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry.lengths import check_spread
 from armsight.optics import PackedRig, Rig

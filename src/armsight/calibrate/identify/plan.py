@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.calibrate.identify.result import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
-from armsight.calibrate.identify.table import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.optics import PackedRig, Rig
 from armsight.records import frozen_array
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.calibrate.light_target.frames import Layout
 from armsight.calibrate.light_target.kernels import projection as kernels
-from armsight.calibrate.light_target.layout import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
 from armsight.optics.parallelism import moved_rig
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.light_target.adjustment import LightBundle, LightObservations, fit_bundle
-from armsight.calibrate.light_target.advice import advise
 from armsight.calibrate.light_target.checks import (
     MIN_FRAMES,
     few_frames,
@@ -24,18 +23,19 @@ from armsight.calibrate.light_target.checks import (
     require_turned,
     told_apart,
 )
-from armsight.calibrate.light_target.frames import LitFrame, sights_of
-from armsight.calibrate.light_target.layout import (
+from armsight.calibrate.light_target.frames import (
     LETTERS,
     Layout,
+    LitFrame,
     line_frame,
     line_layout,
     name_order,
     plane_frame,
     plane_layout,
+    sights_of,
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
-from armsight.calibrate.light_target.result import TargetCalibration, distances_of
+from armsight.calibrate.light_target.result import TargetCalibration, advise, distances_of
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
 from armsight.geometry.lengths import TARGET_M, check_metres
 from armsight.optics import Rig, triangulate

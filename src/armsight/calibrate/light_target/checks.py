@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.light_target.adjustment import LightBundle
-from armsight.calibrate.light_target.align import align
-from armsight.calibrate.light_target.layout import LETTERS, line_frame
-from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, distances, facing
+from armsight.calibrate.light_target.frames import LETTERS, line_frame
+from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, align, distances, facing
 from armsight.calibrate.light_target.result import Distance
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.fitting.quantiles import chi2_isf

@@ -12,10 +12,9 @@ from scipy.special import fdtrc
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of
 from armsight.calibrate.cameras.kernels import matrices_of
-from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
-from armsight.calibrate.cameras.rigs import in_frame
+from armsight.calibrate.cameras.pairing import in_frame
 from armsight.calibrate.cameras.stereo import StereoCalibration, fit_pairs, judged
 from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind

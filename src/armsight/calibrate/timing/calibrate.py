@@ -21,13 +21,13 @@ from armsight.calibrate.timing.fit import (
     solve_model,
 )
 from armsight.calibrate.timing.naming import named_by_motion, only_light, usual_count
-from armsight.calibrate.timing.result import TimingCalibration
 from armsight.calibrate.timing.stamps import SteadyStamps, steady
 from armsight.calibrate.timing.views import Views, common_lights, views_of
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Fit, Prior
 from armsight.optics import SIDES, Rig, RigKind
-from armsight.records import NamedCovariance, SpotTrack
+from armsight.records import CameraTiming, NamedCovariance, SpotTrack
+from armsight.records.timing import CLOCK
 
 Array = NDArray[np.float64]
 
@@ -221,3 +221,104 @@ def _result(
         residual_px=solved.rms_px,
         lights=views.names,
     )
+
+
+# What the calibration of the timing returns.
+
+Pair = tuple[float, float]
+
+GOOD_DELAY_S = 1e-3
+"""At 0.5 m/s this is half a millimetre."""
+GOOD_READOUT_S = 1e-3
+LARGE_RESIDUAL_PX = 0.5
+"""Lights are found to 0.02 to 0.1 px."""
+UNEVEN, UNEVEN_PX = 4.0, 0.2
+"""Residuals of one camera over the other's, and their size: exposures that are not at their stamps, by 2 ms at 0.4 m/s,
+leave 0.33 px beside 0.04."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimingCalibration:
+    """Timing of the left and right camera: t_left = t_right + delay_s + 1e-6 drift_ppm t_right.
+
+    covariance: of delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, right.jitter_s. mid_s: right
+    stamp in the middle of what both saw, common_s: how long that was. residual_px: of a coordinate, RMS. lost: frames
+    missing between the first and the last one.
+    """
+
+    delay_s: float
+    drift_ppm: float
+    readout_s: Pair
+    jitter_s: Pair
+    period_s: Pair
+    covariance: NamedCovariance
+    n_frames: tuple[int, int]
+    lost: tuple[int, int]
+    mid_s: float
+    common_s: float
+    residual_px: Pair
+    lights: tuple[str, ...]
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name."""
+        return self.covariance.std()
+
+    @property
+    def delay_std_s(self) -> float:
+        """Standard deviation of the difference of both clocks in the middle of the recording."""
+        return float(self.cameras()[1].clock_std_s([self.mid_s])[0])
+
+    def cameras(self) -> tuple[CameraTiming, CameraTiming]:
+        """Return the timing of the left and the right camera as files hold it."""
+        names = ("left.readout_s", "left.jitter_s")
+        left = CameraTiming(readout_s=self.readout_s[0], jitter_s=self.jitter_s[0], covariance=self._named(names))
+        right = CameraTiming(
+            readout_s=self.readout_s[1],
+            jitter_s=self.jitter_s[1],
+            delay_s=self.delay_s,
+            drift_ppm=self.drift_ppm,
+            covariance=self._named((*CLOCK, "right.readout_s", "right.jitter_s")),
+        )
+        return left, right
+
+    def _named(self, names: tuple[str, ...]) -> NamedCovariance:
+        short = tuple(name.rpartition(".")[2] for name in names)
+        return NamedCovariance(names=short, matrix=np.array(self.covariance.block(names)))
+
+    def advice(self) -> tuple[str, ...]:
+        """Return what would make the result surer; empty where nothing is needed."""
+        std, out = self.std, []
+        if max(self.residual_px) > LARGE_RESIDUAL_PX:
+            out.append(
+                f"{max(self.residual_px):.2g} px RMS remain: check that rig.yaml is of these cameras as they stand "
+                "now, and that exposures are short"
+            )
+        elif max(self.residual_px) > max(UNEVEN * min(self.residual_px), UNEVEN_PX):
+            side = "left" if self.residual_px[0] > self.residual_px[1] else "right"
+            out.append(
+                f"{max(self.residual_px):.2g} px RMS remain in the {side} view beside {min(self.residual_px):.2g}: its "
+                "frames are not exposed when their stamps say, and the standard deviations do not hold; record with "
+                "the camera's own stamps"
+            )
+        if self.delay_std_s > GOOD_DELAY_S:
+            out.append(
+                f"the delay is known to {1e3 * self.delay_std_s:.2g} ms only: wave faster, and up and down as well, "
+                "for 20 s"
+            )
+        if max(std["left.readout_s"], std["right.readout_s"]) > GOOD_READOUT_S:
+            difference = self.covariance.block(("left.readout_s", "right.readout_s"))
+            apart = float(np.sqrt(max(difference[0, 0] + difference[1, 1] - 2.0 * difference[0, 1], 0.0)))
+            firm = "; their difference is firm" if apart <= GOOD_READOUT_S else ""
+            known = " and ".join(f"{1e3 * std[f'{side}.readout_s']:.2g}" for side in ("left", "right"))
+            out.append(
+                f"the read-outs are known to {known} ms only{firm}: wave a target of three lights, up and down, "
+                "over the whole height of both images"
+            )
+        return tuple(out)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the result can be used, in words."""
+        advice = self.advice()
+        return f"good: clocks to {1e3 * self.delay_std_s:.2g} ms" if not advice else "weak: " + "; ".join(advice)

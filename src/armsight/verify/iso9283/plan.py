@@ -13,8 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm, JointPath, Solution, ik, link_frames, singularity_distance, track_path
 from armsight.records import Progress, Silent
-from armsight.verify.iso9283.cube import PLANES, SIDES_M, TestCube
-from armsight.verify.iso9283.motions import Motion, motions_of
+from armsight.verify.iso9283.motions import PLANES, SIDES_M, Motion, TestCube, motions_of
 
 Array = NDArray[np.float64]
 
