@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.fitting.kernels import schur_complement
-from armsight.fitting.problem import Evaluation, Problem
 
 Array = NDArray[np.float64]
 
@@ -21,28 +20,17 @@ FLOOR = 1e-30
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalEquations:
-    """A (F, F) and b (F,) of the free shared parameters, C (G, L, L) and c (G, L) of the local ones, W (G, F, L)."""
+    """J'J and J'r of whitened residuals, as the step and the covariance need them.
+
+    A (S, S), b (S,): of shared parameters, all of them or the free ones. C (G, L, L), c (G, L): of each group's local
+    ones. W (G, S, L): mixed.
+    """
 
     A: Array
     b: Array
     C: Array
     c: Array
     W: Array
-
-    @classmethod
-    def build(cls, problem: Problem, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
-        """Take J'J and J'r of the weighted residuals for the free parameters and add the priors."""
-        whole = problem.normal_equations(evaluation)
-        A, b = whole.A[np.ix_(free, free)], whole.b[free]
-        C, c, W = whole.C, whole.c, np.ascontiguousarray(whole.W[:, free])
-        names = problem.free
-        for name, prior in problem.priors.items():
-            if name in problem.fixed:
-                continue
-            k = names.index(name)
-            A[k, k] += prior.sigma**-2
-            b[k] += (shared[free[k]] - prior.mean) * prior.sigma**-2
-        return cls(A=A, b=b, C=C, c=c, W=W)
 
     def step(self, damping: float) -> tuple[Array, Array]:
         """Return the damped Gauss-Newton step (F,), (G, L) (Marquardt's scaling by the diagonal)."""

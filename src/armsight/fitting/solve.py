@@ -72,7 +72,7 @@ def solve(problem: Problem, settings: Settings | None = None, progress: Progress
         if found is not None:
             reason = found
             break
-    fit = _doubt(problem, settings, state, free, iteration, reason)
+    fit = _fit(problem, settings, state, free, iteration, reason)
     if not fit.converged:
         raise NotConverged(
             f"the fit stopped without an answer after {iteration} iterations ({reason.value})",
@@ -110,7 +110,7 @@ def _cost(problem: Problem, evaluation: Evaluation, shared: Array) -> float:
 
 def _iterate(problem: Problem, settings: Settings, state: _State, free: NDArray[np.intp]) -> StopReason | None:
     """Take one accepted step; return why to stop, or None to go on."""
-    normal = NormalEquations.build(problem, state.evaluation, state.shared, free)
+    normal = problem.normal_equations(state.evaluation, state.shared, free)
     if _scaled_gradient(normal) <= settings.gradient_tolerance * max(1.0, np.sqrt(2.0 * state.cost)):
         return StopReason.GRADIENT_ZERO
     while True:
@@ -158,7 +158,7 @@ def _relative_step(normal: NormalEquations, ds: Array, dl: Array, state: _State)
     return float(step.max(initial=0.0) / (1.0 + np.sqrt(2.0 * state.cost)))
 
 
-def _doubt(
+def _fit(
     problem: Problem,
     settings: Settings,
     state: _State,
@@ -167,7 +167,7 @@ def _doubt(
     reason: StopReason,
 ) -> Fit:
     """Form covariances, scale and rank verdict at the final point."""
-    normal = NormalEquations.build(problem, state.evaluation, state.shared, free)
+    normal = problem.normal_equations(state.evaluation, state.shared, free)
     names = problem.free
     covariance, undetermined = _covariance(normal, names)
     n_priors = sum(name not in problem.fixed for name in problem.priors)

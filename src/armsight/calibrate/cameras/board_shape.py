@@ -18,7 +18,6 @@ from scipy.special import chdtri
 from armsight.calibrate.cameras.bundle_adjustment import BoardEquations, bundle_of, problem_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import Fit
-from armsight.fitting.normal import NormalEquations
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
@@ -65,7 +64,7 @@ def board_shape(observations: Observations, fit: Fit, covariance: NamedCovarianc
     fixed = frozenset(fit.names) - frozenset(names)
     problem = problem_of(observations, bundle_of(fit, observations.n_cameras), fixed)
     free = np.array([fit.names.index(name) for name in names], dtype=np.intp)
-    normal = NormalEquations.build(problem, problem.evaluate(fit.shared, fit.local), fit.shared, free)
+    normal = problem.normal_equations(problem.evaluate(fit.shared, fit.local), fit.shared, free)
     S, Ci = normal.reduced_system(), np.linalg.inv(normal.C)
     shared, local, own, score = _slopes(observations, fit, free)
     reduced = shared - np.einsum("gfl,glk,pgk->pf", normal.W, Ci, local)  # (3 n, F)

@@ -11,8 +11,7 @@ from scipy.special import chdtri
 
 from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
 from armsight.calibrate.cameras.observations import Observations
-from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
-from armsight.fitting.normal import NormalEquations
+from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
 from armsight.optics import INTRINSICS, SIDES, LensKind
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.kernels.camera import FISHEYE
@@ -116,7 +115,7 @@ class BoardEquations:
             residuals=r if fine else np.full_like(r, np.nan),
             shared=EMPTY,
             local=EMPTY,
-            condensed=EvaluatedNormalEquations(A=A, b=b, C=C, c=c, W=W),
+            condensed=NormalEquations(A=A, b=b, C=C, c=c, W=W),
         )
 
     def retract(self, shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
@@ -174,7 +173,7 @@ def asks_to_be_freed(observations: Observations, fit: Fit, fixed: frozenset[str]
     problem = problem_of(observations, bundle_of(fit, observations.n_cameras), wider)
     evaluation = problem.evaluate(fit.shared, fit.local)
     free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
-    normal = NormalEquations.build(problem, evaluation, fit.shared, free)
+    normal = problem.normal_equations(evaluation, fit.shared, free)
     fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
     return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inline_sum_kernel, inner_kernel, inner_sum_kernel, kernel, sum_kernel
-from armsight.geometry.kernels import rotation_from_rotvec, rotvec_of
+from armsight.geometry.kernels import Pose, rotation_from_rotvec, rotvec_of
 from armsight.optics.kernels.camera import NEAR_AXIS, distort_pinhole, is_fisheye, see_fisheye
 
 N_INTRINSICS = 10
@@ -19,13 +19,6 @@ N_POSE = 6
 RESIDUAL = N_INTRINSICS + N_POSE
 N_COLUMNS = RESIDUAL + 1 + N_POSE
 """Columns of one view: intrinsics, pose of the board, residual, and for the right camera its pose."""
-
-
-class Pose(NamedTuple):
-    """A rotation R (3, 3) and a translation t (3,), with or without more behind it."""
-
-    R: Any
-    t: Any
 
 
 class Lens(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from armsight.calibrate.handeye.pairs import (
     Array,
     Arrays,
     PosePairs,
+    Poses,
     Setup,
     pose,
     require_metres,
@@ -93,7 +93,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
     require_turning(turned)
     doubts = uncertainty(solution)
-    found = residuals(pairs.arrays(setup), solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
+    found = residuals(pairs.arrays(setup), *solution.poses)
     errors = found.copy()
     errors[rows[order]] = left_out
     widen = doubts.std / np.sqrt(np.diag(solution.C))
@@ -145,19 +145,17 @@ def _of_a_recording(found: HandEye, t_s: Array, noise: Array | None) -> HandEye:
     noise (n, 6, 6): of each pair up to a factor; None where all are alike.
     """
     arrays = found.pairs.arrays(found.setup)
-    poses = (found.T_parent_camera, found.T_parent_target)
-    start = tuple(part for one in poses for part in (one.rotation.as_matrix(), np.asarray(one.translation)))
-    start = cast("tuple[Array, Array, Array, Array]", start)
-    fitted = fit_drifting(arrays, found.used, start, t_s, noise)
-    at = (fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
+    X, Z = found.T_parent_camera, found.T_parent_target
+    start = (X.rotation.as_matrix(), np.asarray(X.translation), Z.rotation.as_matrix(), np.asarray(Z.translation))
+    at, C, correlation = fit_drifting(arrays, found.used, start, t_s, noise)
     return replace(
         found,
-        T_parent_camera=pose(fitted.R_X, fitted.t_x),
-        T_parent_target=pose(fitted.R_Z, fitted.t_z),
-        covariance=NamedCovariance(names=NAMES, matrix=fitted.C),
+        T_parent_camera=pose(at[0], at[1]),
+        T_parent_target=pose(at[2], at[3]),
+        covariance=NamedCovariance(names=NAMES, matrix=C),
         residuals=residuals(arrays, *at),
-        left_out=left_out_blocks(arrays, found.used, at, t_s, fitted.correlation, noise),
-        correlation=fitted.correlation,
+        left_out=left_out_blocks(arrays, found.used, at, t_s, correlation, noise),
+        correlation=correlation,
     )
 
 
@@ -192,7 +190,7 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
     keep, start = given.keep, given.start
     for _ in range(REJECTION_ROUNDS):
         solution = solve_pairs(arrays, setup, keep=keep, start=start, known=known)
-        start = (solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
+        start = solution.poses
         errors, q = solution.left_out()
         fitting = np.where(np.isfinite(q), q <= _limit(solution), keep)
         if (fitting == keep).all():
@@ -240,7 +238,7 @@ def true_scale(solution: Solution) -> Scale | None:
             solution.arrays,
             solution.setup,
             keep=solution.keep,
-            start=(solution.R_X, solution.t_x, solution.R_Z, solution.t_z),
+            start=solution.poses,
             free_scale=True,
             known=None if solution.weighed is None else solution.weighed.known,
         )
@@ -275,26 +273,16 @@ STEP = 1e-6
 """Of the numerical derivatives, m and rad."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DriftingFit:
-    """The unknowns of F X B = Z, their covariance C (12, 12) of (dtX, dwX, dtZ, dwZ), turns from the left, and why."""
-
-    R_X: Array
-    t_x: Array
-    R_Z: Array
-    t_z: Array
-    C: Array
-    correlation: Correlation
-
-
 def fit_drifting(
     arrays: Arrays,
     keep: NDArray[np.bool_],
-    start: tuple[Array, Array, Array, Array],
+    start: Poses,
     t_s: Array,
     noise: Array | None = None,
-) -> DriftingFit:
+) -> tuple[Poses, Array, Correlation]:
     """Return the fit to the kept pairs whose errors are white noise and a drift that is forgotten exponentially.
+
+    With its covariance (12, 12) of (dtX, dwX, dtZ, dwZ), turns from the left, and how the errors hang together.
 
     arrays: of PosePairs.arrays, start: RX, tX, RZ, tZ near the answer, t_s (n,): times of the pairs. In the camera's
     axes all components drift alike, places and turns each by their own size, or each pair by its noise (n, 6, 6).
@@ -309,11 +297,10 @@ def fit_drifting(
         W = whitener(noise[keep])
         r, J = np.einsum("nij,nj->ni", W, r), W @ J
     found = fit_averaged(r, J, t_s[keep])
-    RX, tX, RZ, tZ = _moved(start, found.step)
-    return DriftingFit(R_X=RX, t_x=tX, R_Z=RZ, t_z=tZ, C=found.C, correlation=found.correlation)
+    return _moved(start, found.step), found.C, found.correlation
 
 
-def _linear(arrays: Arrays, start: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+def _linear(arrays: Arrays, start: Poses) -> tuple[Array, Array]:
     """Return the residuals (n, 6) in camera axes, and their derivative (n, 6, 12) by steps of `_moved`."""
     r = residuals(arrays, *start)
     J = np.empty((len(r), 6, 12))
@@ -324,7 +311,7 @@ def _linear(arrays: Arrays, start: tuple[Array, Array, Array, Array]) -> tuple[A
     return r, J
 
 
-def _moved(start: tuple[Array, Array, Array, Array], step: Array) -> tuple[Array, Array, Array, Array]:
+def _moved(start: Poses, step: Array) -> Poses:
     """Return RX, tX, RZ, tZ after a step (12,) of (dtX, dwX, dtZ, dwZ)."""
     (RX, tX), (RZ, tZ), _ = moved(start[:2], start[2:], 1.0, step)
     return RX, tX, RZ, tZ
@@ -333,7 +320,7 @@ def _moved(start: tuple[Array, Array, Array, Array], step: Array) -> tuple[Array
 def left_out_blocks(
     arrays: Arrays,
     keep: NDArray[np.bool_],
-    start: tuple[Array, Array, Array, Array],
+    start: Poses,
     t_s: Array,
     correlation: Correlation,
     noise: Array | None = None,
@@ -347,7 +334,7 @@ def left_out_blocks(
         others = keep & away
         if others.sum() < 4:
             continue
-        fitted = fit_drifting(arrays, others, start, t_s, noise)
+        at, _, _ = fit_drifting(arrays, others, start, t_s, noise)
         there: Arrays = tuple(a[inside] for a in arrays)  # type: ignore[assignment]  # four stay four
-        out[inside] = residuals(there, fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
+        out[inside] = residuals(there, *at)
     return out

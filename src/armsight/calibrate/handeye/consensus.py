@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.handeye.kernels import closed_forms as starts
-from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
+from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
 from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec_of
 from armsight.units import DEG
@@ -94,7 +94,7 @@ class Consensus:
         return max(self.share_turn, self.share_move)
 
     @property
-    def start(self) -> tuple[Array, Array, Array, Array]:
+    def start(self) -> Poses:
         """Where the fit begins."""
         return self.R_X, self.t_x, self.R_Z, self.t_z
 
@@ -145,7 +145,7 @@ def _of_all(arrays: Arrays) -> Consensus | None:
 
 def _judged(
     arrays: Arrays,
-    start: tuple[Array, Array, Array, Array],
+    start: Poses,
     gamma: float,
     mask: NDArray[np.bool_] | None,
     sigmas: tuple[float, float],
@@ -172,7 +172,7 @@ def _judged(
     )
 
 
-def _left(arrays: Arrays, start: tuple[Array, Array, Array, Array], gamma: float) -> tuple[Array, Array]:
+def _left(arrays: Arrays, start: Poses, gamma: float) -> tuple[Array, Array]:
     """Return the angle and the distance (n,) that each pair leaves open, the latter in the camera's unit."""
     RF, tF, RB, tB = arrays
     RX, tX, RZ, tZ = start

@@ -17,10 +17,10 @@ from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, adjust, 
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.handeye.known_noise import Restricted, left_out, linearise, restricted_variances, whitener
-from armsight.calibrate.handeye.pairs import Array, Arrays, Setup, components
+from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup, components
 from armsight.calibrate.handeye.result import NAMES, HandEye
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
+from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
 from armsight.optics import Camera
 from armsight.records import BoardView, Target
 
@@ -30,9 +30,6 @@ FREE_INTRINSICS = frozenset({"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"})
 LEAST = np.array([1e-12, 1e-12, 0.0])
 """Beside the corners' noise at least a micrometre and a microradian are left to the robot: none is exact, and weights
 without end would ruin the arithmetic."""
-
-Poses = tuple[Array, Array, Array, Array]
-"""RX (3, 3), tX (3,), RZ (3, 3), tZ (3,): T_parent_camera and T_parent_target."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,7 +142,7 @@ def camera_of(fit: Fit, camera: Camera) -> Camera:
     return replace(camera, intrinsics=fit.shared[12:])
 
 
-def _with_robot(corners: EvaluatedNormalEquations, e: Array, J: Array, by_pose: Array) -> EvaluatedNormalEquations:
+def _with_robot(corners: NormalEquations, e: Array, J: Array, by_pose: Array) -> NormalEquations:
     """Return the normal equations of X, Z, camera and poses: the corners' and the robot's whitened errors e (n, 6).
 
     J (n, 6, 12), by_pose (n, 6, 6): derivatives of e by X and Z and by the poses.
@@ -154,7 +151,7 @@ def _with_robot(corners: EvaluatedNormalEquations, e: Array, J: Array, by_pose: 
     A[:12, :12], A[12:, 12:] = np.einsum("nia,nib->ab", J, J), corners.A
     b[:12], b[12:] = np.einsum("nia,ni->a", J, e), corners.b
     W[:, :12], W[:, 12:] = J.transpose(0, 2, 1) @ by_pose, corners.W
-    return EvaluatedNormalEquations(
+    return NormalEquations(
         A=A,
         b=b,
         C=corners.C + by_pose.transpose(0, 2, 1) @ by_pose,

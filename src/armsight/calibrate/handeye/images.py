@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye.calibrate import HandEyeOptions, calibrate_eye_in_hand, calibrate_eye_to_hand
 from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, ImageErrors, compare
-from armsight.calibrate.handeye.image_model import ImageModel, Poses, ViewPoses, camera_of, poses_of, poses_of_views
+from armsight.calibrate.handeye.image_model import ImageModel, ViewPoses, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.known_noise import Restricted
-from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup, pose
+from armsight.calibrate.handeye.pairs import Array, PosePairs, Poses, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye, advise, noise_beside
 from armsight.calibrate.handeye.solution import residuals, solve_pairs
 from armsight.errors import DataRefused, Inconsistent
@@ -148,7 +148,7 @@ def _fitted(basis: Basis, result: HandEye, images: ImageSet, rest: NDArray[np.bo
     """Return X and Z from the images of rest (n,), and the camera: as given, or freed with them."""
     arrays = result.pairs.arrays(result.setup)
     by_poses = solve_pairs(arrays, result.setup, keep=rest, known=result.pairs.camera_covariance)
-    at = (by_poses.R_X, by_poses.t_x, by_poses.R_Z, by_poses.t_z)
+    at = by_poses.poses
     if basis is Basis.POSES:
         return at, images.camera
     model = ImageModel(setup=result.setup, arrays=arrays, used=rest, seen=images.seen, start=at)

@@ -20,6 +20,9 @@ from armsight.calibrate.handeye.pairs import Array, Arrays
 from armsight.geometry.poses import skew
 
 Pose = tuple[Array, Array]
+Fitted = tuple[Pose, Pose, float, Array, Array, tuple[Array, Array, Array], float, int]
+"""X, Z, gamma, variances (k,), C (m, m), whitened (e (n, 6), J (n, 6, m), lever (n,)), restricted log-likelihood, and
+iterations: what a fit returns, compiled or not."""
 
 BELIEVED = 0.8
 """How far the logarithm of the factor on the covariances is off, as known beforehand: their standard deviations are
@@ -44,23 +47,16 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Weighed:
-    """The fit of X, Z (and gamma): variances (4,) of a, b, c and s; C (m, m); whitened e (n, 6), J (n, 6, m) and shapes
-    Q (4, n, 6, 6), zero for pairs not used; V (n, 6, 6): the noise of each pair in camera axes; known: as given."""
+class Weighing:
+    """By what the pairs of a fit were weighed.
 
-    X: Pose
-    Z: Pose
-    gamma: float
-    variances: Array
-    C: Array
-    e: Array
-    J: Array
-    Q: Array
-    V: Array
+    known (n, 6, 6): covariances of the camera's poses, as given. V (n, 6, 6): the noise of each pair, in camera axes.
+    Q (4, n, 6, 6): its derivatives by the variances a, b, c and s, whitened, zero for pairs not used.
+    """
+
     known: Array
-    lever: Array
-    log_likelihood: float
-    iterations: int
+    V: Array
+    Q: Array
 
 
 def linearise(arrays: Arrays, X: Pose, Z: Pose, gamma: float, *, to_hand: bool) -> Linear:
@@ -89,8 +85,9 @@ def fit_weighed(
     to_hand: bool,
     n_free: int,
     settled: tuple[float, int],
-) -> Weighed | None:
-    """Return the maximum-likelihood fit with the four variances by restricted likelihood; None without a minimum.
+) -> tuple[Fitted, Weighing] | None:
+    """Return the maximum-likelihood fit with the four variances by restricted likelihood, and by what the pairs were
+    weighed; None without a minimum.
 
     known (n, 6, 6): covariances of the camera's poses. start: X, Z, gamma near the answer. least: the smallest a, b and
     c (3,), and the share of the residuals that stays with the covariances. n_free: 12, or 13 with gamma. settled: step
@@ -119,37 +116,11 @@ def fit_weighed(
         X, Z, gamma = moved(X, Z, gamma, step)
         if size < settled[0]:
             Q = W @ Q @ W.transpose(0, 2, 1)
-            return _weighed((X, Z, gamma), at, found, Q, (e + J @ step, J, C), keep, known, iteration + 1)
+            Q[:, ~keep] = 0.0
+            whitened = e + J @ step, J, at.lever
+            fitted = X, Z, gamma, theta, C, whitened, found.log_likelihood, iteration + 1
+            return fitted, Weighing(known=known, V=found.V, Q=Q)
     return None
-
-
-def _weighed(
-    unknowns: tuple[Pose, Pose, float],
-    at: Linear,
-    found: Restricted,
-    Q: Array,
-    normal: tuple[Array, Array, Array],
-    keep: NDArray[np.bool_],
-    known: Array,
-    iterations: int,
-) -> Weighed:
-    e, J, C = normal
-    Q[:, ~keep] = 0.0
-    return Weighed(
-        X=unknowns[0],
-        Z=unknowns[1],
-        gamma=unknowns[2],
-        variances=found.variances,
-        C=C,
-        e=e,
-        J=J,
-        Q=Q,
-        V=found.V,
-        known=known,
-        lever=at.lever,
-        log_likelihood=found.log_likelihood,
-        iterations=iterations,
-    )
 
 
 def left_out(

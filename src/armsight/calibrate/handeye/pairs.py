@@ -18,6 +18,8 @@ from armsight.units import DEG
 Array = NDArray[np.float64]
 Arrays = tuple[Array, Array, Array, Array]
 """RF (n, 3, 3), tF (n, 3), RB (n, 3, 3), tB (n, 3) of F X B = Z: what the kernels work on."""
+Poses = tuple[Array, Array, Array, Array]
+"""RX (3, 3), tX (3,), RZ (3, 3), tZ (3,) of F X B = Z: T_parent_camera and T_parent_target."""
 
 MIN_PAIRS = 4
 """Three pairs fix the answer; the fourth is the first that can contradict it."""

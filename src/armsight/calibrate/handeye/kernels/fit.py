@@ -29,18 +29,11 @@ from armsight.calibrate.handeye.kernels.noise import (
     whitener,
 )
 from armsight.fitting.kernels import solve_damped
-from armsight.geometry.kernels import copy_1, rotate_left, rotvec_of, sandwich
+from armsight.geometry.kernels import Pose, copy_1, rotate_left, rotvec_of, sandwich
 
 LINEAR = 30.0
 """Within so many standard deviations of the answer the residuals follow the parameters linearly, to a share of the
 noise that is far below its own uncertainty; the noises are judged only there."""
-
-
-class Pose(NamedTuple):
-    """A rotation R (3, 3) and a translation t (3,)."""
-
-    R: Any
-    t: Any
 
 
 class Unknowns(NamedTuple):
