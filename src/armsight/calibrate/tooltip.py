@@ -42,7 +42,7 @@ UNRELATED = 0.25
 LOOSE_M = 2.0 * MM
 TIP_ROUNDS = 20
 TIP_SETTLED = 1e-10
-"""Weights follow the tip's place; the fit is settled when it moves by less (m)."""
+"""Weights follow the tip's position; the fit is settled when it moves by less (m)."""
 
 NOISE_M = 0.1 * MM
 NOISES_RAD_M = (1.0, 3.0, 10.0, 30.0, 100.0)

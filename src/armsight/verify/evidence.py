@@ -297,7 +297,7 @@ def by_chance(problem: Linear, poorer: Fitted, richer: Fitted) -> float:
 FEWEST_ROWS = 6
 """Rows on either side of a split that are the least."""
 SPLITS = 60
-"""Places, evenly spread over the rows, at which a split is tried."""
+"""Positions, evenly spread over the rows, at which a split is tried."""
 CHANCE = 1e-6
 """Probability by chance, over all splits, below which a split is one."""
 SHARE = 0.25
@@ -330,7 +330,7 @@ def moved_rig(evidence: Evidence, noise: Noise, case: Case, explained: float) ->
 
 
 def _placement(xyz: Array, rows: int) -> Array:
-    """Return how residuals (m, rows) follow a small move of the measuring frame about the places' mean (m, rows, 6)."""
+    """Return how residuals (m, rows) follow a small move (m, rows, 6) of the measuring frame about their mean."""
     columns = np.zeros((len(xyz), rows, 6))
     columns[:, :3, :3] = np.eye(3)
     columns[:, :3, 3:] = -skew(xyz - xyz.mean(axis=0))

@@ -191,8 +191,8 @@ def _stream(arm: Arm | None, reported: Reported) -> tuple[Stream, tuple[str, ...
 
 def check_spread(measured: Measured, F: Array) -> None:
     """Raise Inconsistent for positions in another unit than m."""
-    place = F[:, :3, 3]
-    expected = float(np.linalg.norm(place - place.mean(axis=0), axis=1).mean())
+    position = F[:, :3, 3]
+    expected = float(np.linalg.norm(position - position.mean(axis=0), axis=1).mean())
     seen = float(np.linalg.norm(measured.xyz_m - np.median(measured.xyz_m, axis=0), axis=1).mean())
     if expected > 1e-3:
         check_scale(expected, seen, "the arm moves its flange")

@@ -71,11 +71,11 @@ class Measured:
     @property
     def which(self) -> Index:
         """Which of the labels each row (m,) is of."""
-        place = {label: k for k, label in enumerate(self.labels)}
-        return np.array([place[label] for label in self.point], dtype=np.intp)
+        number = {label: k for k, label in enumerate(self.labels)}
+        return np.array([number[label] for label in self.point], dtype=np.intp)
 
     def take(self, index: Index) -> Measured:
-        """Return the measurements at the given places."""
+        """Return the measurements at the given positions."""
         return Measured(
             xyz_m=self.xyz_m[index],
             rotation=None if self.rotation is None else self.rotation[index],

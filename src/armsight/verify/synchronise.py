@@ -373,6 +373,6 @@ Stream = JointStream | PoseStream
 
 
 def at_tool(F: Array, V: Array, x_m: Array) -> tuple[Array, Array]:
-    """Return the places (m, 3) and velocities (m, 3) of a point x_m (3,) of the flange."""
+    """Return the positions (m, 3) and velocities (m, 3) of a point x_m (3,) of the flange."""
     arm = F[:, :3, :3] @ x_m
     return F[:, :3, 3] + arm, V[:, :3] - np.einsum("mij,mj->mi", skew(arm), V[:, 3:])

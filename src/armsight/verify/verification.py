@@ -28,7 +28,7 @@ CONFIGURATION_RAD = 0.1
 """Joint values further apart are of another configuration."""
 
 FLAT = 0.01
-"""Places that spread less square to a plane than this share of their spread in it do not tell left from right."""
+"""Positions that spread less square to a plane than this share of their spread in it do not tell left from right."""
 SAME_RAD = 1e-3
 """Joint values (rad or m) rounded to this are the same command."""
 
@@ -109,7 +109,7 @@ def verify(
         configurations=_configurations(paired, kept, pose, measured),
         deciding=deciding,
         rejected=tuple(sorted((*paired.rejected, *copies, *aligned.rejected))),
-        doubts=(*_doubts(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
+        doubts=(*_caveats(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
     )
 
 
@@ -214,12 +214,12 @@ def _repeats(paired: Paired, kept: NDArray[np.intp], pose: Array | None, measure
 
 
 def _flat(xyz: Array) -> bool:
-    """Whether places (m, 3) lie in one plane but for FLAT of their spread."""
+    """Whether positions (m, 3) lie in one plane but for FLAT of their spread."""
     spread = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
     return bool(spread[2] < FLAT * spread[1])
 
 
-def _doubts(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
+def _caveats(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
     told = list(paired.notes)
     if joints is not None:
         told += joints.why
@@ -287,7 +287,7 @@ def joint_errors(arm: Arm, q: Array, measured: Measured, mounts: Mounts, sigma: 
 
 
 def measured_flange(measured: Measured, mounts: Mounts) -> Array:
-    """Return T_base_flange (m, 4, 4) as measured; of positions only the place of the tool's point, in base axes."""
+    """Return T_base_flange (m, 4, 4) as measured; of positions only the position of the tool's point, in base axes."""
     R, t = mounts.base.rotation.as_matrix(), mounts.base.translation
     T = np.tile(np.eye(4), (len(measured), 1, 1))
     T[:, :3, 3] = (measured.xyz_m - t) @ R

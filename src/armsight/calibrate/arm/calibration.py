@@ -37,7 +37,7 @@ from armsight.records import NamedCovariance
 Array = NDArray[np.float64]
 
 GROSS = float(np.sqrt(chi2_ppf(0.99999, 3)))
-"""Errors of place beyond so many standard deviations are gross."""
+"""Errors of position beyond so many standard deviations are gross."""
 CONFIRMED = 1.0
 """Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the
 folds have a fifth fewer rows, and some take a poorer kind."""
@@ -208,7 +208,7 @@ def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
 
 
 def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
-    """Return the errors of place (m,) in m."""
+    """Return the errors of position (m,) in m."""
     return np.asarray(np.linalg.norm(model.errors(x.fitted.p, points)[0], axis=1))
 
 
@@ -245,7 +245,10 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *_told(model, points, holdout, judged, fitted, correlation)),
+        notes=(
+            *(item.sentence for item in at_limit),
+            *_notes_on_rows(model, points, holdout, judged, fitted, correlation),
+        ),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
@@ -254,7 +257,7 @@ def _result(
     )
 
 
-def _told(
+def _notes_on_rows(
     model: ArmModel,
     points: ArmPoints,
     holdout: ArmPoints | None,
@@ -314,7 +317,7 @@ def _laid_anew(model: ArmModel, level: Level, holdout: ArmPoints) -> Level:
 
 
 def _arm(model: ArmModel, fitted: ArmFit) -> Arm:
-    """Return the arm of a fit, with the covariance of its links and the places of its tool's points."""
+    """Return the arm of a fit, with the covariance of its links and the positions of its tool's points."""
     arm, covariance = model.arm_at(fitted.p), fitted.fit.covariance
     heavy = any(joint.mass_kg for joint in arm.joints)  # which way is down matters, and is written, for weights alone
     down = arm.down_in_base if heavy else model.arm.down_in_base

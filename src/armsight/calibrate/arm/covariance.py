@@ -110,9 +110,9 @@ def with_held_geometry(model: ArmModel, points: ArmPoints, fitted: ArmFit, toler
     )
     G = G * [tolerance.of(name) for name in held]
     basis = orthonormal_basis(free)
-    whole = np.linalg.norm(G, axis=0)
+    size = np.linalg.norm(G, axis=0)
     own = G - basis @ (basis.T @ G)
-    there = np.linalg.norm(own, axis=0) > OWN * np.maximum(whole, 1.0)
+    there = np.linalg.norm(own, axis=0) > OWN * np.maximum(size, 1.0)
     if not there.any():
         return fitted
     own, G, kinds = own[:, there], G[:, there], np.array([name.endswith("_m") for name in held])[there]

@@ -22,9 +22,9 @@ FIT_ROUNDS = 4
 """Fits with the noise of the one before; the ratio of the two noises settles in two or three."""
 SUNK_RAD = 1e-6
 """Joints that sag by so much less or more than the round before have settled: 1e-6 m at a metre."""
-LEAST_PLACE_M = 1e-6
-"""No place of a tool is measured better: interferometers say 1e-6 m, arms come back to 1e-5. Places that agree better
-(a simulation's) count as so good, or the fit is numerically stiff and stops before its minimum."""
+LEAST_POSITION_M = 1e-6
+"""No position of a tool is measured better: interferometers say 1e-6 m, arms come back to 1e-5. Positions that agree
+better (a simulation's) count as so good, or the fit is numerically stiff and stops before its minimum."""
 LEAST_TURN_RAD = 3e-5
 """No arm turns its tool more exactly: six arc seconds, the step of a good joint encoder, and 0.03 mm at a metre.
 Rotations that agree better (a simulation's) and are weighed as they claim (1e-6) leave 0.9 mm where 0.02 can be had."""
@@ -126,12 +126,12 @@ def _tool_turn(name: str) -> bool:
 
 
 def estimate_noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
-    """Return the standard deviations of one coordinate of place and of rotation, from the medians of the residuals.
+    """Return the standard deviations of one coordinate of position and of rotation, from the medians of the residuals.
 
-    Of rows with covariances that of place is what these leave unexplained. n_free: parameters that were fitted to these
-    rows.
+    Of rows with covariances that of position is what these leave unexplained. n_free: parameters that were fitted to
+    these rows.
     """
-    place, turn = model.errors(p, points)
+    position, turn = model.errors(p, points)
     m = len(points)
     rows = 6 if points.rotation is not None else 3
     spent = np.sqrt(rows * m / max(rows * m - n_free, 0.25 * rows * m))
@@ -139,21 +139,21 @@ def estimate_noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) ->
     def one(r: Array, least: float) -> float:
         return max(float(np.sqrt(np.median((r**2).sum(axis=1)) / MEDIAN_3) * spent), least)
 
-    place_m = one(place, LEAST_PLACE_M) if points.covariance is None else added_noise(place * spent, points)
-    return place_m, one(turn, LEAST_TURN_RAD) if points.rotation is not None else 1.0
+    sigma_m = one(position, LEAST_POSITION_M) if points.covariance is None else added_noise(position * spent, points)
+    return sigma_m, one(turn, LEAST_TURN_RAD) if points.rotation is not None else 1.0
 
 
-def added_noise(place: Array, points: ArmPoints) -> float:
+def added_noise(position: Array, points: ArmPoints) -> float:
     """Return what is to be added to one coordinate of all rows' covariances so that they explain errors (m, 3).
 
     Maximum likelihood with Student's tails: all rows have a say, so that a few whose covariances are too small cannot
     take the fit over, and gross errors have little.
     """
-    largest = float(np.sqrt((place**2).mean()))
-    candidates = np.geomspace(LEAST_PLACE_M, max(largest, 2.0 * LEAST_PLACE_M), ADDED_TRIED)
+    largest = float(np.sqrt((position**2).mean()))
+    candidates = np.geomspace(LEAST_POSITION_M, max(largest, 2.0 * LEAST_POSITION_M), ADDED_TRIED)
     cost = np.empty(ADDED_TRIED)
     for k, sigma in enumerate(candidates.tolist()):
-        q = (points.whiten(place, sigma) ** 2).sum(axis=1)
+        q = (points.whiten(position, sigma) ** 2).sum(axis=1)
         size = np.linalg.slogdet(points.covariance + sigma**2 * np.eye(3))[1]
         cost[k] = float((size + (TAILS + 3.0) * np.log1p(q / TAILS)).sum())
     return float(candidates[np.argmin(cost)])
@@ -210,7 +210,7 @@ def _flag(name: str) -> str | None:
 
 
 def tool_points(model: ArmModel, fitted: ArmFit) -> tuple[ToolPoint, ...]:
-    """Return the places of all points with a name, in flange axes; none where the one point has no name.
+    """Return the positions of all points with a name, in flange axes; none where the one point has no name.
 
     Standard deviations hold the uncertainty of the fitted geometry too; they are infinite where a fit leaves a
     direction open.

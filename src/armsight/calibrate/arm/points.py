@@ -30,7 +30,7 @@ UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 1e-3: "ki
 FARTHEST = 1e5
 """Positions of 100 m in millimetres stay within it, so that these are told as such; beyond it a cell is wrong."""
 ABSURD = 12.0
-"""Places that spread so many times as far as the arm moves its tool, or so many times less, are in another unit."""
+"""Positions that spread so many times as far as the arm moves its tool, or so many times less, are in another unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,9 +85,9 @@ class ArmPoints:
     def position(self) -> NDArray[np.intp]:
         """Which joint position each row (m,) is of, counted from 0 as they come: rows of equal readings are of one."""
         _, first, which = np.unique(np.round(self.q / SAME_Q), axis=0, return_index=True, return_inverse=True)
-        place = np.empty(len(first), dtype=np.intp)
-        place[np.argsort(first)] = np.arange(len(first))
-        return place[which.ravel()]
+        number = np.empty(len(first), dtype=np.intp)
+        number[np.argsort(first)] = np.arange(len(first))
+        return number[which.ravel()]
 
     @property
     def group(self) -> NDArray[np.intp]:

@@ -60,7 +60,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     Kabsch on the arm's forward kinematics from the triple of positions that half of the rows agree with best, then
     robust least squares with the noise estimated. Rows that do not agree are rejected. Raises as check_points,
     NotEnoughData where too few agree, Inconsistent where fewer than half do, Ambiguous where the others agree on
-    another place, Degenerate where the positions lie on one line.
+    another position, Degenerate where the positions lie on one line.
     """
     check_points(arm, points)
     points = replace(points, q=arm.sagged(points.q))  # positions were measured at rest
@@ -168,7 +168,7 @@ def _consensus(base_m: Array, rig_m: Array) -> RigidTransform:
 
 
 def _check_others(base_m: Array, rig_m: Array, kept: NDArray[np.intp], out: NDArray[np.intp]) -> None:
-    """Raise Ambiguous where the rows left out agree on another place of the rig, about as many as those kept."""
+    """Raise Ambiguous where the rows left out agree on another position of the rig, about as many as those kept."""
     if len(out) < max(2 * LEAST_LEFT, 0.8 * len(kept)):
         return
     try:

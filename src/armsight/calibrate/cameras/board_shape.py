@@ -29,7 +29,7 @@ RATIOS = np.geomspace(1e-4, 1e6, 81)
 BY_CHANCE = 1e-3
 """The board is taken as it is said to be where noise looks as much unlike it this often."""
 STEP_M = 1e-6
-"""Step of the differences by the points' places: a thousandth of a pixel."""
+"""Step of the differences by the points' positions: a thousandth of a pixel."""
 CLEAR = 1e-9
 """Information of a direction, over the largest, below which it is none: where the board stands, and its size."""
 TOLD = 0.25

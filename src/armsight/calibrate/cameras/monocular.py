@@ -96,7 +96,7 @@ def calibrate_camera(
         residual_px=residual[seen],
         used=robust_fit.observations,
         T_camera_board=poses_of_boards(robust_fit.observations, robust_fit.fit),
-        advice=(*advice, *on_tilt, *shape.advice, *doubts(covariance, robust_fit), *robust_fit.notes),
+        advice=(*advice, *on_tilt, *shape.advice, *caveats(covariance, robust_fit), *robust_fit.notes),
     )
 
 
@@ -136,7 +136,7 @@ def view_rms(residual: Array, seen: NDArray[np.bool_]) -> tuple[float, ...]:
     return tuple(np.sqrt(squares / np.maximum(seen.sum(axis=(1, 2)), 1)).tolist())
 
 
-def doubts(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
+def caveats(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
     """Return advice on focal lengths that are not well known."""
     std = covariance.std()
     return [

@@ -62,7 +62,7 @@ def different_views(observations: Observations) -> tuple[NDArray[np.intp], list[
 
 
 def _same(observations: Observations, seen: NDArray[np.bool_], a: int, b: int) -> bool:
-    """Tell whether two views show the board in the same place in every camera."""
+    """Tell whether two views show the board in the same position in every camera."""
     both = seen[a] & seen[b]
     if not both.any():
         return False

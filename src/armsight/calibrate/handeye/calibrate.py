@@ -92,18 +92,18 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     used[rows[order[solution.keep]]] = True
     turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
     require_turning(turned)
-    doubts = uncertainty(solution)
+    uncertain = uncertainty(solution)
     found = residuals(pairs.arrays(setup), *solution.poses)
     errors = found.copy()
     errors[rows[order]] = left_out
-    widen = doubts.std / np.sqrt(np.diag(solution.C))
+    widen = uncertain.std / np.sqrt(np.diag(solution.C))
     finished = HandEye(
         setup=setup,
         T_parent_camera=pose(solution.R_X, solution.t_x),
         T_parent_target=pose(solution.R_Z, solution.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
-        dof=float(doubts.dof[:6].min()),
-        noise=noise_of_pairs(solution, doubts.variance_covariance),
+        dof=float(uncertain.dof[:6].min()),
+        noise=noise_of_pairs(solution, uncertain.variance_covariance),
         scale=true_scale(solution),
         rotation_excitation=turned,
         pairs=pairs,
@@ -184,9 +184,9 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
     than LEAST_SHARE of the pairs stay.
     """
     n = len(given.keep)
-    whole = _whole(arrays, setup, given, known)
-    if whole is not None:
-        return whole
+    of_all = _fit_of_all(arrays, setup, given, known)
+    if of_all is not None:
+        return of_all
     keep, start = given.keep, given.start
     for _ in range(REJECTION_ROUNDS):
         solution = solve_pairs(arrays, setup, keep=keep, start=start, known=known)
@@ -205,7 +205,9 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
     return solution, errors
 
 
-def _whole(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None) -> tuple[Solution, Array] | None:
+def _fit_of_all(
+    arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None
+) -> tuple[Solution, Array] | None:
     """Return the fit to all pairs where nothing speaks against any of them; None otherwise.
 
     Trimming first and taking back later would rob small sets of good pairs: the trimmed fit underrates the noise.
@@ -244,12 +246,12 @@ def true_scale(solution: Solution) -> Scale | None:
         )
     except DataRefused:
         return None
-    doubts = uncertainty(free)
+    uncertain = uncertainty(free)
     std = float(np.sqrt(free.C[12, 12]))
     if not (free.gamma > 0.0 and std < 0.2):
         return None
-    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, doubts.dof[12]))
-    return Scale(factor=1.0 / free.gamma, std=float(doubts.std[12]) / free.gamma**2, p=p)
+    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, uncertain.dof[12]))
+    return Scale(factor=1.0 / free.gamma, std=float(uncertain.std[12]) / free.gamma**2, p=p)
 
 
 def _rejected(
@@ -285,7 +287,7 @@ def fit_drifting(
     With its covariance (12, 12) of (dtX, dwX, dtZ, dwZ), turns from the left, and how the errors hang together.
 
     arrays: of PosePairs.arrays, start: RX, tX, RZ, tZ near the answer, t_s (n,): times of the pairs. In the camera's
-    axes all components drift alike, places and turns each by their own size, or each pair by its noise (n, 6, 6).
+    axes all components drift alike, positions and turns each by their own size, or each pair by its noise (n, 6, 6).
     """
     used: Arrays = tuple(a[keep] for a in arrays)  # type: ignore[assignment]  # four stay four
     r, J = _linear(used, start)  # (n, 6), (n, 6, 12)

@@ -107,9 +107,9 @@ def consensus(arrays: Arrays) -> Consensus:
     """
     found = _of_most(arrays)
     if found.agree < LEAST_SHARE or found.share > UNRELATED:
-        whole = _of_all(arrays)
-        if whole is not None and whole.agree >= LEAST_SHARE and whole.share <= NEAR:
-            return whole
+        of_all = _of_all(arrays)
+        if of_all is not None and of_all.agree >= LEAST_SHARE and of_all.share <= NEAR:
+            return of_all
     return found
 
 

@@ -168,7 +168,7 @@ def _first(at: Linear, known: Array, keep: NDArray[np.bool_], least: tuple[Array
     Of the middle pair's position a share stays noise of position: the covariances', or what is added where they are
     smaller.
     """
-    squares = (at.e[keep] ** 2).reshape(-1, 2, 3).mean(axis=2)  # of place and turn
+    squares = (at.e[keep] ** 2).reshape(-1, 2, 3).mean(axis=2)  # of position and turn
     claimed = np.diagonal(known[keep, :3, :3], axis1=1, axis2=2).mean(axis=1)
     move, turn = np.median(squares, axis=0).tolist()
     floor = np.append(least[0], least[1] * min(float(np.median(squares[:, 0] / claimed)), 1.0))

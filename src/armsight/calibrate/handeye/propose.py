@@ -29,7 +29,7 @@ LEAST_BOX_M = 0.05
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposal:
     """T_base_flange to drive to, T_camera_target expected there, and the largest standard deviation of the camera's
-    place (m) expected after this pose and those before it."""
+    position (m) expected after this pose and those before it."""
 
     T_base_flange: RigidTransform
     T_camera_target: RigidTransform
@@ -78,14 +78,14 @@ def _candidates(
     t = seen.translation
     slope = np.abs(t[:, :2] / t[:, 2:]).max(axis=0)
     z = rng.uniform(t[:, 2].min(), t[:, 2].max(), N_CANDIDATES)
-    place = np.column_stack(
+    xyz_m = np.column_stack(
         [rng.uniform(-slope[0], slope[0], N_CANDIDATES) * z, rng.uniform(-slope[1], slope[1], N_CANDIDATES) * z, z]
     )
     direction = rng.uniform(0.0, 2.0 * np.pi, N_CANDIDATES)
     tilt = TILT_RAD * np.sqrt(rng.uniform(0.0, 1.0, N_CANDIDATES))
     tilts = Rotation.from_rotvec(np.column_stack([tilt * np.cos(direction), tilt * np.sin(direction), 0.0 * tilt]))
     rolls = Rotation.from_rotvec(np.outer(rng.uniform(-ROLL_RAD, ROLL_RAD, N_CANDIDATES), [0.0, 0.0, 1.0]))
-    camera = RigidTransform.from_components(place, tilts * seen.rotation.mean() * rolls)
+    camera = RigidTransform.from_components(xyz_m, tilts * seen.rotation.mean() * rolls)
     if result.setup is Setup.EYE_IN_HAND:
         flange = result.T_parent_target * camera.inv() * result.T_parent_camera.inv()
     else:

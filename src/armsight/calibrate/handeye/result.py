@@ -18,7 +18,7 @@ from armsight.units import DEG, MM
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 NAMES = tuple(f"{who}.{name}" for who in ("camera", "target") for name in POSE_NAMES)
-"""Names of the covariance: the camera's pose in its mount, then the target's in its seat."""
+"""Names of the covariance: of T_parent_camera, then of T_parent_target."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,8 +36,8 @@ class HandEye:
     """Where the camera and the target are, and how far to believe it.
 
     setup: EYE_IN_HAND: T_parent_camera is T_flange_camera and T_parent_target is T_base_target. EYE_TO_HAND: they are
-    T_base_camera and T_flange_target. covariance (12, 12): of both, translation then rotation vector, in mount's
-    and seat's axes, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used (n,): which
+    T_base_camera and T_flange_target. covariance (12, 12): of both, translation then rotation vector, in the
+    parents' axes, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used (n,): which
     pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
     correlation: of the errors in time, where the poses are of one recording; left_out is then against what is further

@@ -46,8 +46,8 @@ def pairs_of_streams(
     inside = np.flatnonzero((at >= tr[0]) & (at <= tr[-1]))
     at = at[inside]
     turn = Slerp(tr, robot.rotation)(at)
-    place = np.stack([np.interp(at, tr, column) for column in robot.translation.T], axis=1)
-    flange = RigidTransform.from_components(place, turn)
+    xyz_m = np.stack([np.interp(at, tr, column) for column in robot.translation.T], axis=1)
+    flange = RigidTransform.from_components(xyz_m, turn)
     chosen = _spread(flange, _slow(flange, at), most)
     if len(chosen) < MIN_PAIRS:
         raise NotEnoughData(
@@ -260,7 +260,7 @@ def _sliding(x: Array, y: Array) -> Array:
 
 
 def _peaks(offsets: Array, correlations: Array) -> list[int]:
-    """Return the places of the highest correlations, each more than half a window from those before it."""
+    """Return the positions of the highest correlations, each more than half a window from those before it."""
     left = correlations.copy()
     out: list[int] = []
     while len(out) < CANDIDATES and (k := int(np.argmax(left))) >= 0 and left[k] > -1.0:

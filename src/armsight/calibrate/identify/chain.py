@@ -37,7 +37,8 @@ def moved_by(axis: Axis, q: Array, X: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChainModel:
-    """Parameters: tilt and place of every turning joint's axis (4), of a slide's its tilt (2), the beacon at zero (3).
+    """Parameters: tilt and position of every turning joint's axis (4), of a slide's its tilt (2), the beacon at zero
+    (3).
 
     Measured from a start: the first axes given, each with its own basis (n, 3, 3).
     """

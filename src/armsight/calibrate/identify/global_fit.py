@@ -132,9 +132,11 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
     return replace(best, alternatives=tuple(one for one in tried if _rivals(one, best)))
 
 
-def _check_dropped(seen: SweepResiduals, found: Sequence[JointPath], whole: GlobalFit, rows: NDArray[np.intp]) -> None:
+def _check_dropped(
+    seen: SweepResiduals, found: Sequence[JointPath], arm_fit: GlobalFit, rows: NDArray[np.intp]
+) -> None:
     """Raise Inconsistent where an arm explains its other sweeps, and too little of one."""
-    dropped = [row for row, _ in whole.dropped]
+    dropped = [row for row, _ in arm_fit.dropped]
     for j, item in enumerate(found, 1):
         off = len(item.discarded) + int(np.isin(item.rows, dropped).sum())
         count = len(item.discarded) + len(item.rows)
@@ -146,7 +148,7 @@ def _check_dropped(seen: SweepResiduals, found: Sequence[JointPath], whole: Glob
                     [
                         "Another joint may have moved with it, or its commanded values are not exact: sweep again, or "
                         "use only their order (--increments order)",
-                        *_suspected(seen.take(rows), whole.model),
+                        *_suspected(seen.take(rows), arm_fit.model),
                     ]
                 ),
             )
@@ -263,7 +265,7 @@ def candidates(seen: SweepResiduals, q: Array, *, revolute: bool) -> list[Candid
     """Return the axes that explain a sweep best at the joint's values q (m,), the best first.
 
     For a direction the rest of the motion is linear, so that all directions can be tried: no start can be wrong. A
-    turning joint's place is a + cos q b + sin q n x b, a sliding one's a + q n.
+    turning joint's position is a + cos q b + sin q n x b, a sliding one's a + q n.
     """
     xyz, W = seen.sweeps.xyz_m, _information(seen)
     middle, mean = 0.5 * (q.min() + q.max()), xyz.mean(axis=0)
@@ -289,7 +291,7 @@ def plausible(found: Sequence[Candidate], best: float) -> list[Candidate]:
 
 
 def _information(seen: SweepResiduals) -> Array:
-    """Return the information (m, 3, 3) of every place."""
+    """Return the information (m, 3, 3) of every position."""
     m = len(seen.sweeps)
     W: Array
     if seen.rig is None and seen.whitener is not None:

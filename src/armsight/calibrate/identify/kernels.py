@@ -158,7 +158,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
 def axis_cost(revolute, direction, xyz, W, q, p):
     """Return the misfit of a sweep for an axis of given direction, all else eliminated (or infinity); fill p.
 
-    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the place is
+    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the position is
     a + cos q b + sin q n x b with b square to n: p = a (3), b (3). Sliding: a + q n: p = a.
     """
     m = len(q)

@@ -63,7 +63,7 @@ class PathFit:
         return np.asarray(self.point_m + self.radius_m * across / size)
 
     def tangent(self, at_m: Array) -> Array:
-        """Return the direction (3,) of the path at a place (3,) on it."""
+        """Return the direction (3,) of the path at a position (3,) on it."""
         if self.kind == "line":
             return self.direction
         return np.asarray(np.cross(self.direction, at_m - self.point_m) / self.radius_m)
@@ -161,7 +161,8 @@ def line_misfit(seen: SweepResiduals) -> float:
 def circle_starts(seen: SweepResiduals) -> list[Start]:
     """Return chi-square, normal, centre, radius of circles with normals swung about the chord, the best first.
 
-    Each is the circle of linear least squares in its plane through the middle, every reading put to its nearest place.
+    Each is the circle of linear least squares in its plane through the middle, every reading put to its nearest
+    position.
     """
     xyz = seen.sweeps.xyz_m
     middle = xyz.mean(axis=0)

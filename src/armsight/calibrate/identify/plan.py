@@ -24,7 +24,7 @@ from armsight.records import frozen_array
 Array = NDArray[np.float64]
 
 PROBE_SHARE = 0.05
-"""Share of a joint's travel that a probe moves it: small beside what a free working place allows."""
+"""Share of a joint's travel that a probe moves it: small beside what a free working position allows."""
 RESTS, GRID, ROUNDS = 150, 41, 4
 """Rest poses tried a joint, values of its range, rounds of exchange."""
 PLAN_SEED = 1

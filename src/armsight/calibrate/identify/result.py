@@ -47,7 +47,7 @@ USELESS_SHARE = 2e-3
 NOTHING = 1e-11
 """Eigenvalues of the scaled information below this mean that the readings say nothing of a combination."""
 FELT = 1e-4
-"""A place that hangs on such a combination by more than this share is not known."""
+"""A position that hangs on such a combination by more than this share is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +61,7 @@ class ParameterUncertainty:
     def positions(self, q: Array) -> tuple[Array, Array]:
         """Return the beacon (m, 3) in rig axes at joint values q (m, n) and its covariance (m, 3, 3) in m^2.
 
-        Infinite where the place hangs on something that the readings leave open.
+        Infinite where the position hangs on something that the readings leave open.
         """
         X, J = self.model.predict(self.p, np.asarray(q, float))
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
@@ -80,8 +80,8 @@ class Identification:
 
     sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
     result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. uncertainty: of the beacon's
-    place anywhere, where the whole arm was fitted at once. misfit: RMS of the kept readings' distances from the arm, in
-    standard deviations of the noise: about 1 of an arm that explains them.
+    position anywhere, where the whole arm was fitted at once. misfit: RMS of the kept readings' distances from the arm,
+    in standard deviations of the noise: about 1 of an arm that explains them.
     """
 
     arm: Arm
@@ -120,7 +120,7 @@ def place_frames(
     """Return rows (n, 5) by KEYS, T_world_base (4, 4) and T_flange_tool (4, 4) of axes with all joints at zero.
 
     base (4, 4): its origin's foot on the first axis becomes the first frame's origin, its x the side of x. A slide's
-    place is free: the last joint's goes through the beacon, as in the paper, any other through the frame before it.
+    position is free: the last joint's goes through the beacon, as in the paper, any other through the frame before it.
     """
     T = _first(axes[0], base)
     first = T.copy()
@@ -136,7 +136,7 @@ def place_frames(
     tool = np.eye(4)
     tool[:3, 3] = T[:3, :3].T @ (beacon_m - T[:3, 3])
     if not axes[-1].revolute or len(axes) == 1:
-        rows[-1, 1], tool[2, 3] = tool[2, 3], 0.0  # along a slide the beacon's place is its offset
+        rows[-1, 1], tool[2, 3] = tool[2, 3], 0.0  # along a slide the beacon's position is its offset
     return rows, first, tool
 
 

@@ -29,7 +29,7 @@ MOVED = 1e-3
 class Sweeps:
     """Readings row by row: joint (m,) that moves, from 0; q (m, n); xyz_m (m, 3) in rig axes.
 
-    A joint may be swept several times, with the others at other places each time.
+    A joint may be swept several times, with the others at other positions each time.
     uv_px: (m, 2, 2) as [row, side], where a rig saw them. std_px: (m,) of a coordinate of theirs, as whoever found them
     claims; identification claims no less, for not all of it shows in what a fit leaves. covariance_m2: (m, 3, 3) of the
     positions, where known.

@@ -113,10 +113,12 @@ def _judge(
     free = np.eye(r.shape[1]) - Jl @ np.linalg.solve(Jl.transpose(0, 2, 1) @ Jl, Jl.transpose(0, 2, 1))
     Js, e = free @ Js, (free @ r[:, :, None])[:, :, 0]
     S = Js.transpose(0, 2, 1) @ Js  # (g, k, k)
-    whole = S.sum(axis=0)
-    covariance = np.linalg.inv(whole)
+    information = S.sum(axis=0)
+    covariance = np.linalg.inv(information)
     step = (
-        np.linalg.solve(whole - S, (Js.transpose(0, 2, 1) @ e[:, :, None])) if g > 1 else np.zeros((g, len(whole), 1))
+        np.linalg.solve(information - S, (Js.transpose(0, 2, 1) @ e[:, :, None]))
+        if g > 1
+        else np.zeros((g, len(information), 1))
     )
     left_out = (e + (Js @ step)[:, :, 0])[:, : 4 * n].reshape(g, n, 2, 2)
     share = np.zeros_like(covariance)
@@ -155,7 +157,7 @@ def _by_rig(rig: Rig, layout: Layout, fit: Fit, whiten: Array) -> Array:
 
 
 def _project(packed: PackedRig, layout: Layout, values: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """Return R X (g, n, 3), pixels (g, n, 2, 2) and their derivatives (g, n, 2, 2, 3) by the place in rig axes."""
+    """Return R X (g, n, 3), pixels (g, n, 2, 2) and their derivatives (g, n, 2, 2, 3) by the position in rig axes."""
     X = layout.spots(values)
     g, n = len(poses), len(X)
     turned = np.einsum("gij,nj->gni", _rotations(poses), X)

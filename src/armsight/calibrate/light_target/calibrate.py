@@ -219,8 +219,8 @@ def _epipolar(rig: Rig, seen: LightObservations) -> tuple[float, int]:
 
 def _covariance(layout: Layout, bundle: LightBundle) -> Array:
     """Return (3 n, 3 n); the noise is never believed to be smaller than the spots say."""
-    whole = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
-    return np.asarray(layout.basis @ whole @ layout.basis.T)
+    covariance = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
+    return np.asarray(layout.basis @ covariance @ layout.basis.T)
 
 
 def _share(layout: Layout, bundle: LightBundle, covariance: Array) -> float:

@@ -39,8 +39,8 @@ NAMING_ROUNDS = 4
 class Named:
     """The shape X (n, 3), labels in an order of their own, and the frames named by it.
 
-    number (g,): position in the sights. rows (g, n): the pair that is each light. R (g, 3, 3), t (g, 3): its place in
-    rig axes. behind (g,): seen from the other side than the rest. information (g, n, 3, 3): of the points.
+    number (g,): position in the sights. rows (g, n): the pair that is each light. R (g, 3, 3), t (g, 3): its position
+    in rig axes. behind (g,): seen from the other side than the rest. information (g, n, 3, 3): of the points.
     misfit: for the other frames, (number, largest difference of a distance in m).
     """
 

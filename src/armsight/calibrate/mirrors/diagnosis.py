@@ -26,7 +26,7 @@ from armsight.records import BoardView, NamedCovariance, Target, TargetPose
 Array = NDArray[np.float64]
 
 LEAST_LIT = 5
-"""Views of a lit target below which the mirrors' place is not asked for."""
+"""Views of a lit target below which the mirrors' position is not asked for."""
 GOOD_LIT = 10
 VAGUE = 0.01
 """Standard deviation of the baseline, by itself, from which the views are too much alike."""

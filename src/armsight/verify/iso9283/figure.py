@@ -50,7 +50,7 @@ class Figure:
 
     @property
     def key(self) -> str:
-        """The name, with the place behind it: 'RP_m P1'."""
+        """The name, with the pose behind it: 'RP_m P1'."""
         return f"{self.name} {self.place}".strip()
 
     @property
@@ -86,7 +86,7 @@ class Figures:
         return len(self.figures)
 
     def __getitem__(self, key: str) -> Figure:
-        """Return the figure of a key: 'RP_m P1', or 'RP_m' for the worst of all places; KeyError for another one."""
+        """Return the figure of a key: 'RP_m P1', or 'RP_m' for the worst of all poses; KeyError for another one."""
         for figure in self.figures:
             if figure.key == key:
                 return figure
@@ -109,7 +109,7 @@ class Figures:
         }
 
     def as_json(self) -> dict[str, dict[str, float | int | str | None]]:
-        """Return the worst of each figure by name and, where there are several places, each of them by key."""
+        """Return the worst of each figure by name and, where there are several poses, each of them by key."""
         out = {name: figure.as_json() for name, figure in self.worst().items()}
         several = {name for name in out if sum(figure.name == name for figure in self.figures) > 1}
         out.update({figure.key: figure.as_json() for figure in self.figures if figure.name in several})

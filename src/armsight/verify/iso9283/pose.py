@@ -47,7 +47,7 @@ def pose_figures(visits: PoseVisits) -> list[Figure]:
     """Return AP, AP_x .. AP_c, RP, RP_a .. RP_c of one robot at one pose, each given or withheld with the reason.
 
     a, b, c are turns about x, y, z of the measuring frame: components of the rotation vector from the commanded, or
-    from the mean, orientation. For small turns they are the differences of the standard's angles, without the places
+    from the mean, orientation. For small turns they are the differences of the standard's angles, without the positions
     at which those have no value.
     """
     return [*_accuracy(visits), *_repeatability(visits)]

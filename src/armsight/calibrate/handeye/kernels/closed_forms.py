@@ -253,11 +253,11 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
             copy_1(keep, mask)
         else:
             mask[:] = False
-            whole = True
+            complete = True
             for i in samples[s]:
                 mask[i] = True
-                whole = whole and keep[i]
-            if not whole:
+                complete = complete and keep[i]
+            if not complete:
                 continue
         good, x, z, c = translations(RX, Rf, tf, tb, mask, free_scale)
         if not good:
