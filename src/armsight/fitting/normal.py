@@ -34,11 +34,16 @@ class NormalEquations:
 
     def step(self, damping: float) -> tuple[Array, Array]:
         """Return the damped Gauss-Newton step (F,), (G, L) (Marquardt's scaling by the diagonal)."""
+        # The local parameters are eliminated group by group: (A - W C^-1 W') ds = -b + W C^-1 c, then dl = -C^-1 (c +
+        # W' ds) (Triggs and others 1999, section 6.1). G systems of L unknowns and one of F are solved, not one of F +
+        # G L
         C = _damped(self.C, damping)
         Ci_c, Ci_Wt = _solve_local(C, self.c, self.W)
         flat = self.W.transpose(1, 0, 2).reshape(len(self.b), self.c.size)  # (F, G L)
         S = _damped(self.A, damping) - flat @ Ci_Wt.reshape(self.c.size, len(self.b))
         rhs = -self.b + flat @ Ci_c.ravel()
+        # px, m and rad differ by orders of magnitude in their influence: solved in units of that, rounding is alike for
+        # all
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.A), FLOOR))
         ds = scale * np.linalg.solve(S * np.outer(scale, scale) + 1e-15 * np.eye(len(S)), scale * rhs)
         dl = -Ci_c - Ci_Wt @ ds
@@ -52,11 +57,13 @@ class NormalEquations:
     def local_covariance(self, covariance: Array) -> Array:
         """Return the marginal covariance (G, L, L) of the local parameters, given that of the shared ones."""
         _, Ci_Wt = _solve_local(_damped(self.C, 0.0), self.c, self.W)
+        # the inverse by blocks: what a group knows by itself, and what the shared parameters leave open of it
         inverse = np.linalg.inv(_damped(self.C, 0.0))
         return np.asarray(inverse + Ci_Wt @ covariance @ Ci_Wt.transpose(0, 2, 1))
 
     def predicted_decrease(self, ds: Array, dl: Array) -> float:
         """Return the fall of the cost that the linear model promises for the step."""
+        # the undamped model, -g'x - x'H x / 2: the damping belongs to the step, not to the cost
         linear = self.b @ ds + np.vdot(self.c, dl)
         cross = np.einsum("gfl,f,gl->", self.W, ds, dl)
         quadratic = ds @ self.A @ ds + 2.0 * cross + np.einsum("gl,glk,gk->", dl, self.C, dl)

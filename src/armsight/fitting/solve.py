@@ -130,6 +130,8 @@ def _iterate(problem: Problem, settings: Settings, state: _State, free: NDArray[
             settled = state.cost - cost <= settings.cost_tolerance * state.cost
             small = _relative_step(normal, ds, dl, state) <= settings.step_tolerance
             state.shared, state.local, state.evaluation, state.cost = shared, local, evaluation, cost
+            # Marquardt 1963: tenfold nearer to Gauss-Newton after a step that helped, tenfold away after one that did
+            # not
             state.damping = max(state.damping * 0.1, 1e-12)
             if small:
                 return StopReason.STEP_SMALL
@@ -205,6 +207,8 @@ def _covariance(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Array,
     diagonal = np.diag(normal.A)
     silent = diagonal <= FLOOR  # no residual feels the parameter at all
     scale = 1.0 / np.sqrt(np.where(silent, 1.0, diagonal))
+    # scaled by each parameter's own influence only correlation is left: an eigenvalue near zero is a combination that
+    # no residual feels, and its vector names the parameters in it
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     null = values < RANK_TOLERANCE
     groups = [

@@ -1,4 +1,5 @@
-"""The residuals of a fit as linear models see them: base and tool, every joint, the links' geometry."""
+"""What explains the residuals of a fit: linear models of them (base and tool, joints, links, a rig that moved),
+compared on rows left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes into a verification: what was measured, row by row, and what was left out of it."""
+"""What goes into a verification: what was measured, row by row; what was left out of it; figures of errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measured against expected, from streams to verdict: one call, no files."""
+"""Measured against expected, from streams to verdict: one call, no files; errors of the task and of the joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Rows of one recording are not independent: how long their errors are alike, blocks of time, and wider deviations."""
+"""How far a fit of an arm is to be believed: rows of a stream hang together in time, and held geometry is off too.
+
+Of rows of one recording: how long their errors are alike, blocks of time, and wider deviations.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""One fit of an arm's parameters, with the noise estimated and gross errors held down."""
+"""One fit of an arm's parameters, with the noise estimated and gross errors held down; what stands at its limit; the
+tool's points."""
 
 from __future__ import annotations
 
@@ -93,6 +94,7 @@ def fit_arm(
     fixed = frozenset(model.names) - set(free) - set(mounts)
     priors = {name: Prior(mean=0.0, sigma=tolerance.of(name)) for name in free}
     rows = 6 if points.rotation is not None else 3
+    # of good rows one in a hundred is beyond the scale and held down, which costs the answer next to nothing
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
     sigma = noise or estimate_noise(model, guess, points, len(free) + len(mounts))
     p = guess
@@ -134,6 +136,7 @@ def estimate_noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) ->
     position, turn = model.errors(p, points)
     m = len(points)
     rows = 6 if points.rotation is not None else 3
+    # residuals are smaller than the noise by what was fitted to them: N / (N - p), at most twofold
     spent = np.sqrt(rows * m / max(rows * m - n_free, 0.25 * rows * m))
 
     def one(r: Array, least: float) -> float:
@@ -153,6 +156,8 @@ def added_noise(position: Array, points: ArmPoints) -> float:
     candidates = np.geomspace(LEAST_POSITION_M, max(largest, 2.0 * LEAST_POSITION_M), ADDED_TRIED)
     cost = np.empty(ADDED_TRIED)
     for k, sigma in enumerate(candidates.tolist()):
+        # -2 log of Student's density in three dimensions, log det V + (nu + 3) log(1 + r' V^-1 r / nu) (Lange, Little,
+        # Taylor 1989)
         q = (points.whiten(position, sigma) ** 2).sum(axis=1)
         size = np.linalg.slogdet(points.covariance + sigma**2 * np.eye(3))[1]
         cost[k] = float((size + (TAILS + 3.0) * np.log1p(q / TAILS)).sum())

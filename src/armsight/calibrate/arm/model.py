@@ -181,6 +181,7 @@ class ArmModel:
         lever_m: (m, n) to hold the levers at; the derivative is then exact, and a fit settles.
         """
         lever = self.lever_m(p, points) if lever_m is None else lever_m
+        # where the joints come to rest: the readings with couplings, and what gives way under the load
         rest = self.values(p, points.q) + self.give(p) * lever
         n, g = self.arm.n, self.n_geometry
         T = np.empty((len(points), 4, 4))
@@ -195,6 +196,8 @@ class ArmModel:
             q = rest[rows]
             T[rows], own = parameter_jacobian(replace(arm, T_flange_tool=self.pose(p, k + 1)), q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
+            # by each joint's own variable, theta or d, through which scale, coupling and sag act: the chain rule's
+            # inner part
             turn = own[:, :, drive]  # (m, 6, n)
             J[rows, :, 5 * n : 6 * n] = turn * (sign * q)[:, None, :]
             J[rows, :, 6 * n : 7 * n - 1] = turn[:, :, 1:] * (scaled[1:] * points.q[rows][:, :-1])[:, None, :]

@@ -45,13 +45,19 @@ def choose(
     """Return which candidates can be told from each other and from base and tools by these measurements."""
     J = model.evaluate(p, points, *noise).shared[0]
     mounts = J[:, model.n_geometry :]
+    # What base and tools can take up is no sign of the geometry: only what is square to their columns counts
     Q = orthonormal_basis(mounts)
     index = [model.names.index(name) for name in candidates]
+    # A whitened column times its tolerance is as long as the correction of one tolerance is in standard deviations: 1 /
+    # length is what the measurements alone would know it to, in tolerances
     columns = J[:, index] * np.array([tolerance.of(name) for name in candidates])
     size_before = np.linalg.norm(columns, axis=0)
     left = columns - Q @ (Q.T @ columns)
     free: list[int] = []
     open_ = list(range(len(candidates)))
+    # Gram-Schmidt with column pivoting (Golub, Van Loan, QR with column pivoting): free what has most of its own left,
+    # take that out of all others, and go on until nothing has enough. The order so goes by what is told, not by the
+    # joints' numbers
     while open_:
         size = np.linalg.norm(left[:, open_], axis=0)
         fit = (size >= WORTH) & (size >= APART * size_before[open_])

@@ -1,4 +1,4 @@
-"""Whether measurements are of the arm at all: fits that miss by much of what the tool moved are refused, with rows."""
+"""Whether measurements are of the arm at all, and of one place on its tool: else they are refused, with rows."""
 
 from __future__ import annotations
 

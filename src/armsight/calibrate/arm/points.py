@@ -99,6 +99,7 @@ class ArmPoints:
         rest = ~left
         if self.block is None or self.t_s is None or not left.any():
             return rest
+        # the nearest in time of those left out, before and behind
         times = np.sort(self.t_s[left])
         k = np.searchsorted(times, self.t_s)
         before, after = times[np.maximum(k - 1, 0)], times[np.minimum(k, len(times) - 1)]
@@ -125,6 +126,7 @@ class ArmPoints:
         """Return (m, 3, ...) in units of each row's noise: sigma_m in every coordinate, beside its own covariance."""
         if self.covariance is None:
             return vectors / sigma_m
+        # L L' is a row's covariance and what that leaves unexplained: L^-1 r has components of unit variance
         L = np.linalg.cholesky(self.covariance + sigma_m**2 * np.eye(3))
         return np.asarray(np.linalg.solve(L, vectors.reshape(len(self), 3, -1)).reshape(vectors.shape))
 

@@ -93,6 +93,7 @@ def _most_telling(J: Array, H: Array, n: int) -> tuple[list[int], Array]:
     """Return the candidates, J (m, 3, P), in the order of what they add to H (P, P), and H with all of them."""
     order: list[int] = []
     for _ in range(min(n, len(J))):
+        # det(H + J'J) = det H det(1 + J H^-1 J'): a 3 x 3 determinant a candidate in place of one of all parameters
         gain = np.linalg.slogdet(np.eye(3) + J @ np.linalg.solve(H, J.transpose(0, 2, 1)))[1]
         gain[order] = -np.inf
         best = int(gain.argmax())

@@ -1,4 +1,5 @@
-"""Where the rig stands to the arm's base (Kapucu and Baysec 2005, section 2: the displacement matrix)."""
+"""Where the rig stands to the arm's base (Kapucu and Baysec 2005, section 2: the displacement matrix), and whether its
+scale is the arm's."""
 
 from __future__ import annotations
 

@@ -133,6 +133,7 @@ class BoardEquations:
 def _tie(A: Array, b: Array, W: Array) -> None:
     """Move the right view's share of the normal equations to the left one's intrinsics, in place."""
     n = len(INTRINSICS)
+    # both views follow one lens: by the chain rule the right view's columns are added to the left one's
     for M in (A, A.T):
         M[:n] += M[n : 2 * n]
         M[n : 2 * n] = 0.0
@@ -174,6 +175,7 @@ def asks_to_be_freed(observations: Observations, fit: Fit, fixed: frozenset[str]
     evaluation = problem.evaluate(fit.shared, fit.local)
     free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
     normal = problem.normal_equations(evaluation, fit.shared, free)
+    # the score test (Rao 1948): g' H^-1 g is the fall of chi-square to first order, with no second fit
     fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
     return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
 

@@ -1,4 +1,5 @@
-"""A start for the bundle adjustment: homographies, focal lengths and poses in closed form (Zhang 2000)."""
+"""Starts for the bundle adjustment: homographies, focal lengths and poses in closed form (Zhang 2000); of a fisheye the
+focal length that makes the boards flat."""
 
 from __future__ import annotations
 

@@ -75,6 +75,7 @@ def refuse_other_lens(given: Observations, fit: RobustFit, options: BoardOptions
         if float(np.nanmax(np.linalg.norm(rays, axis=1))) < WIDE and np.isfinite(rays).all():
             return []
     residual = np.linalg.norm(residuals_px(used, fit.fit)[:, c], axis=2)[used.weight[:, c] > 0.0]
+    # points left out are no merit: what is kept must be better by their share
     own = float(np.median(residual)) / kept
     other = other_lens(given.camera(c), options)
     if other is None or not other.median_px < BETTER * own:

@@ -1,4 +1,4 @@
-"""Board views of one camera or two, packed for the bundle adjustment."""
+"""Board views of one camera or two, packed for the bundle adjustment, and what that is free to do."""
 
 from __future__ import annotations
 

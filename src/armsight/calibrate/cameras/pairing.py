@@ -1,5 +1,5 @@
 """Do the left and the right images belong together? The two cameras stand still against each other, so all pairs must
-give one relative pose.
+give one relative pose; and from that to the rig.
 """
 
 from __future__ import annotations

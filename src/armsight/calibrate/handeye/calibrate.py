@@ -1,4 +1,4 @@
-"""Hand-eye calibration from pose pairs: check, solve, uncertainty, advice."""
+"""Hand-eye calibration from pose pairs: check, solve, uncertainty, advice; of a recording with its errors' drift."""
 
 from __future__ import annotations
 

@@ -121,6 +121,7 @@ def _of_most(arrays: Arrays) -> Consensus:
     errors = np.empty(n)
     RX, RZ, sigma_rad = starts.rotation_consensus(RF, RB, drawn, keep, errors)
     outcomes = []
+    # a free scale fits the noise of few pairs too, and is taken only where it explains most of what is left
     for free in (False, True):
         mask = keep.copy()
         ok, tX, tZ, gamma, sigma_m = starts.translation_consensus(RX, RF, tF, tB, drawn, free, mask, errors)
@@ -139,6 +140,7 @@ def _of_all(arrays: Arrays) -> Consensus | None:
         return None
     start = (RX, tX, RZ, tZ)
     turned, moved = _left(arrays, start, gamma)
+    # the median length of three unit normals is MEDIAN_NORM: from lengths to one component
     sigmas = (float(np.median(turned)) / starts.MEDIAN_NORM, float(np.median(moved)) / starts.MEDIAN_NORM)
     return _judged(arrays, start, float(gamma), None, sigmas)
 
@@ -152,6 +154,8 @@ def _judged(
 ) -> Consensus:
     """mask (n,): which agree within the noise; None for those that are near."""
     RF, tF, RB, tB = arrays
+    # how much there was to explain, in the camera's unit: the target's way in the camera, and beside it the way of the
+    # base's (or flange's) origin seen from the other side, which a hand that only turned makes too
     turn = max(_spread(_turns(RB)), 1e-12)
     move = max(float(np.hypot(_spread(tB), abs(gamma) * _deviation(-np.einsum("nji,nj->ni", RF, tF)))), 1e-12)
     turned, moved = _left(arrays, start, gamma)

@@ -1,8 +1,8 @@
 """The corners of every image and the robot's poses, each with its noise, in one least-squares fit: a bundle adjustment.
 
-Three things are unknown of every image: nothing more than the target's pose in the camera (6), which the corners
-measure by reprojection, and the robot, with its own noise, through the hand-eye equation. Taking the robot as exact
-and reprojecting through it would weigh its millimetres as pixels.
+Of every image the target's pose in the camera is unknown, which the corners measure by reprojection, and the robot,
+with a noise of its own, through the hand-eye equation. Taking the robot as exact and reprojecting through it would
+weigh its millimetres as pixels.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Hand-eye calibration from images: of the target's poses in them, or of their corners where that is proved better."""
+"""Hand-eye calibration from images: of the target's poses in them, or of their corners where images left out prove that
+better."""
 
 from __future__ import annotations
 

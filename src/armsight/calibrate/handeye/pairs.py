@@ -1,4 +1,4 @@
-"""Pose pairs: where the robot said its flange was, and where the camera saw the target."""
+"""Pose pairs: where the robot said its flange was, where the camera saw the target, and how much the hand turned."""
 
 from __future__ import annotations
 

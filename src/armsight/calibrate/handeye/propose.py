@@ -54,6 +54,7 @@ def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool]
     left = np.arange(len(J))
     for _ in range(min(n, len(J))):
         C = np.linalg.inv(information[None] + J[left].transpose(0, 2, 1) @ J[left])  # (m, 12, 12)
+        # A-optimal: the sum of the variances of the camera's pose, each over today's, so that m and rad add up
         gain = (np.einsum("maa->ma", C)[:, :6] / scale**2).sum(axis=1)
         best = int(np.argmin(gain))
         k = int(left[best])

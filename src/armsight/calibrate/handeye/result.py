@@ -1,4 +1,4 @@
-"""What a hand-eye calibration returns."""
+"""What a hand-eye calibration returns: the poses, whose noise the residuals are, the verdict and what to do next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pose pairs out of two time-stamped streams that nobody has paired."""
+"""Pose pairs out of two time-stamped streams that nobody has paired, and the time offset between the two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The whole arm as a product of motions about its axes: where the beacon is at known joint values (MATH 4.3)."""
+"""The whole arm as a product of motions about its axes: where the beacon is at known joint values (MATH 4.3), and
+whether what it leaves looks like coupled gears."""
 
 from __future__ import annotations
 
@@ -146,6 +147,8 @@ def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array, rig: Rig
     for i in range(n):
         for by in range(n):
             column = np.append(_effect(kept, model, p, i, by), np.zeros(k))
+            # beside the arm's parameters a share tells only by the part of its effect that they cannot make (Frisch,
+            # Waugh 1933)
             own = column - Q @ (Q.T @ column)
             size2 = float(own @ own)
             if size2 <= OWN**2 * float(column @ column):

@@ -1,4 +1,4 @@
-"""The whole arm fitted at once: starts, gross readings, standard deviations widened by what the fit leaves."""
+"""The whole arm fitted at once: axes to start from, gross readings, standard deviations widened by what is left."""
 
 from __future__ import annotations
 
@@ -95,6 +95,7 @@ class GlobalFit:
             return out
         free = [self.fit.names.index(name) for name in self.fit.covariance.names]
         slopes = kept.residuals(predicted, J)[1].reshape(len(shifts), -1)[:, free]
+        # where the fit goes when all readings are shifted so: its own normal equations with the shifts for residuals
         moved = np.linalg.lstsq(slopes, -shifts, rcond=None)[0]
         out[np.ix_(free, free)] = moved @ moved.T
         return out
@@ -193,6 +194,7 @@ def _starts(
     rests = [sweeps.q[item.main[0], :j] for j, item in enumerate(found)]
     rows = np.sort(np.concatenate([item.rows for item in found]))
     combined: list[tuple[float, list[Axis]]] = [(0.0, [])]
+    # a beam: the best combinations of the joints so far are carried on, since all would be a product over the joints
     for possible in axes:
         more = [
             (penalised_cost + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
@@ -236,6 +238,7 @@ def all_covariance(names: tuple[str, ...], covariance: NamedCovariance | None, w
 def beacon_at_zero(axes: Sequence[Axis], sweeps: Sweeps, rows: NDArray[np.intp]) -> Array:
     """Return the beacon with all joints at zero: every reading moved back, the median."""
     X = sweeps.xyz_m[rows]
+    # the beacon is M1(q1) .. Mn(qn) of where it is at zero: undone from the base outwards
     for axis, q in zip(axes, sweeps.q[rows].T, strict=True):
         X = moved_by(axis, -q, X)
     return np.asarray(np.median(X, axis=0))
@@ -316,6 +319,7 @@ def _minima(grid: Array, costs: Array) -> list[Array]:
 
 def _sphere(n: int) -> Array:
     """Return n directions (n, 3), evenly spread."""
+    # a spiral of golden angles at even heights: even heights are even areas on a sphere
     i = np.arange(n) + 0.5
     z, turn = 1.0 - 2.0 * i / n, np.pi * (1.0 + np.sqrt(5.0)) * i
     r = np.sqrt(1.0 - z**2)

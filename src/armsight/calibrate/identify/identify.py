@@ -182,6 +182,7 @@ def _with_rivals(arm_fit: GlobalFit, table: Array, covariance: Array, base: Arra
             wide, count = np.maximum(wide, np.hypot(std, off)), count + 1
     if not count:
         return covariance, []
+    # entry by entry, so that the correlations stay
     stretch = np.divide(wide, std, out=np.ones_like(std), where=std > 0.0).ravel()
     return covariance * np.outer(stretch, stretch), [
         "another arm explains the readings as well; the standard deviations cover both. Longer arcs, or a sweep seen "
@@ -232,6 +233,7 @@ def _where_paths_meet(paths: Sequence[PathFit], sweeps: Sweeps, home: Array) -> 
     for _ in range(MEETING_STEPS):
         near = np.array([path.nearest(position[None])[0] for path in paths])
         tangents = np.array([path.tangent(at) for path, at in zip(paths, near, strict=True)])
+        # nearest to all tangents: the sum of (1 - t t') (near - x) vanishes, and near moves on with x
         across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
         # paths of one tangent leave it open how far along them; there the start is kept
         step = np.linalg.pinv(across.sum(axis=0), rcond=1e-3) @ np.einsum("kij,kj->i", across, near - position)

@@ -1,4 +1,5 @@
-"""Every joint's path: line or circle, gross readings discarded, the noise found from all of them."""
+"""Every joint's path: line or circle, gross readings discarded, the noise found from all of them; and as the paper has
+it (MATH 4.1)."""
 
 from __future__ import annotations
 
@@ -90,6 +91,7 @@ def _judged(item: JointPath, factor: float, dof: int) -> JointPath:
     """Return a path with the probability of a line by an F test: the noise was found from dof residuals."""
     if item.path.kind == "line":
         return replace(item, p_line=float(chdtrc(max(item.path.dof, 1), item.path.chi2 / factor**2)))
+    # a line is a circle without curvature: of two parameters more, noise gains chi-square of two degrees of freedom
     gained = max(item.line_chi2 - item.path.chi2, 0.0) / factor**2
     return replace(item, p_line=float(fdtrc(2, max(dof, 1), gained / 2.0)))
 
@@ -107,6 +109,7 @@ def _noise(seen: SweepResiduals, order: Array) -> tuple[float, PathFit | None]:
             return float("nan"), None
     if path.dof < 1:
         return float("nan"), None
+    # a median, over that of chi-square: what gross readings leave alone
     spread = float(np.median((path.residual**2).sum(axis=1)) / chdtri(path.dof / len(path.residual), 0.5))
     return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
 
@@ -205,6 +208,7 @@ def triple_circle(xyz_m: Array, order: Array) -> tuple[Array, Array, float]:
     good = size > 1e-12 * np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     a, b, n, size, first = a[good], b[good], n[good], size[good], P[i[good, 0]]
     aa, bb = (a * a).sum(axis=1)[:, None], (b * b).sum(axis=1)[:, None]
+    # c = P1 + (|a|^2 b x n + |b|^2 n x a) / (2 |n|^2), n = a x b: no frames to turn into and back (MATH 4.1)
     centres = first + (aa * np.cross(b, n) + bb * np.cross(n, a)) / (2.0 * size[:, None] ** 2)
     radii = np.linalg.norm(centres - first, axis=1)
     axes = n / size[:, None]

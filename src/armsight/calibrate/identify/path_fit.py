@@ -171,6 +171,8 @@ def circle_starts(seen: SweepResiduals) -> list[Start]:
     normals = np.cos(angle) * normal + np.sin(angle) * (skew(chord) @ normal)
     E = np.stack([np.broadcast_to(chord, normals.shape), np.cross(normals, chord)], axis=2)  # (8, 3, 2)
     x = (xyz - middle) @ E
+    # |x|^2 = 2 c . x + (r^2 - |c|^2), linear in the centre and one constant (Kasa 1976); drawn towards short arcs (MATH
+    # 4.2), which does for a start
     A = np.concatenate([2.0 * x, np.ones((*x.shape[:2], 1))], axis=2)
     solved = (np.linalg.pinv(A) @ (x**2).sum(axis=2)[:, :, None])[:, :, 0]
     centre, c = solved[:, None, :2], solved[:, 2]
@@ -196,6 +198,7 @@ def _circle_from(
 ) -> PathFit:
     xyz = seen.sweeps.xyz_m
     index = np.argsort(order)
+    # the tangent is taken at the middle reading, where a short arc knows it best
     point = xyz[index[len(index) // 2]] - centre
     point = point - (point @ n) * n
     point *= radius / max(float(np.linalg.norm(point)), 1e-12)
@@ -264,6 +267,8 @@ def _path(
         radius_m=radius,
         phase=phase,
         chi2=float((r**2).sum()),
+        # a phase a reading is fitted too: of four pixel coordinates 3 N - 6 are left of a circle, 3 N - 4 of a line
+        # (MATH 4.3)
         dof=r.size - len(names) - len(r),
         residual=r,
         cost=fit.cost,
@@ -329,6 +334,7 @@ def circle_of(tilt: Tilt, middle: Array, p: Array) -> tuple[Array, Array, float,
     t, dt = tilt.direction(p[2:4])
     across = tilt.B[:, :2]
     g = across @ p[4:6]
+    # the curvature vector across the tangent: the centre is c / |c|^2 away, the radius 1 / |c|, the axis t x c / |c|
     c = g - (g @ t) * t
     dc = np.zeros((3, 6))
     dc[:, 2:4] = -np.outer(t, g @ dt) - (g @ t) * dt

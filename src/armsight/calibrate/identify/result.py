@@ -1,4 +1,4 @@
-"""What an identification returns."""
+"""What an identification returns, and its way from axes to a Denavit-Hartenberg table (MATH 4.5)."""
 
 from __future__ import annotations
 
@@ -130,6 +130,8 @@ def place_frames(
             axis = axes[i]
             last_slide = not axis.revolute and i == len(axes) - 1
             point = beacon_m if last_slide and slide_at_beacon else axis.point_m
+            # from frame i - 1 to the line of axis i: theta, d along z, a along the common normal, alpha; Hayati's beta
+            # where the two are nearly parallel and d would run away (MATH 4.5)
             link = link_to_line(T, point, axis.direction, prismatic=not axis.revolute and not last_slide)
             rows[i - 1] = link.theta_rad, link.d_m, link.a_m, link.alpha_rad, link.beta_rad
             T = T @ link.matrix()
@@ -148,6 +150,7 @@ def _first(axis: Axis, base: Array) -> Array:
     x /= np.linalg.norm(x)
     T = np.eye(4)
     T[:3, :3] = np.stack([x, skew(z) @ x, z], axis=1)
+    # the foot of the base's origin: along axis 1 nothing measured says where a frame begins
     T[:3, 3] = axis.point_m + ((base[:3, 3] - axis.point_m) @ z) * z
     return T
 

@@ -1,4 +1,4 @@
-"""Readings of a beacon while one joint after the other moves."""
+"""Readings of a beacon while one joint after the other moves, and how far a model is from them."""
 
 from __future__ import annotations
 

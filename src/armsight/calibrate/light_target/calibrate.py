@@ -199,6 +199,7 @@ def _fit(
         dof = 4 * n - (5 if layout.on_line else 6)
         middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_ppf(0.5, dof)), 1.0)
         limit = middle * float(chi2_isf(FALSE_ALARM / total, dof))
+        # one at a time: a wrong frame bends the shape and makes good ones look bad
         worst = int(np.argmax(bundle.frame_chi2))
         if bundle.frame_chi2[worst] <= limit:
             break

@@ -120,6 +120,7 @@ def told_apart(named: Named) -> tuple[Flags, NDArray[np.intp] | None]:
     own = facing(named.R, named.t, X, normal)
     for perm in list(permutations(range(n)))[1:]:
         q = np.array(perm, dtype=np.intp)
+        # names whose distances differ by far more than is uncertain cannot be confused, and need no alignment
         if float(((distances(X[q]) - d) ** 2).sum()) > WIDE * spread:
             continue
         R, t, worse = align(X[q], positions, named.information)

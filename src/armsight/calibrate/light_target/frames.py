@@ -1,4 +1,4 @@
-"""What one pair of frames shows of a lit target: pairs of spots, and every choice of n that can be the lights."""
+"""What one pair of frames shows of a lit target, every choice of n spots that can be its lights, and its own frame."""
 
 from __future__ import annotations
 

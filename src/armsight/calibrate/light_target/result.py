@@ -1,4 +1,4 @@
-"""What the calibration of a lit target returns."""
+"""What the calibration of a lit target returns, and what would make its geometry better known."""
 
 from __future__ import annotations
 

@@ -110,6 +110,7 @@ def check_alignment(
     change: Array = np.concatenate(
         [T_now.translation - before.translation, (T_now.rotation * before.rotation.inv()).as_rotvec()]
     )
+    # a difference of two independent measurements: today's and the calibration's
     C = _covariance(now) + _in_left_axes(rig)
     if design is None:
         design = Mirrors(baseline_m=rig.baseline_m)
@@ -243,12 +244,14 @@ def _in_left_axes(rig: Rig) -> Array:
     turn = np.kron(np.eye(2), R)
     inverse = np.linalg.pinv(known.matrix)
     at = [known.names.index(name) for name in POSE]
+    # the inverse of a block of the information: the pose's covariance with the lens held
     return np.asarray(turn @ np.linalg.inv(inverse[np.ix_(at, at)]) @ turn.T)
 
 
 def _suspect(design: Mirrors, mirror: int, change: Array, W: Array) -> Suspect:
     """Return the turn of one mirror that explains the change best."""
     tilt = np.zeros(2)
+    # Gauss-Newton on two angles, six numbers weighed by their covariance; chi-square tells which mirror explains most
     for _ in range(DIAGNOSIS_ROUNDS):
         r = _with_tilt(design, mirror, tilt) - change
         J = np.column_stack(

@@ -1,4 +1,4 @@
-"""Delay, drift and read-outs by least squares, with the paths of the lights eliminated."""
+"""Delay, drift and read-outs by least squares, with the paths of the lights, quintic splines, eliminated."""
 
 from __future__ import annotations
 
@@ -70,6 +70,8 @@ class PathModel:
         """Return when each view was exposed (m,) by the left clock, and its derivatives (m, 4) by TIMES."""
         v = self.views
         right = v.side == 1
+        # a line was exposed at stamp + readout line, of the right camera + delay + drift (stamp - mid): linear, as J
+        # says
         J = np.zeros((len(v), 4))
         J[right, 0] = 1.0
         J[right, 1] = PPM * (v.stamp_s[right] - self.mid_s)
@@ -108,6 +110,7 @@ class PathModel:
                 [self._columns(first, np.full(len(first), i)).reshape(-1, ORDER, 3) for i in (a, b)], axis=2
             )
             apart = np.einsum("mj,mjk->mk", weight, c[both[:, :, 1]] - c[both[:, :, 0]])
+            # |x_b - x_a| = distance, linear about the paths so far: n . (x_b - x_a) = distance along the unit vector n
             n = apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
             each = np.einsum("mj,s,mk->mjsk", weight, [-1.0, 1.0], n) / RIGID_M
             columns.append(both.reshape(len(first), -1))
@@ -149,6 +152,7 @@ class PathModel:
             nothing = np.full((1, n_seen), np.nan)
             return Evaluation(residuals=nothing, shared=np.zeros((1, n_seen, 4 + p)), local=np.zeros((1, n_seen, 0)))
         paths = self.fit_paths(x)
+        # a view of another moment is of another point of the path: the residual moves with the path's speed
         speed = times(self.seen(t, 1), paths.c[:, None])  # (2 m, 1)
         J = [np.zeros((len(r), 4 + p)) for r in paths.residuals]
         J[0][:, :4] = speed * np.repeat(Jt, 2, axis=0)
@@ -156,6 +160,8 @@ class PathModel:
             cells = self.grid.n_cells
             for k in range(p):
                 J[2][k * cells : (k + 1) * cells, 4 + k] = -1.0 / RIGID_M
+        # Variable projection (Golub, Pereyra 1973): of each derivative only what the paths' coefficients cannot make is
+        # left. The term by the residuals is dropped (Kaufman 1975), which leaves the minimum where it is
         pull = paths.band.solve(transposed_times(paths.parts, J, self.size))
         J = [own - times(rows, pull) for own, rows in zip(J, paths.parts, strict=True)]
         shared = np.concatenate(J)[None]
@@ -228,6 +234,7 @@ def best_spacing(views: Views, period_s: float, mid_s: float, x: Array, depth: A
         n = model.dof + model.size
         if model.dof < 0.1 * n:
             break
+        # generalised cross-validation (Craven, Wahba 1979): RSS n / dof^2 is the square of scale over sqrt(dof / n)
         own = model.scale(model.fit_paths(x))
         score = own / np.sqrt(model.dof / n)
         if score < least:

@@ -125,6 +125,7 @@ def _step(uv: Array, before: Index, t_before: Array, rows: Index, t: float) -> I
     last = uv[before[-1]]
     ahead = last
     if len(before) == 2:
+        # on at the speed of the two frames before: lights that cross would else change their names
         ahead = last + (last - uv[before[0]]) * (t - t_before[-1]) / (t_before[-1] - t_before[0])
     cost = np.sum((ahead[:, None] - uv[rows][None]) ** 2, axis=2)
     own, to = linear_sum_assignment(cost)

@@ -83,6 +83,7 @@ def steady(stamps_s: Array, side: str) -> SteadyStamps:
             cure="Take the same number off all stamps of both cameras, here and when measuring, to begin near 0",
         )
     number = _numbers(s)
+    # in turns: a line tells which number each stamp is nearest to, the numbers give a better line
     for _ in range(ROUNDS_OF_NUMBERS):
         offset, period, weight, jitter = _line(number, s)
         again = _growing((s - offset) / period) if period > 0.0 else number
@@ -109,6 +110,7 @@ def _numbers(s: Array) -> NDArray[np.int64]:
     expected = float(s[0])
     for k in range(1, len(s)):
         n = max(round((s[k] - expected) / period), 0)
+        # a phase-locked loop: one stamp that is late by much moves the clock by a tenth of that
         off = s[k] - expected - n * period
         expected += n * period + FOLLOW * off
         period += FOLLOW_PERIOD * off / max(n, 1)
@@ -119,6 +121,7 @@ def _numbers(s: Array) -> NDArray[np.int64]:
 def _growing(x: Array) -> NDArray[np.int64]:
     """Return the growing whole numbers nearest to x (n,), the first one 0."""
     k = np.arange(len(x))
+    # numbers grow by one at least: x - k must not fall, and isotonic regression is the nearest that does not
     number = np.rint(isotonic_regression(x - k).x).astype(np.int64) + k
     return np.asarray(number - number[0])
 
@@ -137,6 +140,7 @@ def _line(number: NDArray[np.int64], s: Array) -> tuple[float, float, Array, flo
         sigma = MAD * float(np.median(np.abs(r)))
         if not sigma > 0.0:
             break
+        # Tukey's biweight (1 - (r / c)^2)^2: a stamp far off has no pull at all
         w = np.clip(1.0 - (r / (TUKEY * sigma)) ** 2, 1e-12, 1.0) ** 2
     return float(s.mean() + intercept - slope * number.mean()), slope, w, sigma
 

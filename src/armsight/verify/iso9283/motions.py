@@ -1,4 +1,4 @@
-"""The motions of a test, in the order in which they are made (ISO 9283:1998, 6.8 to 6.10)."""
+"""The test cube, and the motions of a test in the order in which they are made (ISO 9283:1998, 6.8 to 6.10)."""
 
 from __future__ import annotations
 

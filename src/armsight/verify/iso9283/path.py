@@ -1,4 +1,4 @@
-"""Path accuracy and repeatability: AT and RT (ISO 9283:1998, 8.2 and 8.3)."""
+"""Figures along paths (ISO 9283:1998, 8): accuracy, repeatability, velocity, corners."""
 
 from __future__ import annotations
 

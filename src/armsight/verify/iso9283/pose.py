@@ -1,4 +1,5 @@
-"""Accuracy and repeatability at one commanded pose: AP and RP (ISO 9283:1998, 7.2.1 and 7.2.2)."""
+"""Accuracy and repeatability at one commanded pose, AP and RP, and of the distance between two, AD and RD (ISO
+9283:1998, 7.2.1, 7.2.2 and 7.3)."""
 
 from __future__ import annotations
 

@@ -54,6 +54,7 @@ def lever_frame(Rx, tx, gamma, Rf, tf, t_hat, to_hand, E):
         return 0.0
     for j in range(3):
         E[2, j] = z[j] / length
+    # any two axes square to the lever will do; built from the unit vector most across it they are never ill-conditioned
     least = 0
     for j in range(3):
         if abs(E[2, j]) < abs(E[2, least]):
@@ -138,6 +139,8 @@ def variance_step(e, J, C, lever, theta, keep, score, information):
                 for b in range(m):
                     CJ[a, b] += f * C[c, b]
         for a in range(8):
+            # 1 - e e' - J C J' of the whitened pair, where the shapes have entries: d log L / d theta_k is -1/2 tr Q_k
+            # times it
             r, c = (a, a) if a < 6 else (2 * a - 12, 2 * a - 11)  # the diagonal, then (0, 1) and (2, 3)
             s = (1.0 if r == c else 0.0) - e[i, r] * e[i, c]
             for b in range(m):
@@ -163,6 +166,7 @@ def scoring_step(theta, score, information, floor, out):
     index = np.empty(3, np.int64)
     count = 0
     for k in range(3):
+        # one at its floor that wants to fall is no unknown: kept, it would hold the others back
         if theta[k] > floor[k] or score[k] > 0.0:
             index[count] = k
             count += 1
@@ -180,6 +184,7 @@ def scoring_step(theta, score, information, floor, out):
         return
     for r in range(count):
         out[index[r]] = max(theta[index[r]] + step[r], floor[index[r]])
+    # a quadratic model far from the maximum may ask for less than nothing: no step takes more than nine tenths
     out[0] = max(out[0], 0.1 * theta[0])
     if out[1] + out[2] < 0.1 * (theta[1] + theta[2]):
         out[1], out[2] = 0.1 * theta[1], 0.1 * theta[2]
