@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.calibrate.arm import ArmCalibration, calibrate_arm
+from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks
 from armsight.calibrate.arm.fit import Tolerance, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
-from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
 from armsight.errors import ArmsightError
 from bench import machine, table, test_scene
 

@@ -23,9 +23,8 @@ import numpy as np
 
 import bench
 from armsight.calibrate.handeye import Basis, HandEye, Setup, calibrate_eye_in_hand, calibrate_from_views
-from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of
+from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
-from armsight.calibrate.handeye.target_views import poses_of_views
 from armsight.errors import ArmsightError
 from armsight.units import MM
 

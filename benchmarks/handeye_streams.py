@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.calibrate.handeye import calibrate_eye_in_hand, pairs_of_streams
-from armsight.calibrate.handeye.timing import time_offset
+from armsight.calibrate.handeye.stream_pairing import time_offset
 from armsight.errors import ArmsightError
 from bench import machine, table, test_scene
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import bench
 from armsight.units import MM
 from armsight.verify.iso9283 import CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, evaluate
-from armsight.verify.iso9283.spread import radial
+from armsight.verify.iso9283.figure import radial
 
 STEP_M = np.array([0.5, 0.3, 0.1])
 OFFSET_M = np.array([150e-6, -80e-6, 40e-6])

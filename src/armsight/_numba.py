@@ -146,6 +146,9 @@ inner_sum_kernel = _inner(fastmath=REORDERED)
 inline_kernel = _inner(forceinline=True)
 """Put into its callers whole, by LLVM: for the innermost loop, where LLVM by itself would rather call."""
 
+inline_sum_kernel = _inner(forceinline=True, fastmath=REORDERED)
+"""An inline_kernel whose sums may be reordered with those of the sum_kernel that it is put into."""
+
 parallel_kernel = njit(cache=True, parallel=True, **RULES)
 """Runs on all cores, with prange."""
 
@@ -153,6 +156,7 @@ __all__ = [
     "InnerKernel",
     "fast_kernel",
     "inline_kernel",
+    "inline_sum_kernel",
     "inner_fast_kernel",
     "inner_kernel",
     "inner_sum_kernel",

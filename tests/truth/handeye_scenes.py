@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.handeye.target_views import poses_of_views
+from armsight.calibrate.handeye.image_model import poses_of_views
 from armsight.optics import Camera
 from armsight.records import BoardView, TargetKind, board_target
 

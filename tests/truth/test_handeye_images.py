@@ -13,9 +13,8 @@ from typer.testing import CliRunner
 
 from armsight.calibrate.handeye import Basis, ImageHandEye, Setup, calibrate_eye_in_hand, calibrate_from_views
 from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
-from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of
+from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
-from armsight.calibrate.handeye.target_views import poses_of_views
 from armsight.cli.commands import app
 from armsight.store import write_camera
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armsight.verify.iso9283 import CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, evaluate
-from armsight.verify.iso9283.spread import radial
+from armsight.verify.iso9283.figure import radial
 
 TRIALS = 400
 VISITS = 30

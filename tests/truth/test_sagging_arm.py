@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.arm import ArmCalibration, ArmModel, ArmPoints, Tolerance, calibrate_arm
+from armsight.calibrate.arm.covariance import with_held_geometry
 from armsight.calibrate.arm.fit import fit_arm
-from armsight.calibrate.arm.held_geometry import with_held_geometry
 from armsight.calibrate.arm.initial_guess import start
 from armsight.kinematics import Arm, dh_arm
 from armsight.store.arm_file import write_arm

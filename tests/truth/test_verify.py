@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.regions import regions
+from armsight.calibrate.correlation import regions
 from armsight.errors import Ambiguous, Inconsistent
 from armsight.kinematics import Arm, dh_arm, fk, preset
 from armsight.records import PoseStatus, TargetPose
@@ -17,9 +17,9 @@ from armsight.store import write_poses
 from armsight.store.verify_files import read_measured
 from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
 from armsight.verify.alignment import align
-from armsight.verify.clocks import sampling_times
-from armsight.verify.left_out import Linear, fit_linear, jackknife_std
+from armsight.verify.evidence import Linear, fit_linear, jackknife_std
 from armsight.verify.model import Mounts
+from armsight.verify.pairing import sampling_times
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "ur10_tmac"
 QUARTER = np.pi / 2

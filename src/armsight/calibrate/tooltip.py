@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.regions import regions, widened
+from armsight.calibrate.correlation import regions, widened
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.calibrate.tooltip_stream import PivotStream, checked_times, slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
 
@@ -43,7 +43,7 @@ UNRELATED = 0.25
 LOOSE_M = 2.0 * MM
 TIP_ROUNDS = 20
 TIP_SETTLED = 1e-10
-"""Weights follow the tip's place; the fit is settled when it moves by less (m)."""
+"""Weights follow the tip's position; the fit is settled when it moves by less (m)."""
 
 NOISE_M = 0.1 * MM
 NOISES_RAD_M = (1.0, 3.0, 10.0, 30.0, 100.0)
@@ -222,6 +222,7 @@ def _likeliest(R: Array, t: Array, keep: NDArray[np.bool_], point: MeasuredPoint
         C = np.tile(NOISE_M**2 * np.diag([1.0] * 3 + [ratio**2] * 3), (len(R), 1, 1))
         _, cov, _, V, scale2, dof = _fit(R, t, C, keep, point)
         scale2 = max(scale2, 1e-300)
+        # the restricted likelihood with the common factor at its best value, which leaves dof log scale2 of it
         logdet = np.linalg.slogdet(V[keep])[1].sum() - np.linalg.slogdet(cov / scale2)[1]
         likelihood = -0.5 * (float(logdet) + dof * float(np.log(scale2)))
         if likelihood > best:
@@ -239,6 +240,7 @@ def _fit(
     x = np.asarray(np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0], np.float64)
     dof = max(3 * int(keep.sum()) - 6, 1)
     for _ in range(TIP_ROUNDS):
+        # the noise of the end hangs on the lever, and so on the tip: again until it stays
         lever = np.einsum("nij,j->ni", R, x[:3])  # (n, 3)
         A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -skew(lever)], axis=2)  # (n, 3, 6): dt + dw x lever
         V = A @ C @ A.transpose(0, 2, 1)
@@ -265,6 +267,7 @@ def _distance(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_],
     """Return (n,): squared length of each residual, as left out, against its own noise and the answer's."""
     J = slopes(R)
     M = J @ cov @ J.transpose(0, 2, 1)
+    # a kept pose's own noise less what it shares with the fit; of another, its noise and the fit's
     S = V * scale2 + np.where(keep[:, None, None], -M, M)
     S = S + 1e-24 * np.eye(3)
     return np.asarray(np.einsum("ni,ni->n", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]))
@@ -287,6 +290,7 @@ def _consensus(R: Array, t: Array) -> NDArray[np.bool_]:
     b = t[order]
     samples = np.argsort(rng.random((60, n)), axis=1)[:, : min(n, 5)]
     A = J[samples].reshape(len(samples), -1, 6)
+    # five poses a sample, R tip + t = point solved for each of them at once
     H = A.transpose(0, 2, 1) @ A + 1e-12 * np.eye(6)
     x = -np.linalg.solve(H, A.transpose(0, 2, 1) @ b[samples].reshape(len(samples), -1, 1))[:, :, 0]
     errors = np.linalg.norm(np.einsum("nia,sa->sni", J, x) + b, axis=2)  # (S, n)

@@ -55,6 +55,8 @@ class PivotStream:
     def _averaged(self, x: Array, keep: NDArray[np.bool_]) -> Averaged:
         """Return the fit of a step from x, residuals made of one size by the square roots of V."""
         value, vector = np.linalg.eigh(self.V[keep])
+        # the symmetric root, not Cholesky's: whitened components stay those of x, y and z, whose drifts are one kind of
+        # thing
         root = (vector / np.sqrt(value)[:, None, :]) @ vector.transpose(0, 2, 1)  # (n, 3, 3)
         J = slopes(self.R[keep])
         r = np.einsum("nij,nj->ni", root, self._residuals(x)[keep])

@@ -18,6 +18,7 @@ def solve_damped(H, g, damping, step):
         for j in range(i + 1):
             s = H[i, j]
             if i == j:
+                # Marquardt (1963): the damping multiplies the diagonal, so that no step hangs on a parameter's unit
                 s *= 1.0 + damping
             for k in range(j):
                 s -= L[i, k] * L[j, k]
@@ -85,6 +86,7 @@ def schur_complement(C, c, W, floor, x, X):
     y = np.empty((n, n_free + 1))
     for g in range(n_groups):
         for i in range(n):
+            # by the unit diagonal a pivot is the share of a parameter that those before it leave open
             s[i] = 1.0 / sqrt(C[g, i, i])
         for i in range(n):
             for j in range(i + 1):

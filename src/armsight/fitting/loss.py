@@ -43,6 +43,8 @@ class Loss:
             return 0.5 * float(np.vdot(residuals, residuals))
         s = self._squares(residuals)
         k2 = self.scale**2
+        # rho of a block's squared norm s: Huber's (1964) is s up to k^2 and then 2 k sqrt(s) - k^2, Cauchy's k^2 log(1
+        # + s / k^2)
         if self.kind is LossKind.HUBER:
             rho = np.where(s <= k2, s, 2.0 * self.scale * np.sqrt(s) - k2)
         else:
@@ -54,6 +56,8 @@ class Loss:
         if self.kind is LossKind.SQUARES:
             return None
         s = self._squares(residuals)
+        # rho'(s): iteratively reweighted least squares. The second-order term of Triggs and others 1999, section 3.3,
+        # is left out: where rho bends down it can make the normal equations indefinite
         if self.kind is LossKind.HUBER:
             w = np.minimum(1.0, self.scale / np.sqrt(np.maximum(s, 1e-300)))
         else:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.fitting.kernels import schur_complement
-from armsight.fitting.problem import Evaluation, Problem
 
 Array = NDArray[np.float64]
 
@@ -21,7 +20,11 @@ FLOOR = 1e-30
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalEquations:
-    """A (F, F) and b (F,) of the free shared parameters, C (G, L, L) and c (G, L) of the local ones, W (G, F, L)."""
+    """J'J and J'r of whitened residuals, as the step and the covariance need them.
+
+    A (S, S), b (S,): of shared parameters, all of them or the free ones. C (G, L, L), c (G, L): of each group's local
+    ones. W (G, S, L): mixed.
+    """
 
     A: Array
     b: Array
@@ -29,28 +32,18 @@ class NormalEquations:
     c: Array
     W: Array
 
-    @classmethod
-    def build(cls, problem: Problem, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
-        """Take J'J and J'r of the weighted residuals for the free parameters and add the priors."""
-        whole = problem.normal_equations(evaluation)
-        A, b = whole.A[np.ix_(free, free)], whole.b[free]
-        C, c, W = whole.C, whole.c, np.ascontiguousarray(whole.W[:, free])
-        names = problem.free
-        for name, prior in problem.priors.items():
-            if name in problem.fixed:
-                continue
-            k = names.index(name)
-            A[k, k] += prior.sigma**-2
-            b[k] += (shared[free[k]] - prior.mean) * prior.sigma**-2
-        return cls(A=A, b=b, C=C, c=c, W=W)
-
     def step(self, damping: float) -> tuple[Array, Array]:
         """Return the damped Gauss-Newton step (F,), (G, L) (Marquardt's scaling by the diagonal)."""
+        # The local parameters are eliminated group by group: (A - W C^-1 W') ds = -b + W C^-1 c, then dl = -C^-1 (c +
+        # W' ds) (Triggs and others 1999, section 6.1). G systems of L unknowns and one of F are solved, not one of F +
+        # G L
         C = _damped(self.C, damping)
         Ci_c, Ci_Wt = _solve_local(C, self.c, self.W)
         flat = self.W.transpose(1, 0, 2).reshape(len(self.b), self.c.size)  # (F, G L)
         S = _damped(self.A, damping) - flat @ Ci_Wt.reshape(self.c.size, len(self.b))
         rhs = -self.b + flat @ Ci_c.ravel()
+        # px, m and rad differ by orders of magnitude in their influence: solved in units of that, rounding is alike for
+        # all
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.A), FLOOR))
         ds = scale * np.linalg.solve(S * np.outer(scale, scale) + 1e-15 * np.eye(len(S)), scale * rhs)
         dl = -Ci_c - Ci_Wt @ ds
@@ -64,11 +57,13 @@ class NormalEquations:
     def local_covariance(self, covariance: Array) -> Array:
         """Return the marginal covariance (G, L, L) of the local parameters, given that of the shared ones."""
         _, Ci_Wt = _solve_local(_damped(self.C, 0.0), self.c, self.W)
+        # the inverse by blocks: what a group knows by itself, and what the shared parameters leave open of it
         inverse = np.linalg.inv(_damped(self.C, 0.0))
         return np.asarray(inverse + Ci_Wt @ covariance @ Ci_Wt.transpose(0, 2, 1))
 
     def predicted_decrease(self, ds: Array, dl: Array) -> float:
         """Return the fall of the cost that the linear model promises for the step."""
+        # the undamped model, -g'x - x'H x / 2: the damping belongs to the step, not to the cost
         linear = self.b @ ds + np.vdot(self.c, dl)
         cross = np.einsum("gfl,f,gl->", self.W, ds, dl)
         quadratic = ds @ self.A @ ds + 2.0 * cross + np.einsum("gl,glk,gk->", dl, self.C, dl)

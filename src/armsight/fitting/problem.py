@@ -16,19 +16,9 @@ from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
 from armsight.fitting.loss import Loss, LossKind
+from armsight.fitting.normal import NormalEquations
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EvaluatedNormalEquations:
-    """J'J and J'r of whitened residuals: A (S, S), b (S,) shared, C (G, L, L), c (G, L) local, W (G, S, L) mixed."""
-
-    A: Array
-    b: Array
-    C: Array
-    c: Array
-    W: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,7 +35,7 @@ class Evaluation:
     residuals: Array
     shared: Array
     local: Array
-    condensed: EvaluatedNormalEquations | None = None
+    condensed: NormalEquations | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,8 +106,21 @@ class Problem:
         object.__setattr__(self, "guess", guess)
         object.__setattr__(self, "local_guess", local)
 
-    def normal_equations(self, evaluation: Evaluation) -> EvaluatedNormalEquations:
-        """Return J'J and J'r, weighted by the loss."""
+    def normal_equations(self, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
+        """Return the normal equations of the free parameters, weighted by the loss, with the priors at shared (S,)."""
+        every = self._all_equations(evaluation)
+        A, b = every.A[np.ix_(free, free)], every.b[free]
+        names = self.free
+        for name, prior in self.priors.items():
+            if name in self.fixed:
+                continue
+            k = names.index(name)
+            A[k, k] += prior.sigma**-2
+            b[k] += (shared[free[k]] - prior.mean) * prior.sigma**-2
+        return NormalEquations(A=A, b=b, C=every.C, c=every.c, W=np.ascontiguousarray(every.W[:, free]))
+
+    def _all_equations(self, evaluation: Evaluation) -> NormalEquations:
+        """Return J'J and J'r by all parameters, weighted by the loss."""
         if evaluation.condensed is not None:
             if self.loss.kind is not LossKind.SQUARES:
                 raise Inconsistent("a robust loss weighs single residuals, and the model gives only their sums")
@@ -129,7 +132,7 @@ class Problem:
             r, Js, Jl = r * root, Js * root[:, :, None], Jl * root[:, :, None]
         flat = Js.reshape(r.size, Js.shape[2])  # (G m, S)
         Jlt = Jl.transpose(0, 2, 1)  # (G, L, m)
-        return EvaluatedNormalEquations(
+        return NormalEquations(
             A=flat.T @ flat,
             b=flat.T @ r.reshape(-1),
             C=Jlt @ Jl,

@@ -72,7 +72,7 @@ def solve(problem: Problem, settings: Settings | None = None, progress: Progress
         if found is not None:
             reason = found
             break
-    fit = _doubt(problem, settings, state, free, iteration, reason)
+    fit = _fit(problem, settings, state, free, iteration, reason)
     if not fit.converged:
         raise NotConverged(
             f"the fit stopped without an answer after {iteration} iterations ({reason.value})",
@@ -110,7 +110,7 @@ def _cost(problem: Problem, evaluation: Evaluation, shared: Array) -> float:
 
 def _iterate(problem: Problem, settings: Settings, state: _State, free: NDArray[np.intp]) -> StopReason | None:
     """Take one accepted step; return why to stop, or None to go on."""
-    normal = NormalEquations.build(problem, state.evaluation, state.shared, free)
+    normal = problem.normal_equations(state.evaluation, state.shared, free)
     if _scaled_gradient(normal) <= settings.gradient_tolerance * max(1.0, np.sqrt(2.0 * state.cost)):
         return StopReason.GRADIENT_ZERO
     while True:
@@ -130,6 +130,8 @@ def _iterate(problem: Problem, settings: Settings, state: _State, free: NDArray[
             settled = state.cost - cost <= settings.cost_tolerance * state.cost
             small = _relative_step(normal, ds, dl, state) <= settings.step_tolerance
             state.shared, state.local, state.evaluation, state.cost = shared, local, evaluation, cost
+            # Marquardt 1963: tenfold nearer to Gauss-Newton after a step that helped, tenfold away after one that did
+            # not
             state.damping = max(state.damping * 0.1, 1e-12)
             if small:
                 return StopReason.STEP_SMALL
@@ -158,7 +160,7 @@ def _relative_step(normal: NormalEquations, ds: Array, dl: Array, state: _State)
     return float(step.max(initial=0.0) / (1.0 + np.sqrt(2.0 * state.cost)))
 
 
-def _doubt(
+def _fit(
     problem: Problem,
     settings: Settings,
     state: _State,
@@ -167,7 +169,7 @@ def _doubt(
     reason: StopReason,
 ) -> Fit:
     """Form covariances, scale and rank verdict at the final point."""
-    normal = NormalEquations.build(problem, state.evaluation, state.shared, free)
+    normal = problem.normal_equations(state.evaluation, state.shared, free)
     names = problem.free
     covariance, undetermined = _covariance(normal, names)
     n_priors = sum(name not in problem.fixed for name in problem.priors)
@@ -205,6 +207,8 @@ def _covariance(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Array,
     diagonal = np.diag(normal.A)
     silent = diagonal <= FLOOR  # no residual feels the parameter at all
     scale = 1.0 / np.sqrt(np.where(silent, 1.0, diagonal))
+    # scaled by each parameter's own influence only correlation is left: an eigenvalue near zero is a combination that
+    # no residual feels, and its vector names the parameters in it
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     null = values < RANK_TOLERANCE
     groups = [

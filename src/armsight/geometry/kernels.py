@@ -7,10 +7,18 @@ of the time and runs faster on matrices this small.
 from __future__ import annotations
 
 from math import atan2, cos, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
+
+
+class Pose(NamedTuple):
+    """A rotation R (3, 3) and a translation t (3,), for kernels; made inside another kernel it costs nothing."""
+
+    R: Any
+    t: Any
 
 
 @inner_kernel

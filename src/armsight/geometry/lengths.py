@@ -11,7 +11,7 @@ FAR_M = 50.0
 """No robot's flange is so far from its base, no camera sees a target and no tip rests on a point so far away: such
 numbers are millimetres."""
 SPREAD_M = 25.0
-"""Places that an arm brought its tool to lie no further from their middle: those of a gantry 20 m long lie 10 m from
+"""Positions that an arm brought its tool to lie no further from their middle: those of a gantry 20 m long lie 10 m from
 it. In millimetres an arm reaches it that moves by 25 mm."""
 TOOL_M = 10.0
 """No tool's end is so far from its flange, nor from the target on it: 10 mm taken as metres."""
@@ -35,7 +35,8 @@ def check_metres(length_m: ArrayLike, most_m: float, what: str) -> None:
 
 
 def check_spread(xyz_m: ArrayLike, what: str) -> None:
-    """Raise Inconsistent where places (m, 3) that an arm brought its tool to lie too far from their middle for metres.
+    """Raise Inconsistent where positions (m, 3) that an arm brought its tool to lie too far from their middle for
+    metres.
 
     Where they are seen from does not count: a tracker or a map has its origin anywhere.
     """

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
-from armsight.geometry.lie import skew
 
 Array = NDArray[np.float64]
 
@@ -127,3 +126,13 @@ def inverse_covariance(T_a_b: RigidTransform, covariance_a_b: Array) -> Array:
     A[:3, 3:] = -Rt @ skew(np.asarray(T_a_b.translation))
     A[3:, 3:] = -Rt
     return np.asarray(A @ covariance_a_b @ A.T)
+
+
+# The algebra of rotations: what a small turn does to a vector, and the matrix of the cross product.
+
+
+def skew(v: ArrayLike) -> NDArray[np.float64]:
+    """Return the matrices (..., 3, 3) that take the cross product with v (..., 3) from the left: skew(v) w = v x w."""
+    x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
+    o = np.zeros_like(x)
+    return np.moveaxis(np.array([[o, -z, y], [z, o, -x], [-y, x, o]]), (0, 1), (-2, -1))

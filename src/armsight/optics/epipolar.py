@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.optics.kernels import rays as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig

@@ -9,7 +9,7 @@ from dataclasses import MISSING, dataclass
 from dataclasses import fields as dataclass_fields
 from functools import cache
 from html import escape
-from pathlib import Path
+from os import PathLike, fspath
 from typing import Annotated, Any, Generic, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints, overload
 
 import numpy as np
@@ -149,8 +149,8 @@ def _plain(value: Any, hint: Any) -> Any:
         return value.to_dict()
     if isinstance(value, str):
         return str(value)
-    if isinstance(value, Path):
-        return value.as_posix()
+    if isinstance(value, PathLike):
+        return fspath(value)
     if isinstance(value, int | np.integer):
         return float(value) if _is_float(hint) else int(value)
     if isinstance(value, float | np.floating):

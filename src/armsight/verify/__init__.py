@@ -4,8 +4,7 @@ from armsight.verify.alignment import Align
 from armsight.verify.cause import Cause, JointVerdict
 from armsight.verify.effects import Kind
 from armsight.verify.pairing import Paired, Reported
-from armsight.verify.records import Measured, Repeats
-from armsight.verify.statistics import Figures
+from armsight.verify.records import Figures, Measured, Repeats
 from armsight.verify.verification import Configurations, Verification, verify
 
 __all__ = [

@@ -37,7 +37,7 @@ MIRRORED = 0.3
 ENOUGH = 200
 """Rows that a start is looked for with."""
 STARTS_M = 0.25
-"""Places of an unknown tool that are tried, to either side of the flange."""
+"""Positions of an unknown tool that are tried, to either side of the flange."""
 
 
 class Align(StrEnum):
@@ -56,8 +56,8 @@ class Align(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aligned:
-    """The fit of base and tool to the rows kept; rejected: gross rows and why, by the file's row; kept (k,): the places
-    of the others."""
+    """The fit of base and tool to the rows kept; rejected: gross rows and why, by the file's row; kept (k,): the
+    positions of the others."""
 
     fitted: ModelFit
     kept: NDArray[np.intp]
@@ -90,8 +90,8 @@ def align(F: Array, measured: Measured, nominal: Mounts, how: Align) -> Aligned:
     free = free_names(measured, how)
     fitted = fit_model(Model(measured=measured.take(kept), expected=nothing_more(F[kept])), guess, free)
     for _ in range(TRIM_ROUNDS):
-        whole = Model(measured=measured, expected=nothing_more(F))
-        residual, _ = whole.linearised(fitted.p)
+        model = Model(measured=measured, expected=nothing_more(F))
+        residual, _ = model.linearised(fitted.p)
         again = np.flatnonzero(~gross(residual, fitted.residual))
         if np.array_equal(again, kept):
             break

@@ -27,7 +27,7 @@ OTHER_POINTS = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bodies:
-    """The body at each visit (v,): measured (its place is the mean of the points, its axes are those of the frame as
+    """The body at each visit (v,): measured (its position is the mean of the points, its axes are those of the frame as
     at the first visit) and which repeat it is; commanded (v, 4, 4), NaN where the command is not of these points.
 
     rms_m: residual of the points against the rigid body, 3-D. expected_m: what their standard deviations leave of it;
@@ -77,30 +77,30 @@ def bodies_of(
     keys = list(dict.fromkeys((repeats.at_pose[i], int(v)) for i, v in zip(index, visit, strict=True)))
     rows = {key: [i for i, v in zip(index, visit, strict=True) if (repeats.at_pose[i], int(v)) == key] for key in keys}
     seen = {key: _means(measured.xyz_m, measured.which, rows[key], len(labels)) for key in keys}
-    whole = [key for key in keys if np.isfinite(seen[key][:, 0]).sum() >= FEWEST]
-    complete = [key for key in whole if np.isfinite(seen[key]).all()]
+    seen_well = [key for key in keys if np.isfinite(seen[key][:, 0]).sum() >= FEWEST]
+    complete = [key for key in seen_well if np.isfinite(seen[key]).all()]
     if not complete:
         return None
     try:
         shape = _shape([seen[key] for key in complete])
-        T = [_pose(seen[key], shape) for key in whole]
-        wanted = [_commanded(commanded, measured, rows[key], shape) for key in whole]
+        T = [_pose(seen[key], shape) for key in seen_well]
+        wanted = [_commanded(commanded, measured, rows[key], shape) for key in seen_well]
     except Degenerate:
         return None
     placed = [t[:3, 3] + shape @ t[:3, :3].T for t in T]
-    off = np.array([seen[key] - at for key, at in zip(whole, placed, strict=True)])  # (v, p, 3)
+    off = np.array([seen[key] - at for key, at in zip(seen_well, placed, strict=True)])  # (v, p, 3)
     squares = (off**2).sum(axis=2)
     each = np.sqrt(np.nanmean(squares, axis=0))
-    first = np.array([rows[key][0] for key in whole], dtype=np.intp)
+    first = np.array([rows[key][0] for key in seen_well], dtype=np.intp)
     return Bodies(
         measured=_placed(measured.take(first), np.array(T)),
-        repeats=_of(repeats, first, [str(key[1]) for key in whole]),
+        repeats=_of(repeats, first, [str(key[1]) for key in seen_well]),
         commanded=np.array(wanted),
         points=labels,
         rms_m=float(np.sqrt(np.nanmean(squares))),
-        expected_m=_expected(measured, [rows[key] for key in whole], len(labels)),
+        expected_m=_expected(measured, [rows[key] for key in seen_well], len(labels)),
         worst=(labels[int(np.argmax(each))], float(each.max())),
-        left_out=len(keys) - len(whole),
+        left_out=len(keys) - len(seen_well),
     )
 
 

@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm.parameter_selection import APART
-from armsight.calibrate.regions import regions
+from armsight.calibrate.correlation import regions
 from armsight.verify.effects import Effect, Kind, effects, still
-from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of
-from armsight.verify.left_out import falls as fall_by_chance
+from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
+from armsight.verify.evidence import falls as fall_by_chance
 from armsight.verify.model import ModelFit
-from armsight.verify.moved_rig import moved_rig
 
 Array = NDArray[np.float64]
 
@@ -48,7 +46,7 @@ EXPLAINED = 1.2
 SCATTER = 1.8
 """... and three times how far a scale estimated by the median of n rows is off, times the root of n."""
 UNTOLD_M = 5e-3
-"""Errors of place (RMS) that are laid to a measurement whose standard deviations nobody says are smaller."""
+"""Errors of position (RMS) that are laid to a measurement whose standard deviations nobody says are smaller."""
 LAST_DIGIT_DEG = 1e-4
 """Angles are told to this, and so no surer than this."""
 NO_ERROR_M = 1e-8
@@ -166,7 +164,7 @@ def judge(case: Case, aligned: ModelFit) -> tuple[JointVerdict, ...]:
 
 
 def _measurement_share(aligned: ModelFit) -> float | None:
-    """Return which share of the squared errors of place the measurement's standard deviations explain."""
+    """Return which share of the squared errors of position the measurement's standard deviations explain."""
     known = aligned.noise.measurement[:, 0]
     if not known.any():
         return None
@@ -304,16 +302,16 @@ def _estimates(
     out = list(judged)
     for k, i in enumerate(able.tolist()):
         effect, alone = trial.single[i]
-        offset, doubt = float(fit.values[k]), float(std[k])
+        offset, offset_std = float(fit.values[k]), float(std[k])
         if named and i == trial.effect.joint:
             zero = trial.effect.kind is Kind.ZERO
             wide = np.sqrt(trial.after.linear.inflation)
             at = len(trial.fitted.p) - len(trial.effect.names)
             offset = float(trial.fitted.p[at]) if zero else 0.0
-            doubt = wide * trial.fitted.std(trial.effect.names[0]) if zero else doubt
+            offset_std = wide * trial.fitted.std(trial.effect.names[0]) if zero else offset_std
         share = gain(trial.plain, alone)
         kind = effect.kind if share > 0.0 else None
-        out[i] = JointVerdict(judged=True, offset=offset, std=doubt, gain_heldout=share, kind=kind)
+        out[i] = JointVerdict(judged=True, offset=offset, std=offset_std, gain_heldout=share, kind=kind)
     return tuple(out)
 
 

@@ -54,9 +54,9 @@ def best_poses(
     gained = np.swapaxes(there, 1, 2) @ there  # (c, width, width)
     chosen: list[int] = []
     for _ in range(min(count, len(q))):
-        doubt = _doubt(H + gained, n_joints)
-        doubt[chosen] = np.inf
-        best = int(np.argmin(doubt))
+        left_open = _log_det_covariance(H + gained, n_joints)
+        left_open[chosen] = np.inf
+        best = int(np.argmin(left_open))
         chosen.append(best)
         H = H + gained[best]
     less = [H, *(H - gained[k] for k in chosen)]
@@ -64,7 +64,7 @@ def best_poses(
     return chosen, np.array([np.linalg.inv(h)[-n_joints:, -n_joints:] / np.outer(own, own) for h in less])
 
 
-def _doubt(H: Array, n_joints: int) -> Array:
+def _log_det_covariance(H: Array, n_joints: int) -> Array:
     """Return (c,) the log determinants of the covariances of the last parameters, of information (c, k, k)."""
     inverse = np.linalg.inv(H)[:, -n_joints:, -n_joints:]
     return np.asarray(np.linalg.slogdet(inverse)[1])
@@ -93,6 +93,6 @@ def _tool(label: str) -> str:
 
 
 def _placed(case: Case, m: int, label: str) -> Measured:
-    """Return m rows in any place: only what moves with the joints counts."""
+    """Return m rows in any position: only what moves with the joints counts."""
     rotation = None if case.measured.rotation is None else np.tile(np.eye(3), (m, 1, 1))
     return Measured(xyz_m=np.zeros((m, 3)), rotation=rotation, point=(label,) * m)

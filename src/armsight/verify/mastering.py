@@ -19,8 +19,7 @@ from armsight.verify.alignment import Align, align, free_names, gross
 from armsight.verify.cause import CHANCE, RIVAL_LOG, JointVerdict, judge
 from armsight.verify.deciding import best_poses
 from armsight.verify.effects import Effect, Kind
-from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance
+from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
 from armsight.verify.model import ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected
@@ -55,8 +54,8 @@ class Proposal:
 class Mastering:
     """What a crash did. cause: none, joint N, tool, several or undecided. joint: from 0, with offset and std of
     its zero (rad or m, to be added to readings). T_tool: where the tool is now in its old axes, where it is the cause.
-    before, after (m, 6): errors of place in m and rotation in rad without and with the cause. joints: each zero taken
-    alone. kept (m,): places of the rows used."""
+    before, after (m, 6): errors of position in m and rotation in rad without and with the cause. joints: each zero
+    taken alone. kept (m,): positions of the rows used."""
 
     cause: str
     sentence: str
@@ -187,7 +186,7 @@ def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
         after=plain.residual,
         kept=np.arange(len(case.q)),
         rejected=(),
-        doubts=_doubts(joints, how),
+        doubts=_caveats(joints, how),
     )
     return _decided(told, case, arm, nothing, single, bent)
 
@@ -316,7 +315,7 @@ def _one_joint(
     )
 
 
-def _doubts(joints: tuple[JointVerdict, ...], how: Align) -> tuple[str, ...]:
+def _caveats(joints: tuple[JointVerdict, ...], how: Align) -> tuple[str, ...]:
     told = [f"joint {i} is not judged: {verdict.why}" for i, verdict in enumerate(joints, 1) if not verdict.judged]
     told.append("this holds for an arm that agreed with its file before: errors of its geometry pass for moved zeros")
     if how.parts:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.verify.records import Measured
 
 Array = NDArray[np.float64]
@@ -101,10 +101,10 @@ class Model:
         R = R_base @ F[:, :3, :3]  # of the flange
         arm = np.einsum("mij,mj->mi", R, x)  # flange to tool
         origin = F[:, :3, 3] @ R_base.T + t_base
-        place = origin + arm
+        position = origin + arm
         J = np.zeros((len(F), 6, len(p)))
         J[:, :3, :3] = np.eye(3)
-        J[:, :3, 3:6] = -skew(place - t_base)
+        J[:, :3, 3:6] = -skew(position - t_base)
         J[:, 3:, 3:6] = np.eye(3)
         for k in range(len(mounts.tools)):
             mine, at = self._which == k, 6 * (k + 1)
@@ -113,7 +113,7 @@ class Model:
         v, w = R_base @ C[:, :3], R_base @ C[:, 3:]
         J[:, :3, self.n_mounts :] = v - skew(arm) @ w
         J[:, 3:, self.n_mounts :] = w
-        off = self.measured.xyz_m - place
+        off = self.measured.xyz_m - position
         if self.measured.rotation is None:
             return off, J[:, :3]
         R_tool = np.array([T.rotation.as_matrix() for T in mounts.tools])[self._which]

@@ -1,4 +1,4 @@
-"""What goes into a verification: what was measured, row by row, and what was left out of it."""
+"""What goes into a verification: what was measured, row by row; what was left out of it; figures of errors."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ class Measured:
     @property
     def which(self) -> Index:
         """Which of the labels each row (m,) is of."""
-        place = {label: k for k, label in enumerate(self.labels)}
-        return np.array([place[label] for label in self.point], dtype=np.intp)
+        number = {label: k for k, label in enumerate(self.labels)}
+        return np.array([number[label] for label in self.point], dtype=np.intp)
 
     def take(self, index: Index) -> Measured:
-        """Return the measurements at the given places."""
+        """Return the measurements at the given positions."""
         return Measured(
             xyz_m=self.xyz_m[index],
             rotation=None if self.rotation is None else self.rotation[index],
@@ -118,3 +118,49 @@ class Repeats:
         return tuple(
             f"{robot} {pose}".strip() if pose and not run and not moving else "" for robot, pose, run, moving in rows
         )
+
+
+# Figures of errors, and how much a series of them is worth where neighbours hang together.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """Mean, mean absolute, largest absolute, standard deviation and RMS of errors, in their own unit."""
+
+    me: float
+    mae: float
+    max: float
+    sd: float
+    rms: float
+
+    @classmethod
+    def of(cls, errors: Array) -> Figures:
+        """Return the figures of errors (m,), m >= 1."""
+        size = np.abs(errors)
+        return cls(
+            me=float(errors.mean()),
+            mae=float(size.mean()),
+            max=float(size.max()),
+            sd=float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
+            rms=float(np.sqrt(np.mean(errors**2))),
+        )
+
+
+def inflation(residual: Array) -> float:
+    """Return how many rows of residuals (m, k) are worth one independent row, at least 1.
+
+    One plus twice the sum of the autocorrelation up to where it first falls below zero (Geyer's initial sequence).
+    """
+    m = len(residual)
+    if m < 8:
+        return 1.0
+    centred = residual - residual.mean(axis=0)
+    size = 1 << (2 * m - 1).bit_length()
+    power = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
+    correlation = np.fft.irfft(power.sum(axis=1), size)[: m // 2]
+    if not correlation[0] > 0.0:
+        return 1.0
+    correlation = correlation / correlation[0]
+    noise = 2.0 / np.sqrt(m * residual.shape[1])
+    end = int(np.argmax(np.append(correlation, -1.0) < noise))
+    return float(max(1.0, 1.0 + 2.0 * correlation[1:end].sum()))

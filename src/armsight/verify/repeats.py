@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent
 from armsight.verify.body import FEWEST, Bodies, bodies_of
-from armsight.verify.clocks import SHARED
 from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
 from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
+from armsight.verify.pairing import SHARED
 from armsight.verify.records import Measured, Repeats
 
 Array = NDArray[np.float64]
@@ -63,7 +63,9 @@ def iso9283_test(
     if body is None:
         poses = _all_visits(at_pose, measured, repeats, command, notes)
     else:
-        poses = _all_visits(np.arange(len(body.measured)), body.measured, body.repeats, _told(body, command), notes)
+        poses = _all_visits(
+            np.arange(len(body.measured)), body.measured, body.repeats, _commanded_where_known(body, command), notes
+        )
     path_of = [(repeats.robot[i], repeats.path[i] or PATH) for i in on_path]
     paths = tuple(
         _path(key, on_path[[of == key for of in path_of]], measured, repeats, command, notes)
@@ -107,7 +109,7 @@ def _bodies(measured: Measured, repeats: Repeats, command: Command | None, notes
     return found
 
 
-def _told(body: Bodies, command: Command | None) -> Command | None:
+def _commanded_where_known(body: Bodies, command: Command | None) -> Command | None:
     """Return where the body was told to be, at the visits for which that is known."""
     known = np.isfinite(body.commanded[:, 0, 0])
     if command is None or not known.any():

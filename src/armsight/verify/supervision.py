@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
 from armsight.fitting.quantiles import chi2_ppf
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointsAt
@@ -50,7 +50,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Errors of place in m and of rotation in rad from which on a level is raised; None: never."""
+    """Errors of position in m and of rotation in rad from which on a level is raised; None: never."""
 
     warn_m: float | None = None
     stop_m: float | None = None
@@ -76,7 +76,7 @@ class Limits:
 
     @property
     def all(self) -> tuple[tuple[Level, int, float], ...]:
-        """Return what is set, the gravest first: the level, which half of the error (0 place, 1 rotation), its size."""
+        """Return what is set, the gravest first: the level, which half of the error (0 position, 1 turn), its size."""
         told = (
             (Level.STOP, 0, self.stop_m),
             (Level.STOP, 1, self.stop_rad),
@@ -103,7 +103,7 @@ class Compared:
 
     @property
     def error_m(self) -> float:
-        """Length of the error of place."""
+        """Length of the error of position."""
         return float(np.linalg.norm(self.error[:3]))
 
     @property
@@ -113,7 +113,7 @@ class Compared:
 
     @property
     def std_m(self) -> float:
-        """Standard deviation of the error of place along its own direction: measurement and expectation."""
+        """Standard deviation of the error of position along its own direction: measurement and expectation."""
         return _along(self.error[:3], (self.random + self.systematic)[:3, :3])
 
     @property
@@ -166,7 +166,7 @@ class Expectation:
         )
 
     def _placed(self, way: Array) -> Array:
-        """Return (6, 6) what the rig's uncertain place does to a target that is way (3,) from it."""
+        """Return (6, 6) what the rig's uncertain position does to a target that is way (3,) from it."""
         if self.rig_covariance is None:
             return np.zeros((6, 6))
         lever = np.eye(6)
@@ -238,7 +238,7 @@ class Watch:
             for error, covariance, n in means:
                 size, std = float(np.linalg.norm(error[part])), _along(error[part], covariance[part, part])
                 if size - BEYOND * std > limit:
-                    return level, _told(level, half, size, std, limit, n)
+                    return level, _exceedance_text(level, half, size, std, limit, n)
         return Level.GOOD, ""
 
 
@@ -251,7 +251,7 @@ def _along(error: Array, covariance: Array) -> float:
     return float(np.sqrt(max(variance, 0.0)) / size)
 
 
-def _told(level: Level, half: int, size: float, std: float, limit: float, n: int) -> str:
+def _exceedance_text(level: Level, half: int, size: float, std: float, limit: float, n: int) -> str:
     factor, unit, what = ((MM, "mm", "place"), (DEG, "deg", "rotation"))[half]
     of = "" if n == 1 else f", mean of {n} poses"
     return (

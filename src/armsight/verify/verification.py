@@ -1,4 +1,4 @@
-"""Measured against expected, from streams to verdict: one call, no files."""
+"""Measured against expected, from streams to verdict: one call, no files; errors of the task and of the joints."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import NotEnoughData
-from armsight.kinematics import Arm, fk
+from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
+from armsight.units import MM
 from armsight.verify.alignment import Align, Aligned, align, gross, realign, undetermined
 from armsight.verify.cause import Cause, find_cause
 from armsight.verify.deciding import deciding_poses
 from armsight.verify.effects import Kind
-from armsight.verify.evidence import Case
-from armsight.verify.joint_errors import JointErrors, joint_errors
-from armsight.verify.left_out import blocks, poses_of
+from armsight.verify.evidence import Case, blocks, poses_of
 from armsight.verify.model import Model, Mounts, nothing_more
 from armsight.verify.pairing import Paired, Reported, bare_arm, check_spread, pair
-from armsight.verify.plausibility import repeated
 from armsight.verify.records import Measured, Rejected
 
 Array = NDArray[np.float64]
@@ -30,7 +28,7 @@ CONFIGURATION_RAD = 0.1
 """Joint values further apart are of another configuration."""
 
 FLAT = 0.01
-"""Places that spread less square to a plane than this share of their spread in it do not tell left from right."""
+"""Positions that spread less square to a plane than this share of their spread in it do not tell left from right."""
 SAME_RAD = 1e-3
 """Joint values (rad or m) rounded to this are the same command."""
 
@@ -111,7 +109,7 @@ def verify(
         configurations=_configurations(paired, kept, pose, measured),
         deciding=deciding,
         rejected=tuple(sorted((*paired.rejected, *copies, *aligned.rejected))),
-        doubts=(*_doubts(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
+        doubts=(*_caveats(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
     )
 
 
@@ -216,12 +214,12 @@ def _repeats(paired: Paired, kept: NDArray[np.intp], pose: Array | None, measure
 
 
 def _flat(xyz: Array) -> bool:
-    """Whether places (m, 3) lie in one plane but for FLAT of their spread."""
+    """Whether positions (m, 3) lie in one plane but for FLAT of their spread."""
     spread = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
     return bool(spread[2] < FLAT * spread[1])
 
 
-def _doubts(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
+def _caveats(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
     told = list(paired.notes)
     if joints is not None:
         told += joints.why
@@ -238,3 +236,115 @@ def _doubts(paired: Paired, joints: JointErrors | None, cause: Cause | None, how
     if how is not Align.NONE and _flat(paired.measured.xyz_m):
         told.append("the places lie in one plane: whether the measuring frame is left-handed cannot be seen")
     return tuple(told)
+
+
+# Errors of the task carried into the joints: the readings that would explain each measured pose, near the reported.
+
+NEAREST_SINGULAR = 0.02
+"""Least singular value of the Jacobian (lengths by the arm's own) below which a joint error is a multiple of noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointErrors:
+    """Errors dq (m, n) of the joints, measured minus reported, in rad or m, and their standard deviations std (m, n),
+    as far as the measurement's are known; NaN in rows where `why` says so. why: in words, how many rows have none."""
+
+    dq: Array
+    std: Array
+    why: tuple[str, ...]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which rows (m,) have joint errors."""
+        return np.asarray(np.isfinite(self.dq).all(axis=1))
+
+
+def joint_errors(arm: Arm, q: Array, measured: Measured, mounts: Mounts, sigma: Array) -> JointErrors | None:
+    """Return the joint errors by inverse kinematics from the reported joints q (m, n); None where poses leave it open.
+
+    sigma (m, 2): standard deviations of a coordinate in m and a turn in rad. Positions alone do for arms of three
+    joints or fewer. Rows close to a singularity and rows without a solution have none.
+    """
+    turned = measured.rotation is not None
+    if arm.n > (6 if turned else 3) or len(mounts.tools) > 1:
+        return None
+    flange = measured_flange(measured, mounts)
+    bare_T = np.tile(np.eye(4), (len(q), 1, 1))
+    bare_T[:, :3, :] = flange[:, :3, :]
+    if not turned:
+        bare_T[:, :3, :3] = fk(arm, q)[:, :3, :3]
+    found, solved, _ = solve_numeric_many(arm, bare_T, q, task="pose" if turned and arm.n == 6 else "position")
+    _, J = fk_jacobian(arm, q)
+    J = J[:, : 6 if turned and arm.n == 6 else 3]
+    singular = _least_singular(J, arm) < NEAREST_SINGULAR
+    bad = singular | ~solved
+    dq, std = found - q, np.full(q.shape, np.nan)
+    weights = np.repeat(sigma, 3, axis=1)[:, : J.shape[1]] ** 2
+    inverse = np.linalg.pinv(J[~bad])
+    std[~bad] = np.sqrt(np.einsum("mij,mj,mij->mi", inverse, weights[~bad], inverse))
+    dq[bad] = np.nan
+    return JointErrors(dq=dq, std=std, why=_why(int(singular.sum()), int((~solved & ~singular).sum()), len(q)))
+
+
+def measured_flange(measured: Measured, mounts: Mounts) -> Array:
+    """Return T_base_flange (m, 4, 4) as measured; of positions only the position of the tool's point, in base axes."""
+    R, t = mounts.base.rotation.as_matrix(), mounts.base.translation
+    T = np.tile(np.eye(4), (len(measured), 1, 1))
+    T[:, :3, 3] = (measured.xyz_m - t) @ R
+    if measured.rotation is not None:
+        T[:, :3, :3] = R.T @ measured.rotation
+    tool = mounts.tools[0].inv().as_matrix() if measured.rotation is not None else np.eye(4)
+    return np.asarray(T @ tool)
+
+
+def _least_singular(J: Array, arm: Arm) -> Array:
+    scaled = J.copy()
+    scaled[:, :3] /= arm.length_m
+    columns = np.where(arm.revolute, 1.0, arm.length_m)
+    return np.asarray(np.linalg.svd(scaled * columns, compute_uv=False)[:, -1])
+
+
+def _why(singular: int, unsolved: int, m: int) -> tuple[str, ...]:
+    told = []
+    if singular:
+        told.append(
+            f"{singular} of {m} rows are close to a singularity, where joint errors are a multiple of the noise"
+        )
+    if unsolved:
+        told.append(f"{unsolved} of {m} rows have no joint values near the reported ones that reach the measured pose")
+    return tuple(told)
+
+
+# Rows that cannot be what they claim: a measurement repeated while the arm moved.
+
+MOVED_M, MOVED_RAD = 5e-4, 2e-3
+"""An arm that moved by so much does not measure the same to the last digit."""
+
+
+def repeated(F: Array, measured: Measured) -> Rejected:
+    """Return the rows that repeat the row before of their point, digit by digit, though the arm moved between.
+
+    F (m, 4, 4): base to flange as expected at each row.
+    """
+    found: list[tuple[int, str]] = []
+    for label in measured.labels:
+        rows = np.flatnonzero([point == label for point in measured.point])
+        first = rows[0] if len(rows) else 0
+        for i in rows[1:].tolist():
+            if not _same(measured, i, first):
+                first = i
+                continue
+            moved = float(np.linalg.norm(F[i, :3, 3] - F[first, :3, 3]))
+            turned = float(np.abs(F[i, :3, :3] - F[first, :3, :3]).max())
+            if moved > MOVED_M or turned > MOVED_RAD:
+                why = (
+                    f"repeats row {measured.rows[first]} to the last digit though the arm moved by {moved / MM:.3g} mm"
+                )
+                found.append((int(measured.rows[i]), why))
+    return tuple(sorted(found))
+
+
+def _same(measured: Measured, i: int, k: int) -> bool:
+    if not np.array_equal(measured.xyz_m[i], measured.xyz_m[k]):
+        return False
+    return measured.rotation is None or np.array_equal(measured.rotation[i], measured.rotation[k])

@@ -11,8 +11,7 @@ import pytest
 
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
-from armsight.calibrate.cameras.kernels.move_poses import move_poses
-from armsight.calibrate.cameras.kernels.rotations import poses_of
+from armsight.calibrate.cameras.kernels import move_poses, poses_of
 from armsight.calibrate.cameras.observations import pack
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, Target, TargetKind, board_target, spot_target

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance, calibrate_arm, calibrate_world
-from armsight.calibrate.arm.fit import fit_arm
+from armsight.calibrate.arm.fit import fit_arm, tool_points
 from armsight.calibrate.arm.initial_guess import start
-from armsight.calibrate.arm.one_place import check_one_place
-from armsight.calibrate.arm.tool_points import tool_points
+from armsight.calibrate.arm.plausibility import check_one_place
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, Joint, ToolPoint, fk, in_convention, moved, pose, preset
 

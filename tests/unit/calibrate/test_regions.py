@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.regions import regions, widened
+from armsight.calibrate.correlation import regions, widened
 
 Array = NDArray[np.float64]
 

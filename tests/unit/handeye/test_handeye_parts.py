@@ -10,8 +10,8 @@ from armsight.calibrate.handeye import PosePairs, Setup, calibrate_eye_to_hand, 
 from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
+from armsight.calibrate.handeye.known_noise import restricted_variances
 from armsight.calibrate.handeye.solution import uncertainty
-from armsight.calibrate.handeye.variances import restricted_variances
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Problem, solve
 from armsight.geometry.kernels import rotvec_of
@@ -21,14 +21,18 @@ SETUPS = (Setup.EYE_IN_HAND, Setup.EYE_TO_HAND)
 
 def world(rng: np.random.Generator, n: int, setup: Setup, sigma_m: float = 0.0, sigma_rad: float = 0.0) -> PosePairs:
     """Pairs from composed poses: no formula of the product is used."""
-    mount = RigidTransform.from_components(rng.normal(0, 0.2, 3), Rotation.from_rotvec(rng.normal(0, 1, 3)))
-    seat = RigidTransform.from_components(rng.normal(0, 0.5, 3), Rotation.from_rotvec(rng.normal(0, 1, 3)))
+    T_parent_camera = RigidTransform.from_components(rng.normal(0, 0.2, 3), Rotation.from_rotvec(rng.normal(0, 1, 3)))
+    T_parent_target = RigidTransform.from_components(rng.normal(0, 0.5, 3), Rotation.from_rotvec(rng.normal(0, 1, 3)))
     seen = RigidTransform.from_components(
         rng.uniform([-0.1, -0.1, 0.4], [0.1, 0.1, 0.8], (n, 3)), Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (n, 3)))
     )
     robots = {
-        Setup.EYE_IN_HAND: seat * seen.inv() * mount.inv(),  # base_target = base_flange flange_camera camera_target
-        Setup.EYE_TO_HAND: mount * seen * seat.inv(),  # base_camera camera_target = base_flange flange_target
+        Setup.EYE_IN_HAND: T_parent_target
+        * seen.inv()
+        * T_parent_camera.inv(),  # base_target = base_flange flange_camera camera_target
+        Setup.EYE_TO_HAND: T_parent_camera
+        * seen
+        * T_parent_target.inv(),  # base_camera camera_target = base_flange flange_target
     }
     robot = robots[setup]
     noise = Rotation.from_rotvec(rng.normal(0, 1, (n, 3)) * sigma_rad)
@@ -41,10 +45,7 @@ def raw(arrays: tuple[np.ndarray, ...], x: np.ndarray, gamma: float) -> tuple[np
     RX, RZ = (np.ascontiguousarray(Rotation.from_rotvec(x[k : k + 3]).as_matrix()) for k in (3, 9))
     n = len(arrays[0])
     e, J = np.empty((n, 6)), np.empty((n, 6, 13))
-    P, t_hat, work = np.empty((3, 3)), np.empty(3), np.empty((2, 3, 3))
-    for i in range(n):
-        kernels.residual(RX, x[:3], RZ, x[6:9], gamma, *(a[i] for a in arrays), e[i], P, t_hat, work)
-        kernels.jacobian(RX, gamma, e[i], P, t_hat, J[i])
+    kernels.derivatives(((RX, x[:3]), (RZ, x[6:9]), gamma), arrays, e, J)
     return e.ravel(), J.reshape(-1, 13)
 
 
@@ -149,7 +150,7 @@ def test_the_noise_at_the_target_is_what_a_shaken_robot_makes(setup: Setup) -> N
     e, J, lever = np.empty((3000, 6)), np.empty((3000, 6, 12)), np.empty(3000)
     theta = np.array([s_t**2, 1e-14, s_r**2])
     X, Z = (exact.R_X, exact.t_x), (exact.R_Z, exact.t_z)
-    kernels.weigh(X, Z, 1.0, arrays, theta, setup is Setup.EYE_TO_HAND, np.ones(3000, bool), e, J, lever)
+    kernels.weigh((X, Z, 1.0), (arrays, np.ones(3000, bool), setup is Setup.EYE_TO_HAND), theta, e, J, lever)
     # the scatter of a covariance of n samples is sqrt(2 / n) on the diagonal; five of those
     assert e.T @ e / 3000 == pytest.approx(np.eye(6), abs=5 * np.sqrt(2 / 3000))
 
@@ -249,16 +250,16 @@ JOGGED_DEG = (
 
 @pytest.mark.parametrize("seed", range(4))
 def test_hands_turned_about_one_axis_by_most_pairs_are_calibrated(seed: int) -> None:
-    pairs, mount = jogged(np.random.default_rng(seed))
+    pairs, T_parent_camera = jogged(np.random.default_rng(seed))
     found = calibrate_eye_to_hand(pairs)
-    assert np.linalg.norm(found.T_parent_camera.translation - mount.translation) < 0.02
+    assert np.linalg.norm(found.T_parent_camera.translation - T_parent_camera.translation) < 0.02
 
 
 def jogged(rng: np.random.Generator) -> tuple[PosePairs, RigidTransform]:
     """Pairs of a hand that is turned about its tip, seen by a standing camera as three small lights are: the tilts
     worse than the rest; and the camera's place."""
     place, upright = [-1.7, -0.1, 0.25], Rotation.from_euler("xyz", [90.0, 0.0, 90.0], degrees=True)
-    mount = RigidTransform.from_components(place, upright)
+    T_parent_camera = RigidTransform.from_components(place, upright)
     tip = RigidTransform.from_components([0.0, 0.0, 0.02], Rotation.identity())
     turned = Rotation.from_rotvec([np.deg2rad(angle) * np.eye(3)[axis] for axis, angle in JOGGED_DEG])
     home = Rotation.from_euler("xyz", [5.0, 185.0, 3.0], degrees=True)
@@ -266,5 +267,7 @@ def jogged(rng: np.random.Generator) -> tuple[PosePairs, RigidTransform]:
     n = len(turned)
     tilts = Rotation.from_rotvec(np.deg2rad(rng.normal(0.0, [0.2, 0.2, 0.04], (n, 3))))
     shaken = RigidTransform.from_components(rng.normal(0.0, [1e-4, 1e-4, 3e-4], (n, 3)), tilts)
-    seen = mount.inv() * robot * tip * shaken
-    return PosePairs(T_base_flange=robot, T_camera_target=seen, names=tuple(f"row {i + 1}" for i in range(n))), mount
+    seen = T_parent_camera.inv() * robot * tip * shaken
+    return PosePairs(
+        T_base_flange=robot, T_camera_target=seen, names=tuple(f"row {i + 1}" for i in range(n))
+    ), T_parent_camera

@@ -10,7 +10,7 @@ from armsight.records import Silent
 from armsight.store import read_table
 from armsight.store.iso9283_plan import PLAN_COLUMNS, write_test_plan
 from armsight.verify.iso9283 import PlanOptions, TestCube, plan_test
-from armsight.verify.iso9283.cube import PLANES, SIDES_M
+from armsight.verify.iso9283.motions import PLANES, SIDES_M
 
 
 @pytest.mark.parametrize("plane", PLANES)

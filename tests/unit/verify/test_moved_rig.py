@@ -9,8 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.kinematics import fk, preset
 from armsight.verify import Align, Measured, Reported, verify
 from armsight.verify.cause import find_cause
-from armsight.verify.evidence import Case
-from armsight.verify.left_out import blocks, poses_of
+from armsight.verify.evidence import Case, blocks, poses_of
 
 ARM = preset("irb120")
 

@@ -20,7 +20,7 @@ from armsight.calibrate.handeye import (
     calibrate_from_views,
 )
 from armsight.calibrate.handeye.consensus import RIGHT, consensus
-from armsight.calibrate.handeye.target_views import poses_of_views
+from armsight.calibrate.handeye.image_model import poses_of_views
 from armsight.errors import ArmsightError, Inconsistent
 from armsight.optics import Camera
 from armsight.records import BoardView, Target

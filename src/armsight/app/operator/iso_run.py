@@ -34,8 +34,7 @@ from armsight.store.iso9283_plan import write_test_plan
 from armsight.store.tables import cells
 from armsight.units import MM
 from armsight.verify.iso9283 import PlannedMotion, TestPlan
-from armsight.verify.iso9283.cube import PLANES, SIDES_M, TestCube
-from armsight.verify.iso9283.motions import POSE_ORDER
+from armsight.verify.iso9283.motions import PLANES, POSE_ORDER, SIDES_M, TestCube
 from armsight.verify.results import VerifyOutput
 
 Array = NDArray[np.float64]

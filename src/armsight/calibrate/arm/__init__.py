@@ -1,8 +1,7 @@
 """A known arm's geometry corrected from measurements; where a rig stands to it; what to measure next."""
 
 from armsight.calibrate.arm.calibration import calibrate_arm
-from armsight.calibrate.arm.fit import ArmFit, Tolerance
-from armsight.calibrate.arm.limits import LimitReached
+from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.propose import Proposal, propose

@@ -8,29 +8,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
-from armsight.calibrate.arm.held_geometry import with_held_geometry
+from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, with_held_geometry
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, limits_reached, tool_points
 from armsight.calibrate.arm.initial_guess import start
-from armsight.calibrate.arm.limits import limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
+    LeftOut,
     Level,
     best_level,
     coupled,
+    cross_validate,
     fit_levels,
     left_out,
     significant_gain,
 )
-from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.other_arm import other_arm
 from armsight.calibrate.arm.parameter_selection import still
-from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, exceeded, spread_m
+from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, check_one_place, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
-from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
-from armsight.calibrate.arm.tool_points import tool_points
 from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
@@ -40,7 +37,7 @@ from armsight.records import NamedCovariance
 Array = NDArray[np.float64]
 
 GROSS = float(np.sqrt(chi2_ppf(0.99999, 3)))
-"""Errors of place beyond so many standard deviations are gross."""
+"""Errors of position beyond so many standard deviations are gross."""
 CONFIRMED = 1.0
 """Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the
 folds have a fifth fewer rows, and some take a poorer kind."""
@@ -143,7 +140,7 @@ def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
 
 
 def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
-    """Return the errors of place (m,) in m."""
+    """Return the errors of position (m,) in m."""
     return np.asarray(np.linalg.norm(model.errors(x.fitted.p, points)[0], axis=1))
 
 
@@ -152,10 +149,14 @@ def _result(
 ) -> ArmCalibration:
     first, proved, errors = judged.first, judged.proved(points), judged.left
     best, held = _held(model, holdout, first, proved)
-    gain, rows = best is not first, errors.judged
-    cross = Errors.of(errors.nominal_m[rows]), Errors.of((errors.chosen_m if gain else errors.nominal_m)[rows])
+    gain = best is not first
+    cross = tuple(
+        Errors.of(x[errors.judged]) for x in (errors.nominal_m, errors.chosen_m if gain else errors.nominal_m)
+    )
     left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
-    at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
+    reached = [
+        item.sentence for item in (at_limit := limits_reached(model, best.fitted.p, best.choice.free, tolerance))
+    ]
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
     return ArmCalibration(
@@ -179,8 +180,8 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *_told(model, points, holdout, judged, fitted, correlation)),
-        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
+        notes=(*reached, *_notes_on_rows(model, points, holdout, judged, fitted, correlation)),
+        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{one}." for one in reached)]),
         error_m=after_m,
         before_m=before_m,
         place_noise_m=points.typical_m(fitted.sigma_m),
@@ -189,7 +190,7 @@ def _result(
     )
 
 
-def _told(
+def _notes_on_rows(
     model: ArmModel,
     points: ArmPoints,
     holdout: ArmPoints | None,
@@ -249,7 +250,7 @@ def _laid_anew(model: ArmModel, level: Level, holdout: ArmPoints) -> Level:
 
 
 def _arm(model: ArmModel, fitted: ArmFit) -> Arm:
-    """Return the arm of a fit, with the covariance of its links and the places of its tool's points."""
+    """Return the arm of a fit, with the covariance of its links and the positions of its tool's points."""
     arm, covariance = model.arm_at(fitted.p), fitted.fit.covariance
     heavy = any(joint.mass_kg for joint in arm.joints)  # which way is down matters, and is written, for weights alone
     down = arm.down_in_base if heavy else model.arm.down_in_base

@@ -1,17 +1,22 @@
-"""One fit of an arm's parameters, with the noise estimated and gross errors held down."""
+"""One fit of an arm's parameters, with the noise estimated and gross errors held down; what stands at its limit; the
+tool's points."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.model import POSE, ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
+from armsight.kinematics import ToolPoint
+from armsight.records.fields import Doc
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -21,9 +26,9 @@ FIT_ROUNDS = 4
 """Fits with the noise of the one before; the ratio of the two noises settles in two or three."""
 SUNK_RAD = 1e-6
 """Joints that sag by so much less or more than the round before have settled: 1e-6 m at a metre."""
-LEAST_PLACE_M = 1e-6
-"""No place of a tool is measured better: interferometers say 1e-6 m, arms come back to 1e-5. Places that agree better
-(a simulation's) count as so good, or the fit is numerically stiff and stops before its minimum."""
+LEAST_POSITION_M = 1e-6
+"""No position of a tool is measured better: interferometers say 1e-6 m, arms come back to 1e-5. Positions that agree
+better (a simulation's) count as so good, or the fit is numerically stiff and stops before its minimum."""
 LEAST_TURN_RAD = 3e-5
 """No arm turns its tool more exactly: six arc seconds, the step of a good joint encoder, and 0.03 mm at a metre.
 Rotations that agree better (a simulation's) and are weighed as they claim (1e-6) leave 0.9 mm where 0.02 can be had."""
@@ -92,6 +97,7 @@ def fit_arm(
     fixed = frozenset(model.names) - set(free) - set(mounts)
     priors = {name: Prior(mean=0.0, sigma=tolerance.of(name)) for name in free}
     rows = 6 if points.rotation is not None else 3
+    # of good rows one in a hundred is beyond the scale and held down, which costs the answer next to nothing
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
     sigma = noise or estimate_noise(model, guess, points, len(free) + len(mounts))
     p = guess
@@ -125,34 +131,105 @@ def _tool_turn(name: str) -> bool:
 
 
 def estimate_noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
-    """Return the standard deviations of one coordinate of place and of rotation, from the medians of the residuals.
+    """Return the standard deviations of one coordinate of position and of rotation, from the medians of the residuals.
 
-    Of rows with covariances that of place is what these leave unexplained. n_free: parameters that were fitted to these
-    rows.
+    Of rows with covariances that of position is what these leave unexplained. n_free: parameters that were fitted to
+    these rows.
     """
-    place, turn = model.errors(p, points)
+    position, turn = model.errors(p, points)
     m = len(points)
     rows = 6 if points.rotation is not None else 3
+    # residuals are smaller than the noise by what was fitted to them: N / (N - p), at most twofold
     spent = np.sqrt(rows * m / max(rows * m - n_free, 0.25 * rows * m))
 
     def one(r: Array, least: float) -> float:
         return max(float(np.sqrt(np.median((r**2).sum(axis=1)) / MEDIAN_3) * spent), least)
 
-    place_m = one(place, LEAST_PLACE_M) if points.covariance is None else added_noise(place * spent, points)
-    return place_m, one(turn, LEAST_TURN_RAD) if points.rotation is not None else 1.0
+    sigma_m = one(position, LEAST_POSITION_M) if points.covariance is None else added_noise(position * spent, points)
+    return sigma_m, one(turn, LEAST_TURN_RAD) if points.rotation is not None else 1.0
 
 
-def added_noise(place: Array, points: ArmPoints) -> float:
+def added_noise(position: Array, points: ArmPoints) -> float:
     """Return what is to be added to one coordinate of all rows' covariances so that they explain errors (m, 3).
 
     Maximum likelihood with Student's tails: all rows have a say, so that a few whose covariances are too small cannot
     take the fit over, and gross errors have little.
     """
-    largest = float(np.sqrt((place**2).mean()))
-    candidates = np.geomspace(LEAST_PLACE_M, max(largest, 2.0 * LEAST_PLACE_M), ADDED_TRIED)
+    largest = float(np.sqrt((position**2).mean()))
+    candidates = np.geomspace(LEAST_POSITION_M, max(largest, 2.0 * LEAST_POSITION_M), ADDED_TRIED)
     cost = np.empty(ADDED_TRIED)
     for k, sigma in enumerate(candidates.tolist()):
-        q = (points.whiten(place, sigma) ** 2).sum(axis=1)
+        # -2 log of Student's density in three dimensions, log det V + (nu + 3) log(1 + r' V^-1 r / nu) (Lange, Little,
+        # Taylor 1989)
+        q = (points.whiten(position, sigma) ** 2).sum(axis=1)
         size = np.linalg.slogdet(points.covariance + sigma**2 * np.eye(3))[1]
         cost[k] = float((size + (TAILS + 3.0) * np.log1p(q / TAILS)).sum())
     return float(candidates[np.argmin(cost)])
+
+
+# Corrections that stand at the limit of what the nominal arm is believed to.
+
+BINDS = 0.9
+"""Share of its tolerance from which a correction stands at the limit. What is freed is known to half its tolerance, so
+the tolerance holds a correction back by a fifth at most: one that is really beyond it is not missed."""
+
+
+@output
+class LimitReached(Output):
+    """A correction as large as the nominal arm is believed to."""
+
+    name: Annotated[str, Doc("The parameter.")]
+    change: Annotated[float, Doc("Its change to the nominal arm, unit in the name.")]
+    limit: Annotated[float, Doc("What the nominal arm is believed to, unit in the name.")]
+    flag: Annotated[str | None, Doc("The option that raises it; null where there is none.")]
+
+    @property
+    def sentence(self) -> str:
+        """What to tell the person, without a full stop."""
+        factor, unit = (1e3, " mm") if self.name.endswith("_m") else (float(np.rad2deg(1.0)), " degrees")
+        if self.flag is None:
+            factor, unit = 1.0, ""
+        said = f"{self.name} stands at its limit of {self.limit * factor:.3g}{unit} (it changed by "
+        said += f"{self.change * factor:.3g}{unit}): "
+        if self.name.endswith(".sag"):
+            return said + "check the links' masses, or whether the tool is heavier than they say"
+        if self.flag is None:
+            return said + "check the gear ratio and the unit of the joint's readings"
+        return said + f"raise {self.flag} if the arm may be so far off"
+
+
+def limits_reached(model: ArmModel, p: Array, free: Sequence[str], tolerance: Tolerance) -> tuple[LimitReached, ...]:
+    """Return the freed parameters whose change in p (P,) stands at the limit of its tolerance, or beyond."""
+    found = []
+    for name in free:
+        change, limit = float(p[model.names.index(name)]), tolerance.of(name)
+        if abs(change) >= BINDS * limit:
+            found.append(LimitReached(name=name, change=change, limit=limit, flag=_flag(name)))
+    return tuple(found)
+
+
+def _flag(name: str) -> str | None:
+    if name.endswith("_m"):
+        return "--tolerance-mm"
+    return "--tolerance-deg" if name.endswith("_rad") else None
+
+
+# Where the tool's points are on the flange, with standard deviations.
+
+
+def tool_points(model: ArmModel, fitted: ArmFit) -> tuple[ToolPoint, ...]:
+    """Return the positions of all points with a name, in flange axes; none where the one point has no name.
+
+    Standard deviations hold the uncertainty of the fitted geometry too; they are infinite where a fit leaves a
+    direction open.
+    """
+    std = fitted.fit.std()
+    return tuple(
+        ToolPoint(
+            name=label,
+            xyz_m=np.asarray(model.pose(fitted.p, k).translation),
+            std_m=np.array([std.get(f"tool:{label}.{key}", np.inf) for key in POSE[:3]]),
+        )
+        for k, label in enumerate(model.labels, start=1)
+        if label
+    )

@@ -71,6 +71,7 @@ def mounts_by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) 
     """
     placed(xyz_m, xyz_m)
     sums, rms = _Sums.of(F, xyz_m, which, len(at)), np.inf
+    # each half of a turn is the exact minimum in its own unknowns, so that the misfit never rises
     for _ in range(TURNS):
         R, t = sums.base(at)
         at = sums.points(R, t, at)

@@ -70,7 +70,7 @@ class ArmModel:
 
     @property
     def parallel(self) -> tuple[tuple[int, str], ...]:
-        """Pairs of consecutive joints with nearly parallel axes: the first one's place, and the name of their beta."""
+        """Pairs of consecutive joints with nearly parallel axes: the first one's index, and the name of their beta."""
         craig = self.arm.convention is Convention.CRAIG  # there a joint's a, alpha, beta are those of the link before
         links = [(k, self.arm.joints[k + craig]) for k in range(self.arm.n - 1)]
         return tuple(
@@ -181,6 +181,7 @@ class ArmModel:
         lever_m: (m, n) to hold the levers at; the derivative is then exact, and a fit settles.
         """
         lever = self.lever_m(p, points) if lever_m is None else lever_m
+        # where the joints come to rest: the readings with couplings, and what gives way under the load
         rest = self.values(p, points.q) + self.give(p) * lever
         n, g = self.arm.n, self.n_geometry
         T = np.empty((len(points), 4, 4))
@@ -195,6 +196,8 @@ class ArmModel:
             q = rest[rows]
             T[rows], own = parameter_jacobian(replace(arm, T_flange_tool=self.pose(p, k + 1)), q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
+            # by each joint's own variable, theta or d, through which scale, coupling and sag act: the chain rule's
+            # inner part
             turn = own[:, :, drive]  # (m, 6, n)
             J[rows, :, 5 * n : 6 * n] = turn * (sign * q)[:, None, :]
             J[rows, :, 6 * n : 7 * n - 1] = turn[:, :, 1:] * (scaled[1:] * points.q[rows][:, :-1])[:, None, :]
@@ -205,11 +208,11 @@ class ArmModel:
 
     def _which(self, points: ArmPoints) -> NDArray[np.intp]:
         """Return (m,) which of the tool's points each row is of."""
-        place = {label: k for k, label in enumerate(self.labels)}
-        return np.array([place[label] for label in points.point], dtype=np.intp)
+        number = {label: k for k, label in enumerate(self.labels)}
+        return np.array([number[label] for label in points.point], dtype=np.intp)
 
     def errors(self, p: Array, points: ArmPoints) -> tuple[Array, Array]:
-        """Return the errors of place (m, 3) and, where measured, of rotation (m, 3), model minus measurement."""
+        """Return the errors of position (m, 3) and, where measured, of rotation (m, 3), model minus measurement."""
         arm = self.arm_at(p, None)
         T = fk(arm, arm.sagged(self.values(p, points.q)))
         n = len(self.labels)
@@ -223,11 +226,11 @@ class ArmModel:
     ) -> Evaluation:
         """Return whitened residuals and Jacobian; one block of three or six rows a measurement; lever_m as predict.
 
-        sigma_m: noise of place, or what is added to the rows' covariances where they have some.
+        sigma_m: noise of position, or what is added to the rows' covariances where they have some.
         """
         T, J = self.predict(p, points, lever_m)
-        place, turn = _errors(T, points)
-        r = points.whiten(place, sigma_m)
+        position, turn = _errors(T, points)
+        r = points.whiten(position, sigma_m)
         slopes = points.whiten(J[:, :3], sigma_m)
         if self.turned:
             r = np.concatenate([r, turn / sigma_rad], axis=1)
@@ -255,8 +258,8 @@ def stand_in(arm: Arm) -> Arm:
 
 
 def _errors(T: Array, points: ArmPoints) -> tuple[Array, Array]:
-    place = T[:, :3, 3] - points.xyz_m
+    position = T[:, :3, 3] - points.xyz_m
     if points.rotation is None:
-        return place, np.zeros((len(points), 3))
+        return position, np.zeros((len(points), 3))
     turn = Rotation.from_matrix(T[:, :3, :3] @ points.rotation.transpose(0, 2, 1)).as_rotvec()
-    return place, np.asarray(turn)
+    return position, np.asarray(turn)

@@ -39,7 +39,7 @@ SURE = 2.0
 """Standard deviations that a correction may be wrong by."""
 QUIET = 0.25
 """Errors of the nominal arm below this share of the largest length allowed come of no wrong length: it shows in the
-place of the tool by a half of itself and more."""
+position of the tool by a half of itself and more."""
 SETTLED = 0.1
 """A model that predicts rows left out to this share of the largest length allowed has not put turns and scales in the
 place of a length: those leave millimetres. Nothing more is asked then."""

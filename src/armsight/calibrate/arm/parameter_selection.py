@@ -45,16 +45,22 @@ def choose(
     """Return which candidates can be told from each other and from base and tools by these measurements."""
     J = model.evaluate(p, points, *noise).shared[0]
     mounts = J[:, model.n_geometry :]
+    # What base and tools can take up is no sign of the geometry: only what is square to their columns counts
     Q = orthonormal_basis(mounts)
     index = [model.names.index(name) for name in candidates]
+    # A whitened column times its tolerance is as long as the correction of one tolerance is in standard deviations: 1 /
+    # length is what the measurements alone would know it to, in tolerances
     columns = J[:, index] * np.array([tolerance.of(name) for name in candidates])
-    whole = np.linalg.norm(columns, axis=0)
+    size_before = np.linalg.norm(columns, axis=0)
     left = columns - Q @ (Q.T @ columns)
     free: list[int] = []
     open_ = list(range(len(candidates)))
+    # Gram-Schmidt with column pivoting (Golub, Van Loan, QR with column pivoting): free what has most of its own left,
+    # take that out of all others, and go on until nothing has enough. The order so goes by what is told, not by the
+    # joints' numbers
     while open_:
         size = np.linalg.norm(left[:, open_], axis=0)
-        fit = (size >= WORTH) & (size >= APART * whole[open_])
+        fit = (size >= WORTH) & (size >= APART * size_before[open_])
         if not fit.any():
             break
         best = open_[int(np.argmax(np.where(fit, size, -1.0)))]
@@ -63,7 +69,9 @@ def choose(
         v = left[:, best] / np.linalg.norm(left[:, best])
         left = left - np.outer(v, v @ left)
     resting = still(model, points)
-    fixed = tuple((candidates[i], _why(candidates[i], resting, whole[i], np.linalg.norm(left[:, i]))) for i in open_)
+    fixed = tuple(
+        (candidates[i], _why(candidates[i], resting, size_before[i], np.linalg.norm(left[:, i]))) for i in open_
+    )
     own = columns[:, free] - Q @ (Q.T @ columns[:, free])
     condition = float(np.linalg.cond(own)) if free else 1.0
     return Choice(free=tuple(candidates[i] for i in free), fixed=fixed, condition=condition)
@@ -83,12 +91,12 @@ def still(model: ArmModel, points: ArmPoints) -> tuple[str, ...]:
     return tuple(joint.name for joint, m in zip(model.arm.joints, moved, strict=True) if not m)
 
 
-def _why(name: str, resting: Sequence[str], whole: float, left: float | np.floating) -> str:
+def _why(name: str, resting: Sequence[str], size_before: float, left: float | np.floating) -> str:
     joint = name.rsplit(".", 1)[0]
     if joint in resting:
         return f"joint {joint} did not move"
-    if whole < WORTH:
+    if size_before < WORTH:
         return "the measurements tell less of it than its tolerance"
-    if left < APART * whole:
+    if left < APART * size_before:
         return "cannot be told apart from base, tool and the parameters that were freed"
     return "what it does apart from the freed parameters is lost in the noise"

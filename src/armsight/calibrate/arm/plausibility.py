@@ -1,18 +1,22 @@
-"""Whether measurements are of the arm at all: fits that miss by much of what the tool moved are refused, with rows."""
+"""Whether measurements are of the arm at all, and of one place on its tool: else they are refused, with rows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.initial_guess import mounts_by_turns, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.other_arm import explained
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, Inconsistent
+from armsight.kinematics import Arm, fk
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 
@@ -118,3 +122,170 @@ def check_apart(points: ArmPoints, holdout: ArmPoints) -> None:
             consequence="They would judge the geometry that was fitted to them, and call it better than it is",
             cure="Give rows that are in one file only, or leave the holdout away: rows left out in turn judge then",
         )
+
+
+# Whether rows without names are of one place on the tool, or of several that nobody told apart.
+
+Labels = NDArray[np.intp]
+
+MOST_PLACES = 8
+"""Places looked for among rows of equal readings; a beacon has three or four lights."""
+MOST_MIXED = 4
+"""Places looked for where each row has readings of its own: the arm's errors are in the way, and look like more."""
+APART = 0.3
+"""Rows are of several places where these leave less than this share of the scatter about one: noise that is parted at
+will leaves 0.45 with eight places, and the errors of a nominal arm 0.5 with four."""
+FURTHER = 0.6
+"""One place more is believed where it takes the scatter below this share."""
+SEPARATE = 5.0
+"""Places are further apart than so many times the scatter about them; what varies evenly and is cut up is not."""
+LEAST_SCATTER_M = 2e-3
+"""Rows that scatter by less about one place are of one, or of lights that are nearly one."""
+FEWEST_EACH = 4
+"""Rows of each place; fewer could be gross ones."""
+ENOUGH_ROWS = 240
+"""Rows that the question is asked with."""
+STARTS = 6
+"""Draws of first places, far from each other."""
+PLACE_TURNS = 30
+"""Of giving rows to places and placing them anew."""
+MOUNT_TURNS = 6
+"""The same with the base placed anew too."""
+PLACES_SEED = 13
+"""The same measurements give the same answer."""
+
+
+def check_one_place(arm: Arm, points: ArmPoints) -> None:
+    """Raise Inconsistent where rows of one name, or rows without names, are of several places on the tool.
+
+    Where joint positions have several rows each, those rows are looked at about their middle, in flange axes: the arm's
+    errors are the same in all of them. Else the place of the tool's point that each row wants, with the nominal arm.
+    """
+    named = np.array(points.point)
+    for label in points.labels:
+        _check_rows(arm, points.take(np.flatnonzero(named == label)), label)
+
+
+def _check_rows(arm: Arm, points: ArmPoints, label: str) -> None:
+    """Raise Inconsistent where rows, all of one name or none, are of several places."""
+    if len(points) < 2 * FEWEST_EACH:
+        return
+    if len(points) > ENOUGH_ROWS:
+        points = points.take(np.arange(ENOUGH_ROWS))
+    model = ArmModel(arm=arm, labels=points.labels, turned=False)
+    try:
+        p = start(model, points)
+    except Degenerate:
+        return  # told by what is fitted next
+    F = arm.T_world_base.inv().as_matrix() @ fk(arm, points.q) @ arm.T_flange_tool.inv().as_matrix()
+    local = np.asarray(model.pose(p, 0).inv().apply(points.xyz_m))
+    which = points.position
+    count = np.bincount(which)
+    if (count > 1).mean() > 0.5:
+        middle = np.stack([np.bincount(which, column) for column in local.T], axis=1) / count[:, None]
+        rows = np.flatnonzero(count[which] > 1)
+        off = np.einsum("mji,mj->mi", F[rows, :3, :3], (local - middle[which])[rows])
+        if _about_one(off) > LEAST_SCATTER_M:
+            _check(label, _about_one(off), [_in_places(off, _parted(off, k)) for k in range(2, MOST_PLACES + 1)])
+        return
+    at = model.pose(p, 1).translation
+    wanted = np.einsum("mji,mj->mi", F[:, :3, :3], local - F[:, :3, 3])
+    if _about_one(wanted - at) > LEAST_SCATTER_M:
+        parts = [_mounted(F, points.xyz_m, wanted, k) for k in range(2, MOST_MIXED + 1)]
+        _check(label, _about_one(wanted - at), parts)
+
+
+def _about_one(off_m: Array) -> float:
+    """Return the RMS size of offsets (m, 3) in m, freed of what one place takes up."""
+    return float(np.sqrt((off_m**2).sum() / max(len(off_m) - 1, 1)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Parting:
+    """Rows (m,) given to places (k, 3) in m, and the RMS distance in m that they keep from them."""
+
+    labels: Labels
+    places: Array
+    left_m: float
+
+
+def _check(label: str, one_m: float, parts: list[_Parting]) -> None:
+    """Raise Inconsistent where rows are of several places.
+
+    label: their name, "" where they have none; one_m: their scatter about one in m; parts: them in 2, 3 .. places.
+    """
+    best, left_m = None, one_m
+    for part in parts:
+        if np.bincount(part.labels, minlength=len(part.places)).min() < FEWEST_EACH:
+            break
+        apart_m = pdist(part.places).min()
+        if part.left_m < APART * one_m and part.left_m < FURTHER * left_m and apart_m > SEPARATE * part.left_m:
+            best, left_m = part, part.left_m
+    if best is None:
+        return
+    distance = pdist(best.places)
+    rows, by, cure = "rows", "no column `point` names them", "Name the place of each row in a column `point`"
+    if label:
+        rows, by, cure = f"rows of point {label!r}", "all have its name", "Give each place a name of its own"
+    raise Inconsistent(
+        f"the {rows} are of {len(best.places)} places on the tool, {distance.min() / MM:.3g} to "
+        f"{distance.max() / MM:.3g} mm apart, and {by}; about one place they scatter by {one_m / MM:.3g} mm",
+        consequence="They cannot be one place at these readings, and nothing is written",
+        cure=f"{cure}, for instance A, B, C; or give the rows of one place",
+    )
+
+
+def _means(off_m: Array, labels: Labels) -> Array:
+    """Return the middle (k, 3) of each place's offsets."""
+    return np.stack([off_m[labels == j].mean(axis=0) for j in range(labels.max() + 1)])
+
+
+def _in_places(off_m: Array, labels: Labels) -> _Parting:
+    """Return offsets (m, 3) given to the middles of theirs."""
+    places = _means(off_m, labels)
+    left = np.square(off_m - places[labels]).sum() / max(len(off_m) - len(places), 1)
+    return _Parting(labels=labels, places=places, left_m=float(np.sqrt(left)))
+
+
+def _nearest(off_m: Array, places: Array) -> Labels:
+    return np.asarray(np.square(off_m[:, None] - places[None]).sum(axis=2).argmin(axis=1))
+
+
+def _parted(off_m: Array, k: int) -> Labels:
+    """Return to which of k places each offset (m, 3) belongs, by k-means from several draws; every place has some."""
+    rng = np.random.default_rng(PLACES_SEED)
+    best, least = np.arange(len(off_m)) % k, np.inf
+    for _ in range(STARTS):
+        places = off_m[rng.choice(len(off_m), 1)]
+        while len(places) < k:
+            distance = np.square(off_m[:, None] - places[None]).sum(axis=2).min(axis=1)
+            places = np.vstack([places, off_m[rng.choice(len(off_m), 1, p=distance / distance.sum())]])
+        labels = _nearest(off_m, places)
+        for _ in range(PLACE_TURNS):
+            if len(np.unique(labels)) < k:
+                break
+            places = _means(off_m, labels)
+            labels = _nearest(off_m, places)
+        cost = float(np.square(off_m - places[labels]).sum())
+        if cost < least and len(np.unique(labels)) == k:
+            best, least = labels, cost
+    return best
+
+
+def _mounted(F: Array, xyz_m: Array, wanted_m: Array, k: int) -> _Parting:
+    """Return the rows given to k places on the tool.
+
+    F (m, 4, 4): base to flange; wanted_m (m, 3): the place in flange axes that each row wants, with the base placed as
+    if it were one; the base is placed anew with every giving.
+    """
+    labels = _parted(wanted_m, k)
+    at, left = _means(wanted_m, labels), np.inf
+    for _ in range(MOUNT_TURNS):
+        base, at, _ = mounts_by_turns(F, xyz_m, labels, _means(wanted_m, labels))
+        wanted_m = np.einsum("mji,mj->mi", F[:, :3, :3], np.asarray(base.inv().apply(xyz_m)) - F[:, :3, 3])
+        left = float(np.sqrt(np.square(wanted_m - at[labels]).sum() / max(len(labels) - k - 2, 1)))
+        now = _nearest(wanted_m, at)
+        if np.array_equal(now, labels) or len(np.unique(now)) < k:
+            break
+        labels = now
+    return _Parting(labels=labels, places=at, left_m=left)

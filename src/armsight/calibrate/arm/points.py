@@ -30,7 +30,7 @@ UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 1e-3: "ki
 FARTHEST = 1e5
 """Positions of 100 m in millimetres stay within it, so that these are told as such; beyond it a cell is wrong."""
 ABSURD = 12.0
-"""Places that spread so many times as far as the arm moves its tool, or so many times less, are in another unit."""
+"""Positions that spread so many times as far as the arm moves its tool, or so many times less, are in another unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,9 +85,9 @@ class ArmPoints:
     def position(self) -> NDArray[np.intp]:
         """Which joint position each row (m,) is of, counted from 0 as they come: rows of equal readings are of one."""
         _, first, which = np.unique(np.round(self.q / SAME_Q), axis=0, return_index=True, return_inverse=True)
-        place = np.empty(len(first), dtype=np.intp)
-        place[np.argsort(first)] = np.arange(len(first))
-        return place[which.ravel()]
+        number = np.empty(len(first), dtype=np.intp)
+        number[np.argsort(first)] = np.arange(len(first))
+        return number[which.ravel()]
 
     @property
     def group(self) -> NDArray[np.intp]:
@@ -99,6 +99,7 @@ class ArmPoints:
         rest = ~left
         if self.block is None or self.t_s is None or not left.any():
             return rest
+        # the nearest in time of those left out, before and behind
         times = np.sort(self.t_s[left])
         k = np.searchsorted(times, self.t_s)
         before, after = times[np.maximum(k - 1, 0)], times[np.minimum(k, len(times) - 1)]
@@ -125,6 +126,7 @@ class ArmPoints:
         """Return (m, 3, ...) in units of each row's noise: sigma_m in every coordinate, beside its own covariance."""
         if self.covariance is None:
             return vectors / sigma_m
+        # L L' is a row's covariance and what that leaves unexplained: L^-1 r has components of unit variance
         L = np.linalg.cholesky(self.covariance + sigma_m**2 * np.eye(3))
         return np.asarray(np.linalg.solve(L, vectors.reshape(len(self), 3, -1)).reshape(vectors.shape))
 

@@ -26,7 +26,7 @@ PROPOSAL_SEED = 5
 """The same measurements give the same proposal."""
 
 Visible = Callable[[Array], NDArray[np.bool_]]
-"""Places (m, 3) in the frame of the measurements -> which of them both cameras see."""
+"""Positions (m, 3) in the frame of the measurements -> which of them both cameras see."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,11 +75,11 @@ def _candidates(model: ArmModel, fitted: ArmFit, points: ArmPoints, visible: Vis
     low, high = _ranges(model, points)
     q = rng.uniform(low, high, (CANDIDATES, model.arm.n))
     at = ArmPoints(q=q, xyz_m=np.zeros((len(q), 3)), point=(points.point[0],) * len(q))
-    place, _ = model.errors(fitted.p, at)
-    there = ArmPoints(q=q, xyz_m=place, point=at.point)
+    position, _ = model.errors(fitted.p, at)
+    there = ArmPoints(q=q, xyz_m=position, point=at.point)
     if visible is None:
         return there
-    seen = np.flatnonzero(visible(place))
+    seen = np.flatnonzero(visible(position))
     if not len(seen):
         raise NotEnoughData(
             "no joint position within the limits puts the tool where both cameras see it",
@@ -93,6 +93,7 @@ def _most_telling(J: Array, H: Array, n: int) -> tuple[list[int], Array]:
     """Return the candidates, J (m, 3, P), in the order of what they add to H (P, P), and H with all of them."""
     order: list[int] = []
     for _ in range(min(n, len(J))):
+        # det(H + J'J) = det H det(1 + J H^-1 J'): a 3 x 3 determinant a candidate in place of one of all parameters
         gain = np.linalg.slogdet(np.eye(3) + J @ np.linalg.solve(H, J.transpose(0, 2, 1)))[1]
         gain[order] = -np.inf
         best = int(gain.argmax())

@@ -7,8 +7,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.fit import ArmFit
-from armsight.calibrate.arm.limits import LimitReached
+from armsight.calibrate.arm.fit import ArmFit, LimitReached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Couplings
 from armsight.calibrate.arm.other_arm import OtherArm

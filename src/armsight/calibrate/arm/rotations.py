@@ -21,7 +21,7 @@ from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, MUCH_BETTER, NEAR, RIGHT, UNRELATED, rolled, samples
 from armsight.calibrate.handeye.kernels.closed_forms import MEDIAN_NORM, rotation_consensus
-from armsight.calibrate.handeye.rotation_excitation import LEAST_TURN_RAD as TURNED_RAD
+from armsight.calibrate.handeye.pairs import LEAST_TURN_RAD as TURNED_RAD
 from armsight.errors import Degenerate, Inconsistent
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import fk
@@ -48,9 +48,9 @@ def check_rotations(model: ArmModel, points: ArmPoints) -> None:
         return
     if len(points) > ENOUGH_ROWS:
         points = points.take(np.linspace(0, len(points) - 1, ENOUGH_ROWS).astype(np.intp))
-    plain, places = ArmModel(arm=model.arm, labels=points.labels, turned=False), replace(points, rotation=None)
+    plain, positions = ArmModel(arm=model.arm, labels=points.labels, turned=False), replace(points, rotation=None)
     try:
-        p, _ = coupled(plain, places, start(plain, places))
+        p, _ = coupled(plain, positions, start(plain, positions))
     except Degenerate:
         return  # told by what is fitted next
     bare = replace(model.arm, T_world_base=RigidTransform.identity(), T_flange_tool=RigidTransform.identity())
@@ -59,7 +59,7 @@ def check_rotations(model: ArmModel, points: ArmPoints) -> None:
     turn = _spread(F[:, :3, :3])
     if turn < TURNED_RAD:
         return
-    if exceeded(np.linalg.norm(plain.errors(p, places)[0], axis=1)) > MOST_SHARE * spread_m(points.xyz_m):
+    if exceeded(np.linalg.norm(plain.errors(p, positions)[0], axis=1)) > MOST_SHARE * spread_m(points.xyz_m):
         return  # positions are not of this arm either, and are told first
     given = _reading(F, measured, points)
     usual = {

@@ -268,9 +268,9 @@ def _correlation(pooled: _Pooled) -> tuple[Array, Array]:
         return np.append(found[:4], found[4:].mean())
 
     products, pairs = pooled.products.sum(axis=1), pooled.pairs.sum(axis=1)
-    whole = solve(products, pairs)
+    of_all = solve(products, pairs)
     without = np.array([solve(products - pooled.products[:, g], pairs - pooled.pairs[:, g]) for g in range(GROUPS)])
-    return np.clip(whole, -1.0, 1.0), _jackknife(without)
+    return np.clip(of_all, -1.0, 1.0), _jackknife(without)
 
 
 def _require_grain(correlation: Array) -> None:

@@ -156,11 +156,11 @@ def _standing(seen: _Seen, own: Array, usual: Array) -> tuple[Flags, float]:
     still &= always <= max(np.log(MOVES_ALWAYS), SPREADS * _spread(always[ever]))
     n = np.maximum(seen.alive.sum(axis=0), 1)
     ratio = seen.twice.mean(axis=0) / np.maximum((seen.squares * seen.alive).sum(axis=0) / n, 1e-9)
-    whole = still.all(axis=0)
-    if not whole.any():
+    complete = still.all(axis=0)
+    if not complete.any():
         return still, 1.0
-    middle = float(np.median(ratio[whole]))
-    limit = middle + max(DRIFTS, SPREADS * _spread(ratio[whole] - middle))
+    middle = float(np.median(ratio[complete]))
+    limit = middle + max(DRIFTS, SPREADS * _spread(ratio[complete] - middle))
     return still & (ratio <= limit)[None], middle
 
 

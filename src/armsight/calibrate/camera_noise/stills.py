@@ -291,5 +291,5 @@ def _medians(gain: Array, weight: Array) -> Array:
 
 def _interpolation(n: int, cells: int) -> Floats:
     """Return the matrix (n, cells) that interpolates values at the cells' middles to n pixels, flat beyond."""
-    place = np.clip((np.arange(n) + 0.5) * cells / n - 0.5, 0.0, cells - 1.0)
-    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(cells))).astype(np.float32)
+    at = np.clip((np.arange(n) + 0.5) * cells / n - 0.5, 0.0, cells - 1.0)
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(cells))).astype(np.float32)

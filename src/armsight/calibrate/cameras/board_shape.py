@@ -18,7 +18,6 @@ from scipy.special import chdtri
 from armsight.calibrate.cameras.bundle_adjustment import BoardEquations, bundle_of, problem_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import Fit
-from armsight.fitting.normal import NormalEquations
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
@@ -30,7 +29,7 @@ RATIOS = np.geomspace(1e-4, 1e6, 81)
 BY_CHANCE = 1e-3
 """The board is taken as it is said to be where noise looks as much unlike it this often."""
 STEP_M = 1e-6
-"""Step of the differences by the points' places: a thousandth of a pixel."""
+"""Step of the differences by the points' positions: a thousandth of a pixel."""
 CLEAR = 1e-9
 """Information of a direction, over the largest, below which it is none: where the board stands, and its size."""
 TOLD = 0.25
@@ -65,7 +64,7 @@ def board_shape(observations: Observations, fit: Fit, covariance: NamedCovarianc
     fixed = frozenset(fit.names) - frozenset(names)
     problem = problem_of(observations, bundle_of(fit, observations.n_cameras), fixed)
     free = np.array([fit.names.index(name) for name in names], dtype=np.intp)
-    normal = NormalEquations.build(problem, problem.evaluate(fit.shared, fit.local), fit.shared, free)
+    normal = problem.normal_equations(problem.evaluate(fit.shared, fit.local), fit.shared, free)
     S, Ci = normal.reduced_system(), np.linalg.inv(normal.C)
     shared, local, own, score = _slopes(observations, fit, free)
     reduced = shared - np.einsum("gfl,glk,pgk->pf", normal.W, Ci, local)  # (3 n, F)

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from armsight.calibrate.cameras.kernels.move_poses import move_poses
-from armsight.calibrate.cameras.kernels.normal_equations import view_normal_equations
+from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
 from armsight.calibrate.cameras.observations import Observations
-from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
-from armsight.fitting.normal import NormalEquations
+from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
 from armsight.optics import INTRINSICS, SIDES, LensKind
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.kernels.camera import FISHEYE
@@ -109,16 +107,15 @@ class BoardEquations:
         kinds = [[FISHEYE, WIDEST_FIT] if lens is LensKind.FISHEYE else [0.0, 1.0] for lens in seen.lenses]
         packed = np.ascontiguousarray(np.column_stack([k, kinds]))
         sides, poses = np.array(side), np.array(local)  # writable: one compilation serves all
-        fine = view_normal_equations(
-            packed, sides, poses, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W
-        )
+        board, views = (seen.X, seen.radius_m), (seen.uv, seen.weight)
+        fine = view_normal_equations((packed, sides, poses), board, views, r, (A, b, C, c, W))
         if self.tied:
             _tie(A, b, W)
         return Evaluation(
             residuals=r if fine else np.full_like(r, np.nan),
             shared=EMPTY,
             local=EMPTY,
-            condensed=EvaluatedNormalEquations(A=A, b=b, C=C, c=c, W=W),
+            condensed=NormalEquations(A=A, b=b, C=C, c=c, W=W),
         )
 
     def retract(self, shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
@@ -136,6 +133,7 @@ class BoardEquations:
 def _tie(A: Array, b: Array, W: Array) -> None:
     """Move the right view's share of the normal equations to the left one's intrinsics, in place."""
     n = len(INTRINSICS)
+    # both views follow one lens: by the chain rule the right view's columns are added to the left one's
     for M in (A, A.T):
         M[:n] += M[n : 2 * n]
         M[n : 2 * n] = 0.0
@@ -176,7 +174,8 @@ def asks_to_be_freed(observations: Observations, fit: Fit, fixed: frozenset[str]
     problem = problem_of(observations, bundle_of(fit, observations.n_cameras), wider)
     evaluation = problem.evaluate(fit.shared, fit.local)
     free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
-    normal = NormalEquations.build(problem, evaluation, fit.shared, free)
+    normal = problem.normal_equations(evaluation, fit.shared, free)
+    # the score test (Rao 1948): g' H^-1 g is the fall of chi-square to first order, with no second fit
     fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
     return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, names_of, residuals_px, start_at
-from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, RobustFit, fit_without_outliers
+from armsight.calibrate.cameras.pairing import rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS
-from armsight.calibrate.cameras.rigs import rig_of
 from armsight.errors import DataRefused
 from armsight.geometry import align_points
 from armsight.optics import Rig
@@ -95,21 +94,21 @@ def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
 
 def _folds(robust_fit: RobustFit, options: BoardOptions, folds: int) -> Iterator[tuple[NDArray[np.intp], Bundle]]:
     """Yield the left-out views of each fold with the state fitted without them (their own poses still the old ones)."""
-    whole = bundle_of(robust_fit.fit, robust_fit.observations.n_cameras)
-    start_k = whole.k.copy()
+    all_views = bundle_of(robust_fit.fit, robust_fit.observations.n_cameras)
+    start_k = all_views.k.copy()
     if options.automatic_k3:
         for c, lens in enumerate(robust_fit.observations.lenses):
             start_k[c, [INTRINSICS_OF[lens].index(name) for name in LAST_TERMS[lens]]] = 0.0
     views = np.arange(robust_fit.observations.n_views)
     for fold in range(folds):
         stay, out = views[views % folds != fold], views[views % folds == fold]
-        start = Bundle(k=start_k, side_pose=whole.side_pose, poses=whole.poses[stay])
+        start = Bundle(k=start_k, side_pose=all_views.side_pose, poses=all_views.poses[stay])
         try:
             fit = fit_without_outliers(robust_fit.observations.take(stay), start, options).fit
         except DataRefused:
             continue  # a fold of too few or too equal views says nothing about the whole
         state = bundle_of(fit, robust_fit.observations.n_cameras)
-        yield out, Bundle(k=state.k, side_pose=state.side_pose, poses=whole.poses)
+        yield out, Bundle(k=state.k, side_pose=state.side_pose, poses=all_views.poses)
 
 
 def epipolar_rms(pairs: list[tuple[Observations, Rig]]) -> float:

@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
-from armsight.calibrate.cameras.fisheye_guess import start_of_fisheye
-from armsight.calibrate.cameras.initial_guess import board_poses, focal_lengths, homographies, start_intrinsics
-from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.initial_guess import (
+    board_poses,
+    focal_lengths,
+    homographies,
+    start_intrinsics,
+    start_of_fisheye,
+)
+from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fixed_names
+from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG
-from armsight.calibrate.cameras.rigs import camera_of
 from armsight.errors import DataRefused, Inconsistent
 from armsight.optics import LensKind
 
@@ -71,6 +75,7 @@ def refuse_other_lens(given: Observations, fit: RobustFit, options: BoardOptions
         if float(np.nanmax(np.linalg.norm(rays, axis=1))) < WIDE and np.isfinite(rays).all():
             return []
     residual = np.linalg.norm(residuals_px(used, fit.fit)[:, c], axis=2)[used.weight[:, c] > 0.0]
+    # points left out are no merit: what is kept must be better by their share
     own = float(np.median(residual)) / kept
     other = other_lens(given.camera(c), options)
     if other is None or not other.median_px < BETTER * own:

@@ -12,11 +12,10 @@ from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.observations import Observations, pack
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
+from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
-from armsight.calibrate.cameras.rigs import camera_of
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.optics import Camera, LensKind
 from armsight.records import BoardView, NamedCovariance, Progress, Target, TargetKind
@@ -97,7 +96,7 @@ def calibrate_camera(
         residual_px=residual[seen],
         used=robust_fit.observations,
         T_camera_board=poses_of_boards(robust_fit.observations, robust_fit.fit),
-        advice=(*advice, *on_tilt, *shape.advice, *doubts(covariance, robust_fit), *robust_fit.notes),
+        advice=(*advice, *on_tilt, *shape.advice, *caveats(covariance, robust_fit), *robust_fit.notes),
     )
 
 
@@ -137,7 +136,7 @@ def view_rms(residual: Array, seen: NDArray[np.bool_]) -> tuple[float, ...]:
     return tuple(np.sqrt(squares / np.maximum(seen.sum(axis=(1, 2)), 1)).tolist())
 
 
-def doubts(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
+def caveats(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
     """Return advice on focal lengths that are not well known."""
     std = covariance.std()
     return [

@@ -17,8 +17,7 @@ from armsight.calibrate.cameras.bundle_adjustment import (
     start_at,
     without,
 )
-from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG, LEAST_POINTS, LEAST_VIEWS, check_tilt
 from armsight.errors import NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.cameras.kernels.rotations import matrices_of
+from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Degenerate, NotEnoughData
 
@@ -62,7 +62,7 @@ def different_views(observations: Observations) -> tuple[NDArray[np.intp], list[
 
 
 def _same(observations: Observations, seen: NDArray[np.bool_], a: int, b: int) -> bool:
-    """Tell whether two views show the board in the same place in every camera."""
+    """Tell whether two views show the board in the same position in every camera."""
     both = seen[a] & seen[b]
     if not both.any():
         return False

@@ -12,13 +12,11 @@ from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.monocular import doubts, require_points, require_views, required, rms, view_rms
-from armsight.calibrate.cameras.observations import Observations, pack
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.monocular import caveats, require_points, require_views, required, rms, view_rms
+from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
-from armsight.calibrate.cameras.pairing import Paired, pair_views
+from armsight.calibrate.cameras.pairing import Paired, baseline_std, of_one_lens, pair_views, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
-from armsight.calibrate.cameras.rigs import baseline_std, of_one_lens, rig_of
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.optics import SIDES, LensKind, Rig
 from armsight.optics.parallelism import Parallelism, parallelism
@@ -183,7 +181,7 @@ def judged(
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
         T_left_board=poses_of_boards(used, robust_fit.fit),
-        advice=(*advice, *shape.advice, *doubts(covariance, robust_fit), *robust_fit.notes),
+        advice=(*advice, *shape.advice, *caveats(covariance, robust_fit), *robust_fit.notes),
     )
 
 

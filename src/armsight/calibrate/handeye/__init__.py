@@ -13,8 +13,7 @@ from armsight.calibrate.handeye.pairs import PosePairs, Setup
 from armsight.calibrate.handeye.propose import propose
 from armsight.calibrate.handeye.result import HandEye, Proposal, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
-from armsight.calibrate.handeye.stream_pairing import pairs_of_streams
-from armsight.calibrate.handeye.timing import TimeOffset, time_offset
+from armsight.calibrate.handeye.stream_pairing import TimeOffset, pairs_of_streams, time_offset
 
 __all__ = [
     "Basis",

@@ -1,20 +1,30 @@
-"""Hand-eye calibration from pose pairs: check, solve, uncertainty, advice."""
+"""Hand-eye calibration from pose pairs: check, solve, uncertainty, advice; of a recording with its errors' drift."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
-from armsight.calibrate.handeye.correlation import fit_drifting, left_out_blocks
+from armsight.calibrate.handeye.known_noise import moved, whitener
 from armsight.calibrate.handeye.noise import noise_of_pairs
-from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
+from armsight.calibrate.handeye.pairs import (
+    MIN_PAIRS,
+    Array,
+    Arrays,
+    PosePairs,
+    Poses,
+    Setup,
+    pose,
+    require_metres,
+    require_turning,
+    rotation_excitation,
+)
 from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
-from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
 from armsight.fitting.quantiles import f_isf, t_sf
@@ -84,18 +94,18 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     used[rows[order[solution.keep]]] = True
     turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
     require_turning(turned)
-    doubts = uncertainty(solution)
-    found = residuals(pairs.arrays(setup), solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
+    uncertain = uncertainty(solution)
+    found = residuals(pairs.arrays(setup), *solution.poses)
     errors = found.copy()
     errors[rows[order]] = left_out
-    widen = doubts.std / np.sqrt(np.diag(solution.C))
+    widen = uncertain.std / np.sqrt(np.diag(solution.C))
     finished = HandEye(
         setup=setup,
         T_parent_camera=pose(solution.R_X, solution.t_x),
         T_parent_target=pose(solution.R_Z, solution.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
-        dof=float(doubts.dof[:6].min()),
-        noise=noise_of_pairs(solution, doubts.variance_covariance),
+        dof=float(uncertain.dof[:6].min()),
+        noise=noise_of_pairs(solution, uncertain.variance_covariance),
         scale=true_scale(solution),
         rotation_excitation=turned,
         pairs=pairs,
@@ -137,19 +147,17 @@ def _of_a_recording(found: HandEye, t_s: Array, noise: Array | None) -> HandEye:
     noise (n, 6, 6): of each pair up to a factor; None where all are alike.
     """
     arrays = found.pairs.arrays(found.setup)
-    poses = (found.T_parent_camera, found.T_parent_target)
-    start = tuple(part for one in poses for part in (one.rotation.as_matrix(), np.asarray(one.translation)))
-    start = cast("tuple[Array, Array, Array, Array]", start)
-    fitted = fit_drifting(arrays, found.used, start, t_s, noise)
-    at = (fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
+    X, Z = found.T_parent_camera, found.T_parent_target
+    start = (X.rotation.as_matrix(), np.asarray(X.translation), Z.rotation.as_matrix(), np.asarray(Z.translation))
+    at, C, correlation = fit_drifting(arrays, found.used, start, t_s, noise)
     return replace(
         found,
-        T_parent_camera=pose(fitted.R_X, fitted.t_x),
-        T_parent_target=pose(fitted.R_Z, fitted.t_z),
-        covariance=NamedCovariance(names=NAMES, matrix=fitted.C),
+        T_parent_camera=pose(at[0], at[1]),
+        T_parent_target=pose(at[2], at[3]),
+        covariance=NamedCovariance(names=NAMES, matrix=C),
         residuals=residuals(arrays, *at),
-        left_out=left_out_blocks(arrays, found.used, at, t_s, fitted.correlation, noise),
-        correlation=fitted.correlation,
+        left_out=left_out_blocks(arrays, found.used, at, t_s, correlation, noise),
+        correlation=correlation,
     )
 
 
@@ -178,13 +186,13 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
     than LEAST_SHARE of the pairs stay.
     """
     n = len(given.keep)
-    whole = _whole(arrays, setup, given, known)
-    if whole is not None:
-        return whole
+    of_all = _fit_of_all(arrays, setup, given, known)
+    if of_all is not None:
+        return of_all
     keep, start = given.keep, given.start
     for _ in range(REJECTION_ROUNDS):
         solution = solve_pairs(arrays, setup, keep=keep, start=start, known=known)
-        start = (solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
+        start = solution.poses
         errors, q = solution.left_out()
         fitting = np.where(np.isfinite(q), q <= _limit(solution), keep)
         if (fitting == keep).all():
@@ -199,7 +207,9 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
     return solution, errors
 
 
-def _whole(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None) -> tuple[Solution, Array] | None:
+def _fit_of_all(
+    arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None
+) -> tuple[Solution, Array] | None:
     """Return the fit to all pairs where nothing speaks against any of them; None otherwise.
 
     Trimming first and taking back later would rob small sets of good pairs: the trimmed fit underrates the noise.
@@ -232,18 +242,18 @@ def true_scale(solution: Solution) -> Scale | None:
             solution.arrays,
             solution.setup,
             keep=solution.keep,
-            start=(solution.R_X, solution.t_x, solution.R_Z, solution.t_z),
+            start=solution.poses,
             free_scale=True,
             known=None if solution.weighed is None else solution.weighed.known,
         )
     except DataRefused:
         return None
-    doubts = uncertainty(free)
+    uncertain = uncertainty(free)
     std = float(np.sqrt(free.C[12, 12]))
     if not (free.gamma > 0.0 and std < 0.2):
         return None
-    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, doubts.dof[12]))
-    return Scale(factor=1.0 / free.gamma, std=float(doubts.std[12]) / free.gamma**2, p=p)
+    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, uncertain.dof[12]))
+    return Scale(factor=1.0 / free.gamma, std=float(uncertain.std[12]) / free.gamma**2, p=p)
 
 
 def _rejected(
@@ -259,3 +269,76 @@ def _rejected(
             why = f"off by {move / MM:.3g} mm and {turn / DEG:.3g} degrees from what the other pairs say"
         out.append(RejectedPair(row=i + 1, name=pairs.names[i], why=why))
     return tuple(out)
+
+
+# Errors that drift: the fit to poses of one recording, whose errors are alike for a while.
+
+STEP = 1e-6
+"""Of the numerical derivatives, m and rad."""
+
+
+def fit_drifting(
+    arrays: Arrays,
+    keep: NDArray[np.bool_],
+    start: Poses,
+    t_s: Array,
+    noise: Array | None = None,
+) -> tuple[Poses, Array, Correlation]:
+    """Return the fit to the kept pairs whose errors are white noise and a drift that is forgotten exponentially.
+
+    With its covariance (12, 12) of (dtX, dwX, dtZ, dwZ), turns from the left, and how the errors hang together.
+
+    arrays: of PosePairs.arrays, start: RX, tX, RZ, tZ near the answer, t_s (n,): times of the pairs. In the camera's
+    axes all components drift alike, positions and turns each by their own size, or each pair by its noise (n, 6, 6).
+    """
+    used: Arrays = tuple(a[keep] for a in arrays)  # type: ignore[assignment]  # four stay four
+    r, J = _linear(used, start)  # (n, 6), (n, 6, 12)
+    if noise is None:
+        size = np.repeat(np.sqrt([np.mean(r[:, :3] ** 2), np.mean(r[:, 3:] ** 2)]), 3)
+        size = np.maximum(size, 1e-12)
+        r, J = r / size, J / size[:, None]
+    else:
+        W = whitener(noise[keep])
+        r, J = np.einsum("nij,nj->ni", W, r), W @ J
+    found = fit_averaged(r, J, t_s[keep])
+    return _moved(start, found.step), found.C, found.correlation
+
+
+def _linear(arrays: Arrays, start: Poses) -> tuple[Array, Array]:
+    """Return the residuals (n, 6) in camera axes, and their derivative (n, 6, 12) by steps of `_moved`."""
+    r = residuals(arrays, *start)
+    J = np.empty((len(r), 6, 12))
+    for a in range(12):
+        step = np.zeros(12)
+        step[a] = STEP
+        J[:, :, a] = (residuals(arrays, *_moved(start, step)) - residuals(arrays, *_moved(start, -step))) / (2.0 * STEP)
+    return r, J
+
+
+def _moved(start: Poses, step: Array) -> Poses:
+    """Return RX, tX, RZ, tZ after a step (12,) of (dtX, dwX, dtZ, dwZ)."""
+    (RX, tX), (RZ, tZ), _ = moved(start[:2], start[2:], 1.0, step)
+    return RX, tX, RZ, tZ
+
+
+def left_out_blocks(
+    arrays: Arrays,
+    keep: NDArray[np.bool_],
+    start: Poses,
+    t_s: Array,
+    correlation: Correlation,
+    noise: Array | None = None,
+) -> Array:
+    """Return the error (n, 6) of each pair against the fit to the pairs further away in time than a drift lasts.
+
+    The recording is parted into blocks of equal time; each is left out with what lies within a correlation time.
+    """
+    out = residuals(arrays, *start)
+    for inside, away in time_blocks(t_s, correlation):
+        others = keep & away
+        if others.sum() < 4:
+            continue
+        at, _, _ = fit_drifting(arrays, others, start, t_s, noise)
+        there: Arrays = tuple(a[inside] for a in arrays)  # type: ignore[assignment]  # four stay four
+        out[inside] = residuals(there, *at)
+    return out

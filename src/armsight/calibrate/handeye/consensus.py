@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.handeye.kernels import closed_forms as starts
-from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
+from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
 from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec_of
 from armsight.units import DEG
@@ -94,7 +94,7 @@ class Consensus:
         return max(self.share_turn, self.share_move)
 
     @property
-    def start(self) -> tuple[Array, Array, Array, Array]:
+    def start(self) -> Poses:
         """Where the fit begins."""
         return self.R_X, self.t_x, self.R_Z, self.t_z
 
@@ -107,9 +107,9 @@ def consensus(arrays: Arrays) -> Consensus:
     """
     found = _of_most(arrays)
     if found.agree < LEAST_SHARE or found.share > UNRELATED:
-        whole = _of_all(arrays)
-        if whole is not None and whole.agree >= LEAST_SHARE and whole.share <= NEAR:
-            return whole
+        of_all = _of_all(arrays)
+        if of_all is not None and of_all.agree >= LEAST_SHARE and of_all.share <= NEAR:
+            return of_all
     return found
 
 
@@ -121,6 +121,7 @@ def _of_most(arrays: Arrays) -> Consensus:
     errors = np.empty(n)
     RX, RZ, sigma_rad = starts.rotation_consensus(RF, RB, drawn, keep, errors)
     outcomes = []
+    # a free scale fits the noise of few pairs too, and is taken only where it explains most of what is left
     for free in (False, True):
         mask = keep.copy()
         ok, tX, tZ, gamma, sigma_m = starts.translation_consensus(RX, RF, tF, tB, drawn, free, mask, errors)
@@ -139,19 +140,22 @@ def _of_all(arrays: Arrays) -> Consensus | None:
         return None
     start = (RX, tX, RZ, tZ)
     turned, moved = _left(arrays, start, gamma)
+    # the median length of three unit normals is MEDIAN_NORM: from lengths to one component
     sigmas = (float(np.median(turned)) / starts.MEDIAN_NORM, float(np.median(moved)) / starts.MEDIAN_NORM)
     return _judged(arrays, start, float(gamma), None, sigmas)
 
 
 def _judged(
     arrays: Arrays,
-    start: tuple[Array, Array, Array, Array],
+    start: Poses,
     gamma: float,
     mask: NDArray[np.bool_] | None,
     sigmas: tuple[float, float],
 ) -> Consensus:
     """mask (n,): which agree within the noise; None for those that are near."""
     RF, tF, RB, tB = arrays
+    # how much there was to explain, in the camera's unit: the target's way in the camera, and beside it the way of the
+    # base's (or flange's) origin seen from the other side, which a hand that only turned makes too
     turn = max(_spread(_turns(RB)), 1e-12)
     move = max(float(np.hypot(_spread(tB), abs(gamma) * _deviation(-np.einsum("nji,nj->ni", RF, tF)))), 1e-12)
     turned, moved = _left(arrays, start, gamma)
@@ -172,7 +176,7 @@ def _judged(
     )
 
 
-def _left(arrays: Arrays, start: tuple[Array, Array, Array, Array], gamma: float) -> tuple[Array, Array]:
+def _left(arrays: Arrays, start: Poses, gamma: float) -> tuple[Array, Array]:
     """Return the angle and the distance (n,) that each pair leaves open, the latter in the camera's unit."""
     RF, tF, RB, tB = arrays
     RX, tX, RZ, tZ = start

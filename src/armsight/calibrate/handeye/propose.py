@@ -43,6 +43,7 @@ def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool]
     left = np.arange(len(J))
     for _ in range(min(n, len(J))):
         C = np.linalg.inv(information[None] + J[left].transpose(0, 2, 1) @ J[left])  # (m, 12, 12)
+        # A-optimal: the sum of the variances of the camera's pose, each over today's, so that m and rad add up
         gain = (np.einsum("maa->ma", C)[:, :6] / scale**2).sum(axis=1)
         best = int(np.argmin(gain))
         k = int(left[best])
@@ -67,14 +68,14 @@ def _candidates(
     t = seen.translation
     slope = np.abs(t[:, :2] / t[:, 2:]).max(axis=0)
     z = rng.uniform(t[:, 2].min(), t[:, 2].max(), N_CANDIDATES)
-    place = np.column_stack(
+    xyz_m = np.column_stack(
         [rng.uniform(-slope[0], slope[0], N_CANDIDATES) * z, rng.uniform(-slope[1], slope[1], N_CANDIDATES) * z, z]
     )
     direction = rng.uniform(0.0, 2.0 * np.pi, N_CANDIDATES)
     tilt = TILT_RAD * np.sqrt(rng.uniform(0.0, 1.0, N_CANDIDATES))
     tilts = Rotation.from_rotvec(np.column_stack([tilt * np.cos(direction), tilt * np.sin(direction), 0.0 * tilt]))
     rolls = Rotation.from_rotvec(np.outer(rng.uniform(-ROLL_RAD, ROLL_RAD, N_CANDIDATES), [0.0, 0.0, 1.0]))
-    camera = RigidTransform.from_components(place, tilts * seen.rotation.mean() * rolls)
+    camera = RigidTransform.from_components(xyz_m, tilts * seen.rotation.mean() * rolls)
     if result.setup is Setup.EYE_IN_HAND:
         flange = result.T_parent_target * camera.inv() * result.T_parent_camera.inv()
     else:
@@ -109,16 +110,6 @@ def _whitened(result: HandEye, arrays: Arrays) -> Array:
     theta = np.array([noise.translation_m.size**2, noise.camera_rad.size**2, noise.robot_rad.size**2])
     RX, tX = components(result.T_parent_camera)
     RZ, tZ = components(result.T_parent_target)
-    kernels.weigh(
-        (RX, tX),
-        (RZ, tZ),
-        1.0,
-        arrays,
-        np.maximum(theta, [1e-14, 1e-14, 0.0]),
-        result.setup is Setup.EYE_TO_HAND,
-        np.ones(n, bool),
-        e,
-        J,
-        lever,
-    )
+    observed = arrays, np.ones(n, bool), result.setup is Setup.EYE_TO_HAND
+    kernels.weigh(((RX, tX), (RZ, tZ), 1.0), observed, np.maximum(theta, [1e-14, 1e-14, 0.0]), e, J, lever)
     return J

@@ -11,9 +11,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.correlation import Correlation
 from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
-from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
-from armsight.calibrate.handeye.rotation_excitation import RotationExcitation
-from armsight.calibrate.handeye.timing import TimeOffset
+from armsight.calibrate.handeye.pairs import Array, PosePairs, RotationExcitation, Setup
+from armsight.calibrate.handeye.stream_pairing import TimeOffset
 from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.fields import Doc

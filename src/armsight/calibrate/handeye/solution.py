@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
-from armsight.calibrate.handeye.known_noise import BELIEVED, Weighed, fit_weighed, left_out
-from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
+from armsight.calibrate.handeye.known_noise import BELIEVED, Fitted, Weighing, fit_weighed, left_out
+from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
 from armsight.errors import NotConverged
 from armsight.fitting.quantiles import t_ppf
 from armsight.geometry.kernels import rotvec_of
@@ -58,7 +58,37 @@ class Solution:
     lever: Array
     log_likelihood: float
     iterations: int
-    weighed: Weighed | None = None
+    weighed: Weighing | None = None
+
+    @classmethod
+    def of(
+        cls, setup: Setup, arrays: Arrays, keep: NDArray[np.bool_], fitted: Fitted, weighed: Weighing | None = None
+    ) -> Solution:
+        """Return the solution of a fit to the kept pairs (n,)."""
+        (RX, tX), (RZ, tZ), gamma, variances, C, (e, J, lever), likelihood, iterations = fitted
+        return cls(
+            setup=setup,
+            arrays=arrays,
+            keep=keep,
+            R_X=RX,
+            t_x=tX,
+            R_Z=RZ,
+            t_z=tZ,
+            gamma=gamma,
+            variances=variances,
+            C=C,
+            e=e,
+            J=J,
+            lever=lever,
+            log_likelihood=likelihood,
+            iterations=iterations,
+            weighed=weighed,
+        )
+
+    @property
+    def poses(self) -> Poses:
+        """RX, tX, RZ, tZ."""
+        return self.R_X, self.t_x, self.R_Z, self.t_z
 
     @property
     def n_used(self) -> int:
@@ -75,7 +105,7 @@ class Solution:
         if self.weighed is not None:
             return left_out(self.arrays, X, Z, self.gamma, self.weighed.V, self.keep, self.C, to_hand=to_hand)
         out = np.empty((len(self.keep), 6))
-        q = kernels.left_out(X, Z, self.gamma, self.arrays, self.variances, to_hand, self.keep, self.C, out)
+        q = kernels.left_out((X, Z, self.gamma), (self.arrays, self.keep, to_hand), self.variances, self.C, out)
         return out, q
 
 
@@ -84,7 +114,7 @@ def solve_pairs(
     setup: Setup,
     *,
     keep: NDArray[np.bool_] | None = None,
-    start: tuple[Array, Array, Array, Array] | None = None,
+    start: Poses | None = None,
     variances: Array | None = None,
     free_scale: bool = False,
     known: Array | None = None,
@@ -100,73 +130,23 @@ def solve_pairs(
     """
     keep = np.ones(len(arrays[0]), bool) if keep is None else keep
     (RX, tX, RZ, tZ), gamma = _closed_form(arrays, keep, free_scale) if start is None else (start, 1.0)
-    X, Z = (RX, tX), (RZ, tZ)
+    X, Z, m = (RX, tX), (RZ, tZ), 13 if free_scale else 12
     if known is not None:
-        return _solve_weighed(arrays, setup, keep, (X, Z, gamma), known, 13 if free_scale else 12)
+        least, settled = (FLOOR, LEAST_OWN), (TOLERANCE, LIMIT)
+        to_hand = setup is Setup.EYE_TO_HAND
+        found = fit_weighed(arrays, known, keep, (X, Z, gamma), least, to_hand=to_hand, n_free=m, settled=settled)
+        if found is None:
+            raise _not_converged("no minimum with the camera poses' covariances")
+        return Solution.of(setup, arrays, keep, *found)
     theta, floor = _first_variances(X, Z, gamma, arrays, keep) if variances is None else _held(variances)
-    m = 13 if free_scale else 12
-    to_hand = setup is Setup.EYE_TO_HAND
-    done = kernels.fit_pairs(X, Z, gamma, arrays, theta, variances is None, floor, to_hand, keep, m, TOLERANCE, LIMIT)
-    ok, (RX, tX), (RZ, tZ), gamma, theta, C, e, J, lever, likelihood, iterations = done
+    observed, noise = (arrays, keep, setup is Setup.EYE_TO_HAND), (theta, floor, variances is None)
+    ok, *fitted = kernels.fit_pairs((X, Z, gamma), observed, noise, m, (TOLERANCE, LIMIT))
     if not ok:
-        raise _not_converged(f"no minimum after {iterations} iterations")
-    return Solution(
-        setup=setup,
-        arrays=arrays,
-        keep=keep,
-        R_X=RX,
-        t_x=tX,
-        R_Z=RZ,
-        t_z=tZ,
-        gamma=gamma,
-        variances=theta,
-        C=C,
-        e=e,
-        J=J,
-        lever=lever,
-        log_likelihood=likelihood,
-        iterations=iterations,
-    )
+        raise _not_converged(f"no minimum after {fitted[-1]} iterations")
+    return Solution.of(setup, arrays, keep, tuple(fitted))
 
 
-def _solve_weighed(
-    arrays: Arrays,
-    setup: Setup,
-    keep: NDArray[np.bool_],
-    start: tuple[tuple[Array, Array], tuple[Array, Array], float],
-    known: Array,
-    m: int,
-) -> Solution:
-    """Return the fit that weighs each pair by the covariance of its camera pose."""
-    to_hand = setup is Setup.EYE_TO_HAND
-    found = fit_weighed(
-        arrays, known, keep, start, (FLOOR, LEAST_OWN), to_hand=to_hand, n_free=m, settled=(TOLERANCE, LIMIT)
-    )
-    if found is None:
-        raise _not_converged("no minimum with the camera poses' covariances")
-    return Solution(
-        setup=setup,
-        arrays=arrays,
-        keep=keep,
-        R_X=found.X[0],
-        t_x=found.X[1],
-        R_Z=found.Z[0],
-        t_z=found.Z[1],
-        gamma=found.gamma,
-        variances=found.variances,
-        C=found.C,
-        e=found.e,
-        J=found.J,
-        lever=found.lever,
-        log_likelihood=found.log_likelihood,
-        iterations=found.iterations,
-        weighed=found,
-    )
-
-
-def _closed_form(
-    arrays: Arrays, keep: NDArray[np.bool_], free_scale: bool
-) -> tuple[tuple[Array, Array, Array, Array], float]:
+def _closed_form(arrays: Arrays, keep: NDArray[np.bool_], free_scale: bool) -> tuple[Poses, float]:
     """Return RX, tX, RZ, tZ by Shah's closed form, and gamma: 1 unless free."""
     RX, RZ = starts.shah_rotations(arrays[0], arrays[2], keep)
     ok, tX, tZ, gamma = starts.translations(RX, arrays[0], arrays[1], arrays[3], keep, free_scale)
@@ -179,7 +159,7 @@ def _first_variances(
     X: tuple[Array, Array], Z: tuple[Array, Array], gamma: float, arrays: Arrays, keep: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Return the variances (3,) that the residuals at the start show, and the least they may become."""
-    theta, floor = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR), FLOOR.copy()
+    theta, floor = kernels.first_variances((X, Z, gamma), arrays, keep, FLOOR), FLOOR.copy()
     floor[0] = max(floor[0], LEAST_OWN * theta[0])
     return theta, floor
 

@@ -1,4 +1,4 @@
-"""The whole arm fitted at once: starts, gross readings, standard deviations widened by what the fit leaves."""
+"""The whole arm fitted at once: axes to start from, gross readings, standard deviations widened by what is left."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from armsight.calibrate.identify.axes import PLAUSIBLE, Candidate, candidates, plausible
-from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_chain, moved_by
-from armsight.calibrate.identify.coupling import suggest_coupling
+from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_chain, moved_by, suggest_coupling
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
+from armsight.calibrate.identify.kernels import axis_costs, settle_axis
 from armsight.calibrate.identify.path_fit import GROSS
-from armsight.calibrate.identify.residuals import SweepResiduals, background_shifts, rig_shifts
-from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, background_shifts, rig_shifts
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
 from armsight.optics import Rig
@@ -97,6 +95,7 @@ class GlobalFit:
             return out
         free = [self.fit.names.index(name) for name in self.fit.covariance.names]
         slopes = kept.residuals(predicted, J)[1].reshape(len(shifts), -1)[:, free]
+        # where the fit goes when all readings are shifted so: its own normal equations with the shifts for residuals
         moved = np.linalg.lstsq(slopes, -shifts, rcond=None)[0]
         out[np.ix_(free, free)] = moved @ moved.T
         return out
@@ -134,9 +133,11 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
     return replace(best, alternatives=tuple(one for one in tried if _rivals(one, best)))
 
 
-def _check_dropped(seen: SweepResiduals, found: Sequence[JointPath], whole: GlobalFit, rows: NDArray[np.intp]) -> None:
+def _check_dropped(
+    seen: SweepResiduals, found: Sequence[JointPath], arm_fit: GlobalFit, rows: NDArray[np.intp]
+) -> None:
     """Raise Inconsistent where an arm explains its other sweeps, and too little of one."""
-    dropped = [row for row, _ in whole.dropped]
+    dropped = [row for row, _ in arm_fit.dropped]
     for j, item in enumerate(found, 1):
         off = len(item.discarded) + int(np.isin(item.rows, dropped).sum())
         count = len(item.discarded) + len(item.rows)
@@ -148,7 +149,7 @@ def _check_dropped(seen: SweepResiduals, found: Sequence[JointPath], whole: Glob
                     [
                         "Another joint may have moved with it, or its commanded values are not exact: sweep again, or "
                         "use only their order (--increments order)",
-                        *_suspected(seen.take(rows), whole.model),
+                        *_suspected(seen.take(rows), arm_fit.model),
                     ]
                 ),
             )
@@ -193,6 +194,7 @@ def _starts(
     rests = [sweeps.q[item.main[0], :j] for j, item in enumerate(found)]
     rows = np.sort(np.concatenate([item.rows for item in found]))
     combined: list[tuple[float, list[Axis]]] = [(0.0, [])]
+    # a beam: the best combinations of the joints so far are carried on, since all would be a product over the joints
     for possible in axes:
         more = [
             (penalised_cost + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
@@ -236,6 +238,89 @@ def all_covariance(names: tuple[str, ...], covariance: NamedCovariance | None, w
 def beacon_at_zero(axes: Sequence[Axis], sweeps: Sweeps, rows: NDArray[np.intp]) -> Array:
     """Return the beacon with all joints at zero: every reading moved back, the median."""
     X = sweeps.xyz_m[rows]
+    # the beacon is M1(q1) .. Mn(qn) of where it is at zero: undone from the base outwards
     for axis, q in zip(axes, sweeps.q[rows].T, strict=True):
         X = moved_by(axis, -q, X)
     return np.asarray(np.median(X, axis=0))
+
+
+# Where a joint's axis may be, its values known: the best of all directions, and others that noise does not exclude.
+
+DIRECTIONS = 400
+"""Directions tried, spread over the sphere 10 degrees apart."""
+APART_COS = np.cos(np.deg2rad(25.0))
+"""Minima nearer to each other than this are followed once."""
+SAME_COS = np.cos(np.deg2rad(2.0))
+FOLLOWED = 4
+PLAUSIBLE = 60.0
+"""Chi-square above the best one's up to which an axis is worth a start: positions are linearised there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """An axis as one sweep shows it, the other joints at rest, and the sweep's chi-square with it."""
+
+    axis: Axis
+    chi2: float
+
+
+def candidates(seen: SweepResiduals, q: Array, *, revolute: bool) -> list[Candidate]:
+    """Return the axes that explain a sweep best at the joint's values q (m,), the best first.
+
+    For a direction the rest of the motion is linear, so that all directions can be tried: no start can be wrong. A
+    turning joint's position is a + cos q b + sin q n x b, a sliding one's a + q n.
+    """
+    xyz, W = seen.sweeps.xyz_m, _information(seen)
+    middle, mean = 0.5 * (q.min() + q.max()), xyz.mean(axis=0)
+    centred, value = xyz - mean, q - middle
+    grid = _sphere(DIRECTIONS)
+    costs = np.empty(len(grid))
+    axis_costs(revolute, grid, centred, W, value, costs)
+    out: list[Candidate] = []
+    for start in _minima(grid, costs):
+        direction, p = start.copy(), np.empty(6)
+        cost = settle_axis(revolute, direction, 0.1, centred, W, value, p)
+        if not np.isfinite(cost) or any(one.axis.direction @ direction > SAME_COS for one in out):
+            continue
+        axis = Axis(point_m=mean + p[:3], direction=direction, revolute=revolute)
+        out.append(Candidate(axis=axis, chi2=cost))
+    out.sort(key=lambda one: one.chi2)
+    return out
+
+
+def plausible(found: Sequence[Candidate], best: float) -> list[Candidate]:
+    """Return those candidates that the noise does not exclude beside one of chi-square best."""
+    return [one for one in found if one.chi2 < best + PLAUSIBLE]
+
+
+def _information(seen: SweepResiduals) -> Array:
+    """Return the information (m, 3, 3) of every position."""
+    m = len(seen.sweeps)
+    W: Array
+    if seen.rig is None and seen.whitener is not None:
+        W = seen.whitener.transpose(0, 2, 1) @ seen.whitener / seen.sigma**2
+    elif seen.sweeps.covariance_m2 is not None:
+        W = np.asarray(np.linalg.inv(seen.sweeps.covariance_m2) / seen.relative**2)
+    else:
+        W = np.tile(np.eye(3) / seen.sigma**2, (m, 1, 1))
+    return np.ascontiguousarray(W)
+
+
+def _minima(grid: Array, costs: Array) -> list[Array]:
+    """Return the best directions of the grid that lie apart."""
+    out: list[Array] = []
+    for i in np.argsort(costs):
+        if len(out) == FOLLOWED or not np.isfinite(costs[i]):
+            break
+        if all(grid[i] @ one < APART_COS for one in out):
+            out.append(grid[i])
+    return out
+
+
+def _sphere(n: int) -> Array:
+    """Return n directions (n, 3), evenly spread."""
+    # a spiral of golden angles at even heights: even heights are even areas on a sphere
+    i = np.arange(n) + 0.5
+    z, turn = 1.0 - 2.0 * i / n, np.pi * (1.0 + np.sqrt(5.0)) * i
+    r = np.sqrt(1.0 - z**2)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])

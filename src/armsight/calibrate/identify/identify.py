@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.identify.chain import Axis, at_home, moved_by
-from armsight.calibrate.identify.coupling import suggest_coupling
-from armsight.calibrate.identify.curves import Tilt, basis
+from armsight.calibrate.identify.chain import Axis, at_home, moved_by, suggest_coupling
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
     all_covariance,
@@ -19,14 +17,13 @@ from armsight.calibrate.identify.global_fit import (
     fit_globally,
     possible_axes,
 )
-from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured
-from armsight.calibrate.identify.kapucu2005 import pair_line, triple_circle
-from armsight.calibrate.identify.path_fit import PathFit
-from armsight.calibrate.identify.residuals import SweepResiduals, position_residuals
-from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
-from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
-from armsight.calibrate.identify.table import (
+from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured, pair_line, triple_circle
+from armsight.calibrate.identify.path_fit import PathFit, Tilt, basis
+from armsight.calibrate.identify.result import (
     KEYS,
+    Identification,
+    JointFound,
+    ParameterUncertainty,
     arm_of,
     degeneracy_notes,
     deviations,
@@ -34,6 +31,7 @@ from armsight.calibrate.identify.table import (
     place_frames,
     propagate_covariance,
 )
+from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, check_sweeps, placed, position_residuals
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry.lengths import check_spread
 from armsight.optics import PackedRig, Rig
@@ -66,10 +64,10 @@ def identify(
 ) -> Identification:
     """Return the arm whose beacon made these paths.
 
-    rig: the fit is of pixels; without one, of positions. sigma: noise of a pixel coordinate (px) or of a place (m), if
-    known; else it is found. increments: 'known', the commanded values are exact, and the whole arm is fitted at once;
-    'order', only their order is used, joint by joint. base (4, 4): the frame in rig axes whose foot on axis 1 is the
-    first frame's origin. method 'paper': triples, Chauvenet, means. Raises NotEnoughData, Inconsistent, UsageError.
+    rig: the fit is of pixels; without one, of positions. sigma: noise of a pixel coordinate (px) or of a position (m),
+    if known; else it is found. increments: 'known', the commanded values are exact, and the whole arm is fitted at
+    once; 'order', only their order is used, joint by joint. base (4, 4): the frame in rig axes whose foot on axis 1 is
+    the first frame's origin. method 'paper': triples, Chauvenet, means. Raises NotEnoughData, Inconsistent, UsageError.
     """
     if method not in METHODS or increments not in INCREMENTS:
         raise UsageError(f"method is one of {', '.join(METHODS)}, increments one of {', '.join(INCREMENTS)}")
@@ -128,20 +126,20 @@ def _at_once(
     rig: Rig | None,
 ) -> Identification:
     """Place the frames on the axes of the whole arm's fit."""
-    whole = fit_globally(seen, found)
-    widen, misfit = _widening(seen, whole, sigma)
-    notes += misfit + suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared, rig)
-    notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
-    p, model = whole.fit.shared, whole.model
+    arm_fit = fit_globally(seen, found)
+    widen, misfit = _widening(seen, arm_fit, sigma)
+    notes += misfit + suggest_coupling(seen.take(arm_fit.rows), arm_fit.model, arm_fit.fit.shared, rig)
+    notes += [f"reading {row + 1} discarded: {why}" for row, why in arm_fit.dropped]
+    p, model = arm_fit.fit.shared, arm_fit.model
     notes += _notes(found, [axis.revolute for axis in model.axes])
-    covariance = all_covariance(whole.fit.names, whole.fit.covariance, widen) + whole.systematic(seen, rig)
+    covariance = all_covariance(arm_fit.fit.names, arm_fit.fit.covariance, widen) + arm_fit.systematic(seen, rig)
     axes, beacon = model.axes_at(p)
     table, first, tool = place_frames(axes, beacon, base)
 
     def entries(x: Array) -> Array:
         return place_frames(*model.axes_at(x), base)[0].ravel()
 
-    covariance, doubtful = _with_rivals(whole, table, propagate_covariance(entries, p, covariance), base)
+    covariance, doubtful = _with_rivals(arm_fit, table, propagate_covariance(entries, p, covariance), base)
     notes += doubtful
     placed_frames = _PlacedFrames(
         axes=axes,
@@ -151,39 +149,40 @@ def _at_once(
         tool=tool,
         covariance=covariance,
         predicted=model.predict(p, seen.sweeps.q)[0],
-        dropped=whole.dropped,
+        dropped=arm_fit.dropped,
     )
     seen = seen.at(seen.sigma * float(np.sqrt(widen)))
     result = _finish(seen, found, placed_frames, notes, name)
-    kept = seen.take(whole.rows)
+    kept = seen.take(arm_fit.rows)
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
     return replace(result, uncertainty=ParameterUncertainty(model=model, p=p, information=A.T @ A))
 
 
-def _widening(seen: SweepResiduals, whole: GlobalFit, sigma: float | None) -> tuple[float, list[str]]:
+def _widening(seen: SweepResiduals, arm_fit: GlobalFit, sigma: float | None) -> tuple[float, list[str]]:
     """Return by how much the variances are larger than the noise about single paths says, and a note where by much."""
     notes = []
-    if whole.scale2 > AT_ODDS:
+    if arm_fit.scale2 > AT_ODDS:
         notes.append(
-            f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
+            f"the readings miss the arm by {np.sqrt(arm_fit.scale2):.1f} times their noise about single paths: the "
             "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
             "may not be enough: with values that are not exact use only their order (--increments order)"
         )
-    return whole.scale2 if sigma is None else max(whole.scale2, 1.0), notes
+    return arm_fit.scale2 if sigma is None else max(arm_fit.scale2, 1.0), notes
 
 
-def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
+def _with_rivals(arm_fit: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
     """Return a covariance that covers every arm the readings do not tell from this one, and a note of it."""
     std = deviations(covariance)
     wide, count = std.copy(), 0
-    for rival in whole.alternatives:
+    for rival in arm_fit.alternatives:
         off = place_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
         off[:, [0, 3, 4]] = np.mod(off[:, [0, 3, 4]] + np.pi, 2.0 * np.pi) - np.pi
         if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
             wide, count = np.maximum(wide, np.hypot(std, off)), count + 1
     if not count:
         return covariance, []
+    # entry by entry, so that the correlations stay
     stretch = np.divide(wide, std, out=np.ones_like(std), where=std > 0.0).ravel()
     return covariance * np.outer(stretch, stretch), [
         "another arm explains the readings as well; the standard deviations cover both. Longer arcs, or a sweep seen "
@@ -230,15 +229,16 @@ def _joint_by_joint(
 
 def _where_paths_meet(paths: Sequence[PathFit], sweeps: Sweeps, home: Array) -> Array:
     """Return the beacon (3,) with all joints at rest: all paths go through it, whatever the values are worth."""
-    place = sweeps.xyz_m[int(np.argmin(np.abs(sweeps.q - home).sum(axis=1)))]
+    position = sweeps.xyz_m[int(np.argmin(np.abs(sweeps.q - home).sum(axis=1)))]
     for _ in range(MEETING_STEPS):
-        near = np.array([path.nearest(place[None])[0] for path in paths])
+        near = np.array([path.nearest(position[None])[0] for path in paths])
         tangents = np.array([path.tangent(at) for path, at in zip(paths, near, strict=True)])
+        # nearest to all tangents: the sum of (1 - t t') (near - x) vanishes, and near moves on with x
         across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
         # paths of one tangent leave it open how far along them; there the start is kept
-        step = np.linalg.pinv(across.sum(axis=0), rcond=1e-3) @ np.einsum("kij,kj->i", across, near - place)
-        place = place + step
-    return np.asarray(place)
+        step = np.linalg.pinv(across.sum(axis=0), rcond=1e-3) @ np.einsum("kij,kj->i", across, near - position)
+        position = position + step
+    return np.asarray(position)
 
 
 def _shifter(found: Sequence[JointPath], axes: Sequence[Axis], sizes: Sequence[int]) -> Callable[[Array], list[Axis]]:

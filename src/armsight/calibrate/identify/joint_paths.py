@@ -1,19 +1,20 @@
-"""Every joint's path: line or circle, gross readings discarded, the noise found from all of them."""
+"""Every joint's path: line or circle, gross readings discarded, the noise found from all of them; and as the paper has
+it (MATH 4.1)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from armsight.calibrate.identify.chain import Axis
-from armsight.calibrate.identify.curves import basis
-from armsight.calibrate.identify.path_fit import GROSS, PathFit, circle_starts, fit_circle, fit_line, line_misfit
-from armsight.calibrate.identify.residuals import SweepResiduals
-from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.calibrate.identify.path_fit import GROSS, PathFit, basis, circle_starts, fit_circle, fit_line, line_misfit
+from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
+from armsight.fitting.quantiles import chauvenet
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,7 @@ def _judged(item: JointPath, factor: float, dof: int) -> JointPath:
     """Return a path with the probability of a line by an F test: the noise was found from dof residuals."""
     if item.path.kind == "line":
         return replace(item, p_line=float(chdtrc(max(item.path.dof, 1), item.path.chi2 / factor**2)))
+    # a line is a circle without curvature: of two parameters more, noise gains chi-square of two degrees of freedom
     gained = max(item.line_chi2 - item.path.chi2, 0.0) / factor**2
     return replace(item, p_line=float(fdtrc(2, max(dof, 1), gained / 2.0)))
 
@@ -107,6 +109,7 @@ def _noise(seen: SweepResiduals, order: Array) -> tuple[float, PathFit | None]:
             return float("nan"), None
     if path.dof < 1:
         return float("nan"), None
+    # a median, over that of chi-square: what gross readings leave alone
     spread = float(np.median((path.residual**2).sum(axis=1)) / chdtri(path.dof / len(path.residual), 0.5))
     return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
 
@@ -190,3 +193,35 @@ def measured(item: JointPath, sweeps: Sweeps) -> Axis:
     """Return a joint's axis as its own sweep saw it; a slide's goes through the middle of its path."""
     point = item.path.point_m if item.path.kind == "circle" else sweeps.xyz_m[item.main].mean(axis=0)
     return Axis(point_m=point, direction=item.path.direction, revolute=item.path.kind == "circle")
+
+
+# Kapucu and Baysec (2005) as printed, with MATH 4.1's corrections: all triples, Chauvenet's criterion, means.
+
+
+def triple_circle(xyz_m: Array, order: Array) -> tuple[Array, Array, float]:
+    """Return centre, axis and radius as the means over all combinations of three points (MATH 4.1)."""
+    P = xyz_m[np.argsort(order)]
+    i = np.array(list(combinations(range(len(P)), 3)))
+    a, b = P[i[:, 1]] - P[i[:, 0]], P[i[:, 2]] - P[i[:, 0]]
+    n = np.cross(a, b)
+    size = np.linalg.norm(n, axis=1)
+    good = size > 1e-12 * np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    a, b, n, size, first = a[good], b[good], n[good], size[good], P[i[good, 0]]
+    aa, bb = (a * a).sum(axis=1)[:, None], (b * b).sum(axis=1)[:, None]
+    # c = P1 + (|a|^2 b x n + |b|^2 n x a) / (2 |n|^2), n = a x b: no frames to turn into and back (MATH 4.1)
+    centres = first + (aa * np.cross(b, n) + bb * np.cross(n, a)) / (2.0 * size[:, None] ** 2)
+    radii = np.linalg.norm(centres - first, axis=1)
+    axes = n / size[:, None]
+    kept = chauvenet(np.column_stack([centres, radii]))
+    axis = axes[kept].mean(axis=0)
+    return centres[kept].mean(axis=0), axis / np.linalg.norm(axis), float(radii[kept].mean())
+
+
+def pair_line(xyz_m: Array, order: Array) -> tuple[Array, Array]:
+    """Return a point and the direction of the line as the means over all pairs of points."""
+    P = xyz_m[np.argsort(order)]
+    i = np.array(list(combinations(range(len(P)), 2)))
+    d = P[i[:, 1]] - P[i[:, 0]]
+    directions = d / np.linalg.norm(d, axis=1)[:, None]
+    mean = directions[chauvenet(directions)].mean(axis=0)
+    return P.mean(axis=0), mean / np.linalg.norm(mean)

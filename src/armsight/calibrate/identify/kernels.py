@@ -59,6 +59,8 @@ def arc_positions(B, middle, p, s, X, J, Js):
     bend2 = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     for i in range(s.shape[0]):
         z = bend2 * s[i] * s[i]
+        # f1 = sin(w) / w, f2 = (1 - cos w) / w^2 with their derivatives by z = w^2; near zero by series, as they are
+        # differences of nearly equal numbers there
         if z > 1e-2:
             root = np.sqrt(z)
             cosine, f1 = np.cos(root), np.sin(root) / root
@@ -76,6 +78,7 @@ def arc_positions(B, middle, p, s, X, J, Js):
             Js[i, r] = t[r] * cosine + c[r] * S
             J[i, r, 0], J[i, r, 1] = B[r, 0], B[r, 1]
         for k in range(4):
+            # z = |c|^2 s^2 grows by 2 c . dc s^2
             grown = 2.0 * (c[0] * dc[0, k] + c[1] * dc[1, k] + c[2] * dc[2, k]) * s[i] ** 3
             for r in range(3):
                 J[i, r, 2 + k] = dc[r, k] * C + grown * (t[r] * df1 + c[r] * s[i] * df2)
@@ -86,6 +89,7 @@ def arc_positions(B, middle, p, s, X, J, Js):
 @inner_kernel
 def turn(d, angle, x, out):
     """Fill out (3,) with x turned about the unit direction d."""
+    # Rodrigues: cos x + sin d x x + (1 - cos) (d . x) d
     s, c = np.sin(angle), np.cos(angle)
     along = (1.0 - c) * (d[0] * x[0] + d[1] * x[1] + d[2] * x[2])
     a = c * x[0] + s * (d[1] * x[2] - d[2] * x[1]) + along * d[0]
@@ -122,6 +126,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
         for r in range(3):
             x[r] = beacon[r] + p[P - 3 + r]
             G[r, P - 3 + r] = 1.0
+        # from the last joint to the first: each moves the beacon and, with it, the derivatives by all joints behind it
         for j in range(n - 1, -1, -1):
             value, k = q[i, j], first[j]
             if not revolute[j]:
@@ -140,6 +145,8 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
                 for r in range(3):
                     G[r, col] = column[r]
             on = r0[0] * d[j, 0] + r0[1] * d[j, 1] + r0[2] * d[j, 2]
+            # By the tilts, e = d d: Rodrigues' formula differentiated by its axis, sin e x r + (1 - cos) ((d . r) e +
+            # (e . r) d), where d . e = 0. By a shift e of the axis: (1 - R) e
             for t in range(2):
                 e0, e1, e2 = dd[j, 0, t], dd[j, 1, t], dd[j, 2, t]
                 off = r0[0] * e0 + r0[1] * e1 + r0[2] * e2
@@ -158,7 +165,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
 def axis_cost(revolute, direction, xyz, W, q, p):
     """Return the misfit of a sweep for an axis of given direction, all else eliminated (or infinity); fill p.
 
-    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the place is
+    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the position is
     a + cos q b + sin q n x b with b square to n: p = a (3), b (3). Sliding: a + q n: p = a.
     """
     m = len(q)
@@ -176,6 +183,8 @@ def axis_cost(revolute, direction, xyz, W, q, p):
     e2[0] = direction[1] * e1[2] - direction[2] * e1[1]
     e2[1] = direction[2] * e1[0] - direction[0] * e1[2]
     e2[2] = direction[0] * e1[1] - direction[1] * e1[0]
+    # For a given direction the rest is linear, and is eliminated by its normal equations (variable projection: Golub,
+    # Pereyra 1973): the direction's cost is what they leave
     H, g, ik = np.zeros((size, size)), np.zeros(size), np.empty((size, size))
     A, WA = np.zeros((3, size)), np.empty((3, size))
     y, total = np.empty(3), 0.0
@@ -226,6 +235,7 @@ def settle_axis(revolute, direction, step, xyz, W, q, p):
     """Move direction (3,) to the nearest minimum of axis_cost by eight-way steps that shrink; return cost; fill p."""
     best = axis_cost(revolute, direction, xyz, W, q, p)
     d, B, trial = np.empty(3), np.empty((3, 3)), np.empty(6)
+    # a compass search in the tangent plane (Kolda, Lewis, Torczon 2003), which needs no derivative by the direction
     while step > 2e-4:
         i = 0
         for r in range(1, 3):

@@ -14,17 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.calibrate.identify.result import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
-from armsight.calibrate.identify.table import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.optics import PackedRig, Rig
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
 
 PROBE_SHARE = 0.05
-"""Share of a joint's travel that a probe moves it: small beside what a free working place allows."""
+"""Share of a joint's travel that a probe moves it: small beside what a free working position allows."""
 RESTS, GRID, ROUNDS = 150, 41, 4
 """Rest poses tried a joint, values of its range, rounds of exchange."""
 PLAN_SEED = 1

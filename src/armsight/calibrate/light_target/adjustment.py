@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.light_target.kernels import projection as kernels
-from armsight.calibrate.light_target.layout import Layout
+from armsight.calibrate.light_target import kernels
+from armsight.calibrate.light_target.frames import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
 from armsight.optics.parallelism import moved_rig
 
@@ -92,6 +92,7 @@ def _evaluate(
     turned, uv, J = _project(packed, layout, shared, local)
     WJ = whiten @ J  # (g, n, 2, 2, 3)
     residuals = (whiten @ (uv - sightings.uv_px)[..., None]).reshape(g, -1)
+    # p = R X + t moves by dt + dw x (R X): as J by dt, as -J [R X]x by dw
     own = np.concatenate([WJ, -WJ @ skew(turned)[:, :, None]], axis=-1).reshape(g, 4 * n, 6)
     R = _rotations(local)
     shape = (WJ @ R[:, None, None] @ layout.basis.reshape(1, n, 1, 3, -1)).reshape(g, 4 * n, -1)
@@ -113,10 +114,14 @@ def _judge(
     free = np.eye(r.shape[1]) - Jl @ np.linalg.solve(Jl.transpose(0, 2, 1) @ Jl, Jl.transpose(0, 2, 1))
     Js, e = free @ Js, (free @ r[:, :, None])[:, :, 0]
     S = Js.transpose(0, 2, 1) @ Js  # (g, k, k)
-    whole = S.sum(axis=0)
-    covariance = np.linalg.inv(whole)
+    information = S.sum(axis=0)
+    covariance = np.linalg.inv(information)
+    # a frame's share S of the information is taken back, and what its residuals had pulled the shape by goes with it:
+    # the step (H - S)^-1 J' e leads to the fit without it, to first order
     step = (
-        np.linalg.solve(whole - S, (Js.transpose(0, 2, 1) @ e[:, :, None])) if g > 1 else np.zeros((g, len(whole), 1))
+        np.linalg.solve(information - S, (Js.transpose(0, 2, 1) @ e[:, :, None]))
+        if g > 1
+        else np.zeros((g, len(information), 1))
     )
     left_out = (e + (Js @ step)[:, :, 0])[:, : 4 * n].reshape(g, n, 2, 2)
     share = np.zeros_like(covariance)
@@ -124,6 +129,7 @@ def _judge(
         D = _by_rig(rig, layout, fit, whiten)
         if layout.on_line:
             D = np.concatenate([D, np.zeros((g, 1, D.shape[2]))], axis=1)
+        # where the minimum goes when the rig changes: dx = -(J'J)^-1 J' dr, with each frame's pose following
         A = -covariance @ np.einsum("gmk,gmp->kp", Js, D)
         share = A @ PackedRig.of(rig).covariance @ A.T
     colour = np.linalg.inv(whiten)
@@ -155,7 +161,7 @@ def _by_rig(rig: Rig, layout: Layout, fit: Fit, whiten: Array) -> Array:
 
 
 def _project(packed: PackedRig, layout: Layout, values: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """Return R X (g, n, 3), pixels (g, n, 2, 2) and their derivatives (g, n, 2, 2, 3) by the place in rig axes."""
+    """Return R X (g, n, 3), pixels (g, n, 2, 2) and their derivatives (g, n, 2, 2, 3) by the position in rig axes."""
     X = layout.spots(values)
     g, n = len(poses), len(X)
     turned = np.einsum("gij,nj->gni", _rotations(poses), X)

@@ -24,15 +24,16 @@ from armsight.calibrate.light_target.checks import (
     require_turned,
     told_apart,
 )
-from armsight.calibrate.light_target.frames import LitFrame, sights_of
-from armsight.calibrate.light_target.layout import (
+from armsight.calibrate.light_target.frames import (
     LETTERS,
     Layout,
+    LitFrame,
     line_frame,
     line_layout,
     name_order,
     plane_frame,
     plane_layout,
+    sights_of,
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
 from armsight.calibrate.light_target.result import RejectedFrame, TargetCalibration, distances_of
@@ -200,6 +201,7 @@ def _fit(
         dof = 4 * n - (5 if layout.on_line else 6)
         middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_ppf(0.5, dof)), 1.0)
         limit = middle * float(chi2_isf(FALSE_ALARM / total, dof))
+        # one at a time: a wrong frame bends the shape and makes good ones look bad
         worst = int(np.argmax(bundle.frame_chi2))
         if bundle.frame_chi2[worst] <= limit:
             break
@@ -220,8 +222,8 @@ def _epipolar(rig: Rig, seen: LightObservations) -> tuple[float, int]:
 
 def _covariance(layout: Layout, bundle: LightBundle) -> Array:
     """Return (3 n, 3 n); the noise is never believed to be smaller than the spots say."""
-    whole = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
-    return np.asarray(layout.basis @ whole @ layout.basis.T)
+    covariance = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
+    return np.asarray(layout.basis @ covariance @ layout.basis.T)
 
 
 def _share(layout: Layout, bundle: LightBundle, covariance: Array) -> float:

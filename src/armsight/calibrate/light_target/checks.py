@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.light_target.adjustment import LightBundle
-from armsight.calibrate.light_target.align import align
-from armsight.calibrate.light_target.layout import LETTERS, line_frame
-from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, distances, facing
+from armsight.calibrate.light_target.frames import LETTERS, line_frame
+from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, align, distances, facing
 from armsight.calibrate.light_target.result import LightDistance
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.fitting.quantiles import chi2_isf
@@ -121,6 +120,7 @@ def told_apart(named: Named) -> tuple[Flags, NDArray[np.intp] | None]:
     own = facing(named.R, named.t, X, normal)
     for perm in list(permutations(range(n)))[1:]:
         q = np.array(perm, dtype=np.intp)
+        # names whose distances differ by far more than is uncertain cannot be confused, and need no alignment
         if float(((distances(X[q]) - d) ** 2).sum()) > WIDE * spread:
             continue
         R, t, worse = align(X[q], positions, named.information)

@@ -92,6 +92,8 @@ def adjust_to_parallel(
     T_left_right = now.T_rig_left.inv() * now.T_rig_right
     rotation, C = T_left_right.rotation.as_rotvec(), now.covariance.block(POSE[3:])
     stands, J = _stands(design, rotation)
+    # three turns make three angles: as many as are measured, so that the turns' covariance is that of the angles
+    # carried back
     inverse = np.linalg.inv(J)
     std = np.sqrt(np.diag(inverse @ C @ inverse.T))
     turns = (
@@ -113,6 +115,7 @@ def adjust_to_parallel(
 def _stands(design: Mirrors, rotation: Array) -> tuple[Array, Array]:
     """Return by how much (3,) the FREE turns are off that make this rotation (3,), and their Jacobian (3, 3)."""
     x, J = np.zeros(3), np.eye(3)
+    # Newton, on three angles that are nearly linear in the turns
     for _ in range(ROUNDS):
         J = np.column_stack(
             [(_made(design, x + s) - _made(design, x - s)) / (2 * STEP_RAD) for s in STEP_RAD * np.eye(3)]

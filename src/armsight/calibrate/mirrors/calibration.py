@@ -11,11 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtrc
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of
-from armsight.calibrate.cameras.kernels.rotations import matrices_of
-from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.kernels import matrices_of
+from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
-from armsight.calibrate.cameras.rigs import in_frame
+from armsight.calibrate.cameras.pairing import in_frame
 from armsight.calibrate.cameras.stereo import StereoCalibration, fit_pairs, judged
 from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
@@ -210,6 +209,7 @@ def _thickness(free: RobustFit, index: float, options: BoardOptions) -> tuple[fl
         fit = _refit(free, plate, careful).fit
         costs.append(fit.cost)
         dof, scale = fit.dof, np.sqrt(2.0 * min(costs) / max(fit.dof, 1))
+    # half chi-square is a parabola of the thickness: its vertex is the estimate, its bend the information on it
     bend = (costs[0] - 2.0 * costs[1] + costs[2]) / TRIED_M**2
     slope = (costs[2] - costs[0]) / (2.0 * TRIED_M)
     if not bend > 0.0 or dof < 1:
@@ -221,6 +221,8 @@ def _as_good(tied: RobustFit, free: RobustFit) -> bool:
     """Whether one lens explains the views as well as two do, noise and the number of parameters considered."""
     if tied.observations.n_points != free.observations.n_points:
         return tied.fit.scale < 1.1 * free.fit.scale
+    # one lens is the model of two with its intrinsics held equal: an F test of the constraints, or a rise that is of no
+    # account in a set so large that any shows
     more = max(free.fit.dof * -1 + tied.fit.dof, 1)
     gained = max(tied.fit.cost - free.fit.cost, 0.0) / more / max(free.fit.cost / max(free.fit.dof, 1), 1e-30)
     return bool(fdtrc(more, free.fit.dof, gained) > ONE_LENS or tied.fit.scale < 1.05 * free.fit.scale)
@@ -236,6 +238,7 @@ def _camera_frame(rig: Rig) -> RigidTransform:
     mu = 0.0 if plate is None else plate_shift(plate.thickness_m, plate.index, 0.0, 0.0)
     a = np.asarray(rig.T_rig_left.translation) - left @ np.array([-mu, 0.0, mu])
     b = np.asarray(rig.T_rig_right.translation)
+    # the virtual centres stand at (+-b/2, 0, -b/2) of the real camera, the left one shifted by (-mu, 0, mu) (MATH 3.1)
     z = left[:, 2] + right[:, 2]
     z /= np.linalg.norm(z)
     x = (b - a) - ((b - a) @ z) * z

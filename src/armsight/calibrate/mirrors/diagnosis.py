@@ -14,7 +14,7 @@ from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.monocular import rms, view_rms
 from armsight.calibrate.cameras.observations import Observations, pack
-from armsight.calibrate.cameras.rigs import baseline_std, in_frame, rig_of
+from armsight.calibrate.cameras.pairing import baseline_std, in_frame, rig_of
 from armsight.calibrate.cameras.stereo import StereoCalibration
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, without_plate
 from armsight.errors import Inconsistent, NotEnoughData
@@ -29,7 +29,7 @@ from armsight.records.output import Output, output
 Array = NDArray[np.float64]
 
 LEAST_LIT = 5
-"""Views of a lit target below which the mirrors' place is not asked for."""
+"""Views of a lit target below which the mirrors' position is not asked for."""
 GOOD_LIT = 10
 VAGUE = 0.01
 """Standard deviation of the baseline, by itself, from which the views are too much alike."""
@@ -113,6 +113,7 @@ def check_alignment(
     change: Array = np.concatenate(
         [T_now.translation - before.translation, (T_now.rotation * before.rotation.inv()).as_rotvec()]
     )
+    # a difference of two independent measurements: today's and the calibration's
     C = _covariance(now) + _in_left_axes(rig)
     if design is None:
         design = Mirrors(baseline_m=rig.baseline_m)
@@ -246,12 +247,14 @@ def _in_left_axes(rig: Rig) -> Array:
     turn = np.kron(np.eye(2), R)
     inverse = np.linalg.pinv(known.matrix)
     at = [known.names.index(name) for name in POSE]
+    # the inverse of a block of the information: the pose's covariance with the lens held
     return np.asarray(turn @ np.linalg.inv(inverse[np.ix_(at, at)]) @ turn.T)
 
 
 def _suspect(design: Mirrors, mirror: int, change: Array, W: Array) -> Suspect:
     """Return the turn of one mirror that explains the change best."""
     tilt = np.zeros(2)
+    # Gauss-Newton on two angles, six numbers weighed by their covariance; chi-square tells which mirror explains most
     for _ in range(DIAGNOSIS_ROUNDS):
         r = _with_tilt(design, mirror, tilt) - change
         J = np.column_stack(

@@ -1,4 +1,4 @@
-"""The timing of two free-running cameras from lights that somebody waves before them."""
+"""The timing of two free-running cameras from lights that somebody waves before them, and what comes of it."""
 
 from __future__ import annotations
 
@@ -170,6 +170,7 @@ def _solve(views: Views, delay_s: float, mid_s: float, period_s: float, position
 
 def _kept(model: PathModel, x: Array) -> NDArray[np.bool_]:
     r = np.linalg.norm(model.fit_paths(x).residuals[0].reshape(-1, 2), axis=1)
+    # sqrt(2 log 2) = 1.177 is the median length of two unit normals: from lengths to one component
     return np.asarray(r < OUTLIER * np.median(r) / 1.177)
 
 
@@ -200,6 +201,7 @@ def _result(
     left, right = clocks
     C = C.copy()
     C[:2, :2] += left.clock_covariance(mid_s + x[0]) + right.clock_covariance(mid_s)
+    # the delay at stamp 0 from that in the middle, where it hardly hangs on the drift: d0 = d - 1e-6 drift mid
     move = np.eye(4)
     move[0, 1] = -1e-6 * mid_s
     C = move @ C @ move.T

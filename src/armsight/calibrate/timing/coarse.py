@@ -58,6 +58,7 @@ def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[A
         )
     d = [_directions(rig, side, track.uv_px[i]) for side, track, i in zip(SIDES, tracks, rows, strict=True)]
     thin = max(1, round(len(t[0]) / max(float(np.ptp(t[0])) * RATE_HZ, 1.0)))
+    # the epipolar plane of each left ray: at the right delay the other camera's ray of the same light lies in it
     normal = np.cross(rig.T_rig_right.translation - rig.T_rig_left.translation, d[0][::thin])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     delays = np.arange(-MAX_DELAY_S, MAX_DELAY_S + STEP_S, STEP_S)
@@ -87,6 +88,7 @@ def _distances(t: Array, normal: Array, t_other: Array, d: Array, delays: Array)
         if near.sum() < 0.9 * fewest:
             continue
         i, u = i[near], ((at - t_other[i]) / gap)[near, None]
+        # on a straight line between two frames: wrong by less than the hundredths of a second that are asked for here
         ray = d[i] * (1.0 - u) + d[i + 1] * u
         out[k] = np.sqrt(np.mean(np.sum(ray * normal[near], axis=1) ** 2))
     return out

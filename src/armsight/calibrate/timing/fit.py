@@ -1,13 +1,16 @@
-"""Delay, drift and read-outs by least squares, with the paths of the lights eliminated."""
+"""Delay, drift and read-outs by least squares, with the paths of the lights, quintic splines, eliminated."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from armsight.calibrate.timing.splines import ORDER, Band, Grid, Rows, times, transposed_times
+from armsight.calibrate.timing import kernels
 from armsight.calibrate.timing.views import Views
 from armsight.errors import Inconsistent
 from armsight.fitting import Evaluation, Fit, Prior, Problem, Settings, solve
@@ -67,6 +70,8 @@ class PathModel:
         """Return when each view was exposed (m,) by the left clock, and its derivatives (m, 4) by TIMES."""
         v = self.views
         right = v.side == 1
+        # a line was exposed at stamp + readout line, of the right camera + delay + drift (stamp - mid): linear, as J
+        # says
         J = np.zeros((len(v), 4))
         J[right, 0] = 1.0
         J[right, 1] = PPM * (v.stamp_s[right] - self.mid_s)
@@ -105,6 +110,7 @@ class PathModel:
                 [self._columns(first, np.full(len(first), i)).reshape(-1, ORDER, 3) for i in (a, b)], axis=2
             )
             apart = np.einsum("mj,mjk->mk", weight, c[both[:, :, 1]] - c[both[:, :, 0]])
+            # |x_b - x_a| = distance, linear about the paths so far: n . (x_b - x_a) = distance along the unit vector n
             n = apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
             each = np.einsum("mj,s,mk->mjsk", weight, [-1.0, 1.0], n) / RIGID_M
             columns.append(both.reshape(len(first), -1))
@@ -146,6 +152,7 @@ class PathModel:
             nothing = np.full((1, n_seen), np.nan)
             return Evaluation(residuals=nothing, shared=np.zeros((1, n_seen, 4 + p)), local=np.zeros((1, n_seen, 0)))
         paths = self.fit_paths(x)
+        # a view of another moment is of another point of the path: the residual moves with the path's speed
         speed = times(self.seen(t, 1), paths.c[:, None])  # (2 m, 1)
         J = [np.zeros((len(r), 4 + p)) for r in paths.residuals]
         J[0][:, :4] = speed * np.repeat(Jt, 2, axis=0)
@@ -153,6 +160,8 @@ class PathModel:
             cells = self.grid.n_cells
             for k in range(p):
                 J[2][k * cells : (k + 1) * cells, 4 + k] = -1.0 / RIGID_M
+        # Variable projection (Golub, Pereyra 1973): of each derivative only what the paths' coefficients cannot make is
+        # left. The term by the residuals is dropped (Kaufman 1975), which leaves the minimum where it is
         pull = paths.band.solve(transposed_times(paths.parts, J, self.size))
         J = [own - times(rows, pull) for own, rows in zip(J, paths.parts, strict=True)]
         shared = np.concatenate(J)[None]
@@ -225,8 +234,116 @@ def best_spacing(views: Views, period_s: float, mid_s: float, x: Array, depth: A
         n = model.dof + model.size
         if model.dof < 0.1 * n:
             break
+        # generalised cross-validation (Craven, Wahba 1979): RSS n / dof^2 is the square of scale over sqrt(dof / n)
         own = model.scale(model.fit_paths(x))
         score = own / np.sqrt(model.dof / n)
         if score < least:
             least, chosen, scale = score, factor * period_s, own
     return chosen, scale
+
+
+# Paths of lights as quintic B-splines over a uniform grid, found from rays by banded least squares.
+#
+# With rays given, a path's coefficients are linear: a point X seen along the ray (x, y) of a camera fulfils
+# (R1 - x R3) X = x t3 - t1 and the like for y; over the depth this is the reprojection residual in px.
+
+DEGREE = 5
+ORDER = DEGREE + 1
+RIDGE = 1e-14
+"""Of the largest diagonal: keeps rounding from making a coefficient's pivot negative where nothing is seen."""
+
+
+def _pieces() -> Array:
+    """Return the polynomials (ORDER, ORDER): value of local basis j is sum_k pieces[j, k] u^k, u from 0 to 1."""
+    bump = BSpline.basis_element(np.arange(ORDER + 1.0))
+    u = np.linspace(0.1, 0.9, ORDER)
+    values = np.stack([bump(DEGREE - j + u) for j in range(ORDER)], axis=1)
+    return np.ascontiguousarray(np.linalg.solve(np.vander(u, increasing=True), values).T)
+
+
+PIECES = _pieces()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grid:
+    """n_cells cells of spacing_s from begin_s on; n_cells + DEGREE coefficients."""
+
+    begin_s: float
+    spacing_s: float
+    n_cells: int
+
+    @classmethod
+    def over(cls, begin_s: float, end_s: float, spacing_s: float) -> Grid:
+        """Return the grid that covers a span."""
+        return cls(begin_s=begin_s, spacing_s=spacing_s, n_cells=int(np.ceil((end_s - begin_s) / spacing_s)))
+
+    @property
+    def n_coefficients(self) -> int:
+        """For each coordinate."""
+        return self.n_cells + DEGREE
+
+    @property
+    def middles(self) -> Array:
+        """Middles of the cells in s."""
+        return np.asarray(self.begin_s + (np.arange(self.n_cells) + 0.5) * self.spacing_s, dtype=np.float64)
+
+    def inside(self, t_s: Array) -> bool:
+        """Tell whether all times lie on it."""
+        return bool(((t_s >= self.begin_s) & (t_s <= self.begin_s + self.n_cells * self.spacing_s)).all())
+
+    def basis(self, t_s: Array, derivative: int = 0) -> tuple[NDArray[np.intp], Array]:
+        """Return the first coefficient (m,) that counts at each time, and the weights (m, ORDER)."""
+        x = (t_s - self.begin_s) / self.spacing_s
+        cell = np.clip(np.floor(x).astype(np.intp), 0, self.n_cells - 1)
+        u = x - cell
+        powers = np.zeros((len(x), ORDER))
+        for k in range(derivative, ORDER):
+            factor = np.prod(np.arange(k, k - derivative, -1.0)) if derivative else 1.0
+            powers[:, k] = factor * u ** (k - derivative)
+        return cell, powers @ PIECES.T / self.spacing_s**derivative
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Linear equations values . coefficients = right (m,).
+
+    columns, values (m, k): unknowns that each row touches, ascending.
+    """
+
+    columns: NDArray[np.intp]
+    values: Array
+    right: Array
+
+
+class Band:
+    """Normal equations of rows, factorised; width: how far columns of a row are apart at most."""
+
+    def __init__(self, parts: Sequence[Rows], size: int, width: int) -> None:
+        band, self._b = np.zeros((width + 1, size)), np.zeros(size)
+        for rows in parts:
+            kernels.add_rows(rows.columns, rows.values, rows.right, band, self._b)
+        band[0] += RIDGE * band[0].max()
+        self._factor = cholesky_banded(band, lower=True, check_finite=False)
+
+    def solution(self) -> Array:
+        """Return the coefficients (size,)."""
+        return self.solve(self._b)
+
+    def solve(self, right: Array) -> Array:
+        """Return the solution for right-hand sides (size,) or (size, q)."""
+        return np.asarray(cho_solve_banded((self._factor, True), right, check_finite=False))
+
+
+def times(rows: Rows, x: Array) -> Array:
+    """Return the rows times x (size, q): (m, q)."""
+    out = np.empty((len(rows.right), x.shape[1]))
+    kernels.rows_times(rows.columns, rows.values, np.ascontiguousarray(x), out)
+    return out
+
+
+def transposed_times(parts: Sequence[Rows], y: Sequence[Array], size: int) -> Array:
+    """Return the transposed rows of all parts times y (m, q) of each: (size, q)."""
+    out = np.zeros((size, y[0].shape[1]))
+    for rows, each in zip(parts, y, strict=True):
+        kernels.transposed_times(rows.columns, rows.values, np.ascontiguousarray(each), out)
+    return out

@@ -55,12 +55,12 @@ def named_by_motion(
             consequence="The lights cannot be named",
             cure=f"Wave a target of up to {MOST_LIGHTS} lights before a dark ground, or give --threshold",
         )
-    whole = [_whole_frames(track, k) for track in tracks]
-    mean = (_mean_track(tracks[0], whole[0]), _mean_track(tracks[1], whole[1]))
+    complete = [_complete_frames(track, k) for track in tracks]
+    mean = (_mean_track(tracks[0], complete[0]), _mean_track(tracks[1], complete[1]))
     delay = coarse_delay(rig, mean, times_s, MEAN).delay_s
     stretches = [
         _stretches(track, time + side * delay, frames)
-        for side, (track, time, frames) in enumerate(zip(tracks, times_s, whole, strict=True))
+        for side, (track, time, frames) in enumerate(zip(tracks, times_s, complete, strict=True))
     ]
     ties = _ties(rig, tracks, stretches)
     names = _spread(ties, [len(each) for each in stretches], [[len(s.t_s) for s in each] for each in stretches], k)
@@ -69,7 +69,7 @@ def named_by_motion(
 
 def only_light(track: SpotTrack, name: str) -> SpotTrack:
     """Return the spots of frames that hold but one, with this name."""
-    rows = _whole_frames(track, 1)[:, 0]
+    rows = _complete_frames(track, 1)[:, 0]
     return SpotTrack(
         t_s=track.t_s,
         frame=track.frame[rows],
@@ -85,7 +85,7 @@ def usual_count(tracks: tuple[SpotTrack, SpotTrack]) -> int:
     return int(np.argmax(np.bincount(counts[counts > 0]))) if counts.any() else 0
 
 
-def _whole_frames(track: SpotTrack, k: int) -> Index:
+def _complete_frames(track: SpotTrack, k: int) -> Index:
     """Return the rows (n, k) of the spots of frames that hold just k of them."""
     counts = np.bincount(track.frame, minlength=len(track))
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
@@ -125,6 +125,7 @@ def _step(uv: Array, before: Index, t_before: Array, rows: Index, t: float) -> I
     last = uv[before[-1]]
     ahead = last
     if len(before) == 2:
+        # on at the speed of the two frames before: lights that cross would else change their names
         ahead = last + (last - uv[before[0]]) * (t - t_before[-1]) / (t_before[-1] - t_before[0])
     cost = np.sum((ahead[:, None] - uv[rows][None]) ** 2, axis=2)
     own, to = linear_sum_assignment(cost)

@@ -104,6 +104,8 @@ def _equations(rig: Rig, side: str, uv: Array, cov: Array) -> dict[str, Array]:
     J = np.stack(
         [(camera.rays(uv + e) - camera.rays(uv - e)) / (2.0 * STEP_PX) for e in STEP_PX * np.eye(2)], axis=2
     )  # (m, 2, 2) of rays by pixels
+    # X on the ray (x, y): (R1 - x R3) X = x t3 - t1, y likewise, whitened by the ray's covariance; its error is the
+    # ray's times the depth
     W = np.linalg.inv(np.linalg.cholesky(J @ cov @ J.transpose(0, 2, 1)))  # (m, 2, 2)
     A = W @ (R[None, :2] - xy[:, :, None] * R[None, 2:])  # (m, 2, 3)
     b = (W @ (xy * t[2] - t[:2])[:, :, None])[:, :, 0]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.control.guard.space import pose_difference
 from armsight.fitting.quantiles import chi2_isf
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.optics import PackedRig, Rig
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Degenerate, NotEnoughData
-from armsight.fitting.chauvenet import chauvenet
+from armsight.fitting.quantiles import chauvenet
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]

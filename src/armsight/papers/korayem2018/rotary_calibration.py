@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.geometry import pose_difference
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.papers.korayem2018.rotary_base import RotaryBase
 from armsight.records import NamedCovariance, PoseStatus, TargetPose
 

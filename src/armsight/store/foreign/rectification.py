@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.geometry.lie import skew
+from armsight.geometry.poses import skew
 from armsight.optics import LensKind, Rig
 from armsight.store.foreign.numbers import relative
 

@@ -8,10 +8,9 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.verify.iso9283.figure import Figure, too_few, withheld
+from armsight.verify.iso9283.figure import SIGMAS, Estimate, Figure, too_few, withheld
 from armsight.verify.iso9283.observations import ArrivalTest, random_part, stamps_fault
 from armsight.verify.iso9283.pose import figure_of
-from armsight.verify.iso9283.spread import SIGMAS, Estimate
 
 Array = NDArray[np.float64]
 

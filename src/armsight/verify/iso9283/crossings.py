@@ -83,7 +83,7 @@ def cross(planes: Planes, runs: Sequence[PathRun]) -> Crossings:
     """Return where each run crosses each plane, interpolated between samples.
 
     Where noise makes a slow run cross several times, the mean of those crossings is taken; other parts of a path that
-    comes back to the plane's place lie further off than half the planes' spacing and are left out.
+    comes back to the plane's position lie further off than half the planes' spacing and are left out.
     """
     points, fractions = [], []
     for run in runs:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import sqrt
 
 import numpy as np
 
 from armsight.errors import Inconsistent
-from armsight.verify.iso9283 import arrival, corner, distance, groups, path, pose, velocity
-from armsight.verify.iso9283.figure import Figure, Figures, withheld
+from armsight.verify.iso9283 import arrival, path, pose
+from armsight.verify.iso9283.figure import Estimate, Figure, Figures, magnitude, noted, too_few, withheld
 from armsight.verify.iso9283.observations import ArrivalTest, PathTest, PoseVisits
+from armsight.verify.iso9283.pose import MIN_ACCURACY, TURNS, VISITS, barycentre_covariance, figure_of, turns_from
 
 DIAGONAL = ("P2", "P4")
 """The standard's two poses for the distance: the ends of a diagonal of the test plane."""
@@ -61,21 +63,21 @@ def evaluate(test: Iso9283Test) -> Figures:
 
 def _all(test: Iso9283Test) -> Iterator[Figure]:
     if not test.poses:
-        outer = [(f"{kind}{tail}", unit) for kind in ("AD", "RD") for tail, unit in distance.OUTER]
+        outer = [(f"{kind}{tail}", unit) for kind in ("AD", "RD") for tail, unit in pose.OUTER]
         symbols = (
             *pose.ACCURACY,
             *pose.ACCURACY_ROTATION,
             *pose.REPEATABILITY,
             *pose.REPEATABILITY_ROTATION,
-            *groups.VARIATION,
+            *VARIATION,
             *outer,
         )
         yield from withheld(symbols, "no visits of a commanded pose were given", n=0, wanted=pose.VISITS)
-        yield from withheld(groups.EXCHANGEABILITY, "no visits were given", n=0, wanted=groups.ROBOTS)
+        yield from withheld(EXCHANGEABILITY, "no visits were given", n=0, wanted=ROBOTS)
     for visits in test.poses:
         yield from pose.pose_figures(visits)
     for visits in test.poses:
-        yield from groups.variation(visits)
+        yield from variation(visits)
     yield from _distances(test)
     yield from _arrivals(test)
     yield from _exchanged(test)
@@ -88,10 +90,10 @@ def _distances(test: Iso9283Test) -> Iterator[Figure]:
         own = {visits.pose: visits for visits in test.poses if visits.robot == robot}
         pair = test.distance or (DIAGONAL if set(DIAGONAL) <= set(own) else _farthest(own))
         if pair is None or not set(pair) <= set(own):
-            names = [(f"{kind}{tail}", unit) for kind in ("AD", "RD") for tail, unit in distance.OUTER]
+            names = [(f"{kind}{tail}", unit) for kind in ("AD", "RD") for tail, unit in pose.OUTER]
             yield from withheld(names, "two commanded poses are needed", n=0, wanted=pose.VISITS, place=robot)
         else:
-            yield from distance.distance_figures(own[pair[0]], own[pair[1]])
+            yield from pose.distance_figures(own[pair[0]], own[pair[1]])
 
 
 def _farthest(own: dict[str, PoseVisits]) -> tuple[str, str] | None:
@@ -116,7 +118,7 @@ def _exchanged(test: Iso9283Test) -> Iterator[Figure]:
     robots = {name: [visits for visits in test.poses if visits.pose == name] for name in names}
     shared = [name for name in names if len(robots[name]) > 1] or list(names)[:1]
     for name in shared:
-        yield from groups.exchangeability(name, robots[name])
+        yield from exchangeability(name, robots[name])
 
 
 def _arrivals(test: Iso9283Test) -> Iterator[Figure]:
@@ -130,9 +132,99 @@ def _paths(test: Iso9283Test) -> Iterator[Figure]:
     if not test.paths:
         why = "no runs along a path were given"
         yield from withheld((*path.ACCURACY, *path.REPEATABILITY), why, n=0, wanted=path.RUNS)
-        yield from withheld(corner.FIGURES, why, n=0, wanted=corner.RUNS)
-        yield from withheld(velocity.FIGURES, why, n=0, wanted=velocity.RUNS)
+        yield from withheld(path.CORNER_FIGURES, why, n=0, wanted=path.CORNER_RUNS)
+        yield from withheld(path.VELOCITY_FIGURES, why, n=0, wanted=path.RUNS)
     for runs in test.paths:
         yield from path.path_figures(runs)
-        yield from corner.corner_figures(runs)
-        yield from velocity.velocity_figures(runs)
+        yield from path.corner_figures(runs)
+        yield from path.velocity_figures(runs)
+
+
+# Barycentres held against each other: vAP over approach directions, E over robots (ISO 9283:1998, 7.2.3 and 7.7).
+
+DIRECTIONS = 3
+"""Approach directions, square to each other, that the standard asks for."""
+ROBOTS = 5
+"""Robots that the standard asks to be exchanged."""
+CHANCE = 2.8
+"""A length below so many of its standard deviations is what noise alone makes in 19 of 20 cases (chi, 3 degrees)."""
+
+VARIATION = (("vAP", "m"), *((f"vAP_{turn}", "rad") for turn in TURNS))
+EXCHANGEABILITY = (("E", "m"),)
+
+
+def variation(visits: PoseVisits) -> list[Figure]:
+    """Return vAP, vAP_a .. vAP_c of one robot at one pose: the largest distance of barycentres by direction.
+
+    The measurement's systematic part is the same in all directions and cancels. n counts the visits of the direction
+    that has the fewest, 0 where there are not two.
+    """
+    if visits.approach is None:
+        return withheld(VARIATION, "the approach directions are not known", n=0, wanted=VISITS, place=visits.place)
+    labels = np.array(visits.approach)
+    parts = [visits.take(np.flatnonzero(labels == name)) for name in visits.directions]
+    fewest = min(len(part) for part in parts) if len(parts) > 1 else 0
+    if len(parts) < 2:
+        why = too_few("approach directions", len(parts), 2, DIRECTIONS)
+    elif fewest < MIN_ACCURACY:
+        why = too_few("visits of one direction", fewest, MIN_ACCURACY, VISITS)
+    else:
+        figures = [_largest_distance("vAP", parts, wanted=VISITS, n=fewest, place=visits.place)]
+        figures += _turned_farthest(parts, fewest, visits.place)
+        missing = f"{len(parts)} of {DIRECTIONS} directions" if len(parts) < DIRECTIONS else ""
+        return [noted(figure, missing) if figure.value is not None else figure for figure in figures]
+    return withheld(VARIATION, why, n=fewest, wanted=VISITS, place=visits.place)
+
+
+def exchangeability(pose: str, robots: Sequence[PoseVisits]) -> list[Figure]:
+    """Return E of one commanded pose: the largest distance of the robots' barycentres; n counts robots."""
+    several = [visits for visits in robots if len(visits.directions) > 1]
+    few = [visits for visits in robots if len(visits) < MIN_ACCURACY]
+    if len(robots) < 2:
+        why = too_few("robots", len(robots), 2, ROBOTS)
+    elif several:
+        why = f"robot {several[0].robot} came from several directions; E is of visits from one"
+    elif few:
+        why = f"robot {few[0].robot}: {too_few('visits', len(few[0]), MIN_ACCURACY, VISITS)}"
+    else:
+        visits = min(len(part) for part in robots)
+        figure = _largest_distance("E", robots, wanted=ROBOTS, n=len(robots), place=pose)
+        return [noted(figure, f"{visits} of {VISITS} visits" if visits < VISITS else "")]
+    return withheld(EXCHANGEABILITY, why, n=len(robots), wanted=ROBOTS, place=pose)
+
+
+def _largest_distance(symbol: str, parts: Sequence[PoseVisits], *, wanted: int, n: int, place: str) -> Figure:
+    """Return the largest distance between barycentres, with the standard deviation of that pair's."""
+    pairs = [
+        magnitude(
+            one.xyz_m.mean(axis=0) - other.xyz_m.mean(axis=0),
+            barycentre_covariance(one) + barycentre_covariance(other),
+        )
+        for one, other in combinations(parts, 2)
+    ]
+    largest = max(pairs, key=lambda pair: pair.value)
+    # the largest of several is too large on average by more than one pair's noise: nothing is taken out
+    figure = figure_of(symbol, "m", Estimate(value=largest.value, std=largest.std), n=n, wanted=wanted, place=place)
+    return noted(figure, "no more than the barycentres' own scatter" if largest.value < CHANCE * largest.std else "")
+
+
+def _turned_farthest(parts: Sequence[PoseVisits], n: int, place: str) -> list[Figure]:
+    """Return vAP_a .. vAP_c: the largest turn, by component, between the directions' mean orientations."""
+    rotations = [part.rotation for part in parts]
+    known = [rotation for rotation in rotations if rotation is not None]
+    if len(known) < len(parts):
+        return withheld(VARIATION[1:], "no orientations were measured", n=n, wanted=VISITS, place=place)
+    means = [rotation.mean() for rotation in known]
+    variances = [
+        turns_from(rotation, mean).var(axis=0, ddof=1) / len(rotation)
+        for rotation, mean in zip(known, means, strict=True)
+    ]
+    pairs = list(combinations(range(len(known)), 2))
+    turns = np.array([np.abs(turns_from(means[i], means[j])) for i, j in pairs])  # (pairs, 3)
+    figures = []
+    for axis, turn in enumerate(TURNS):
+        i, j = pairs[int(turns[:, axis].argmax())]
+        std = sqrt(float(variances[i][axis] + variances[j][axis]))
+        estimate = Estimate(value=float(turns[:, axis].max()), std=std)
+        figures.append(figure_of(f"vAP_{turn}", "rad", estimate, n=n, wanted=VISITS, place=place))
+    return figures

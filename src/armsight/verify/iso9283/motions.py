@@ -1,16 +1,18 @@
-"""The motions of a test, in the order in which they are made (ISO 9283:1998, 6.8 to 6.10)."""
+"""The test cube, and the motions of a test in the order in which they are made (ISO 9283:1998, 6.8 to 6.10)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import UsageError
 from armsight.records import frozen_array
-from armsight.verify.iso9283 import arrival, corner, path, pose
-from armsight.verify.iso9283.cube import TestCube
+from armsight.verify.iso9283 import arrival, path, pose
 
 Array = NDArray[np.float64]
 
@@ -72,7 +74,7 @@ def motions_of(cube: TestCube) -> tuple[Motion, ...]:
             )
     for name, points in cube.paths_m.items():
         figures = ("AT", "RT", "AV", "RV", "FV") if name != "rectangle" else ("AT", "RT", "CR", "CO")
-        runs = max(path.RUNS, corner.RUNS)
+        runs = max(path.RUNS, path.CORNER_RUNS)
         out.append(Motion(test=name, figures=figures, xyz_m=points, names=("",) * len(points), repeats=runs))
     return tuple(out)
 
@@ -80,3 +82,76 @@ def motions_of(cube: TestCube) -> tuple[Motion, ...]:
 def _through(test: str, figures: tuple[str, ...], order: tuple[str, ...], cube: TestCube, repeats: int) -> Motion:
     points = np.array([cube.points_m[name] for name in order])
     return Motion(test=test, figures=figures, xyz_m=points, names=order, repeats=max(repeats, arrival.ARRIVALS))
+
+
+# The standard's test cube: its planes, the poses P1 to P5, the test paths (ISO 9283:1998, 6.8).
+
+SIDES_M = (1.0, 0.63, 0.4, 0.25)
+"""Sides that the standard prefers, largest first."""
+INSET = 0.1
+"""How far P2 to P5 lie from the ends of the diagonals, as a share of them: the standard allows 8 to 12 %."""
+LARGE_CIRCLE, SMALL_CIRCLE = 0.8, 0.1
+"""Diameters of the test circles over the cube's side."""
+CIRCLE_STEPS = 72
+"""Chords of a circle as a polyline: turns of 5 degrees, far from a corner."""
+
+PLANES: Mapping[str, tuple[int, int, int, int]] = MappingProxyType(
+    {"a": (1, 2, 7, 8), "b": (2, 3, 8, 5), "c": (3, 4, 5, 6), "d": (4, 1, 6, 7)}
+)
+"""The four diagonal planes by their corners, in order round the plane; P2 to P5 lie inward of these."""
+
+SIGNS = np.array([[1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1]])
+"""C1 to C8: the upper face seen from above counter-clockwise from (+x, -y), then the lower face beneath it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TestCube:
+    """A cube with edges along the base's axes: centre_m (3,) in the base frame, side_m, and the chosen test plane.
+
+    Raises UsageError for an unknown plane or a side that is not positive.
+    """
+
+    __test__ = False  # not a test of pytest's
+
+    centre_m: Array
+    side_m: float
+    plane: str = "a"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre_m", frozen_array("centre_m", self.centre_m, (3,)))
+        if self.plane not in PLANES:
+            raise UsageError(f"there is no test plane {self.plane!r}", cure=f"Use one of: {', '.join(PLANES)}")
+        if not (np.isfinite(self.side_m) and self.side_m > 0.0):
+            raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number", cure="Give more than zero")
+
+    @property
+    def corners_m(self) -> Array:
+        """C1 to C8 (8, 3)."""
+        return self.centre_m + 0.5 * self.side_m * SIGNS
+
+    @property
+    def points_m(self) -> dict[str, Array]:
+        """P1 to P5 (3,): the centre, then inward of the corners on the plane's diagonals; P2 and P4 are opposite."""
+        outer = self.corners_m[np.array(PLANES[self.plane]) - 1]  # (4, 3)
+        inner = outer + 2.0 * INSET * (self.centre_m - outer)  # a corner is half a diagonal from the centre
+        return {"P1": np.array(self.centre_m), **{f"P{i}": inner[i - 2] for i in range(2, 6)}}
+
+    @property
+    def paths_m(self) -> dict[str, Array]:
+        """The test paths as polylines (k, 3): line, rectangle, large_circle, small_circle.
+
+        line: P2 to P4. rectangle: through P2, P3, P4, P5, begun and ended in the middle of the side from P5 to P2. The
+        circles lie in the plane about P1 and begin towards the side from P2 to P3.
+        """
+        p = self.points_m
+        start = 0.5 * (p["P5"] + p["P2"])
+        up, right = 0.5 * (p["P2"] + p["P3"]) - p["P1"], p["P3"] - p["P2"]
+        up, right = up / np.linalg.norm(up), right / np.linalg.norm(right)
+        angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_STEPS + 1)[:, None]
+        circle = np.cos(angle) * up + np.sin(angle) * right
+        return {
+            "line": np.array([p["P2"], p["P4"]]),
+            "rectangle": np.array([start, p["P2"], p["P3"], p["P4"], p["P5"], start]),
+            "large_circle": p["P1"] + 0.5 * LARGE_CIRCLE * self.side_m * circle,
+            "small_circle": p["P1"] + 0.5 * SMALL_CIRCLE * self.side_m * circle,
+        }

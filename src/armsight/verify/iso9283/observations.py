@@ -200,7 +200,7 @@ class PathTest:
 class ArrivalTest:
     """Traces of several arrivals at one pose, each from before it reaches the band to rest.
 
-    band_m: radius of the limit band about the place of rest; the pose repeatability, or what the maker states; None
+    band_m: radius of the limit band about the position of rest; the pose repeatability, or what the maker states; None
     where nobody knows.
     covariance_m2 (3, 3): the whole uncertainty of one sample's position, systematic_m2 the part all samples share.
     """

@@ -13,8 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm, JointPath, Solution, ik, link_frames, singularity_distance, track_path
 from armsight.records import Progress, Silent
-from armsight.verify.iso9283.cube import PLANES, SIDES_M, TestCube
-from armsight.verify.iso9283.motions import Motion, motions_of
+from armsight.verify.iso9283.motions import PLANES, SIDES_M, Motion, TestCube, motions_of
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ TRIED = 24
 RATED_SPEED_M_S = 0.25
 """Speed that is planned for where none is given: what machines may do with a person beside them."""
 SLOWEST = 0.1
-"""Share of the wanted speed that the joints must allow: below it the place is as good as singular."""
+"""Share of the wanted speed that the joints must allow: below it the position is as good as singular."""
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 FORWARD = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)
@@ -137,9 +136,9 @@ def plan_test(arm: Arm, options: PlanOptions | None = None, progress: Progress |
     """Return the test in the largest cube, edges along the base's axes, in which the arm can make every motion.
 
     Centres are tried on a grid in the vertical plane of options.azimuth_rad. Where the inverse kinematics gives all
-    corners and test poses on one branch the place is a candidate; candidates are ranked by the singularity distance of
-    their worst pose, and the motions of the best are checked along straight lines. Raises DataRefused with the reason
-    for every size where none fits, UsageError for an arm of unlimited reach, Cancelled.
+    corners and test poses on one branch the position is a candidate; candidates are ranked by the singularity distance
+    of their worst pose, and the motions of the best are checked along straight lines. Raises DataRefused with the
+    reason for every size where none fits, UsageError for an arm of unlimited reach, Cancelled.
     """
     options, progress = options or PlanOptions(), progress or Silent()
     if not np.isfinite(arm.reach_m):

@@ -53,6 +53,7 @@ def project_rotation(M):
     U, _, Vt = np.linalg.svd(M)
     R = np.empty((3, 3))
     multiply(U, Vt, R)
+    # a singular vector's sign is free, and with it that of the determinant
     if det_3(R) < 0.0:
         for i in range(3):
             for j in range(3):
@@ -63,6 +64,8 @@ def project_rotation(M):
 @kernel
 def shah_rotations(Rf, Rb, keep):
     """Return RX, RZ of RF RX RB = RZ from the dominant singular vectors of the sum of RF (x) RB' (Shah 2013)."""
+    # With vec row by row RF RX RB = RZ is (RF (x) RB') vec RX = vec RZ. Every term is orthogonal, so that their sum
+    # makes nothing more than n times as long: of exact pairs vec RX and vec RZ are its dominant singular vectors
     K = np.zeros((9, 9))
     for n in range(Rf.shape[0]):
         if keep[n]:
@@ -100,6 +103,7 @@ def mean_target(RX, Rf, Rb, keep):
 @kernel
 def translations(RX, Rf, tf, tb, keep, free_scale):
     """Return ok, tX, tZ, gamma of tB = gamma (P (tZ - tF) - RX' tX) by linear least squares, gamma 1 unless free."""
+    # with the scale free the unknowns are gamma tZ, gamma tX and gamma, in which the equation is linear
     m = 7 if free_scale else 6
     H = np.zeros((m, m))
     g = np.zeros(m)
@@ -143,6 +147,8 @@ def robust_sigma(errors):
 @inner_kernel
 def sample_rotation(Rf, Rb, index):
     """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
+    # Motions within the sample are free of Z: (F_q^-1 F_p) X = X (B_q B_p^-1), so that RX turns the camera's rotation
+    # vectors onto the robot's (Park, Martin 1994)
     M = np.zeros((3, 3))
     R = np.empty((3, 3))
     RT = np.empty((3, 3))
@@ -248,16 +254,17 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     agreed = keep.copy()
     best = np.inf
     ok, tX, tZ, gamma = translations(RX, Rf, tf, tb, keep, free_scale)
+    # first all pairs whose rotations agree, the best start where nothing is gross; then the samples among them
     for s in range(-1, samples.shape[0]):
         if s < 0:
             copy_1(keep, mask)
         else:
             mask[:] = False
-            whole = True
+            complete = True
             for i in samples[s]:
                 mask[i] = True
-                whole = whole and keep[i]
-            if not whole:
+                complete = complete and keep[i]
+            if not complete:
                 continue
         good, x, z, c = translations(RX, Rf, tf, tb, mask, free_scale)
         if not good:

@@ -1,42 +1,78 @@
 """Compiled core of the hand-eye fit: F_i X B_i = Z for many pose pairs, with the noises estimated.
 
 F is the robot's pose (T_base_flange where the camera is in the hand, its inverse where the camera stands beside),
-X the unknown place of the camera, B the camera's T_camera_target, Z the unknown place of the target. Everything is
+X the unknown pose of the camera, B the camera's T_camera_target, Z the unknown pose of the target. Everything is
 seen where it is measured: the residual is B against its prediction X^-1 F^-1 Z, in the camera's axes, translation
 then rotation vector. X and Z move as t + dt, Exp(dw) R in their parents' axes: parameters (12,) dtX, dwX, dtZ, dwZ,
 and a thirteenth, gamma, that scales the predicted distances (1 / gamma is the true over the assumed target's size).
+
+Python gives plain tuples, which cost it nothing to pass; the kernels that it calls name their parts first:
+unknowns ((RX, tX), (RZ, tZ), gamma), pairs (RF, tF, RB, tB) over n, observed (pairs, keep (n,), to_hand).
 """
 
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inline_kernel, inner_kernel, kernel
 from armsight.calibrate.handeye.kernels.closed_forms import multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
+    Search,
     factor_invert,
     lever_frame,
-    scoring_step,
+    next_variances,
+    scaled_variances,
     to_lever,
-    variance_step,
     whitener,
 )
 from armsight.fitting.kernels import solve_damped
-from armsight.geometry.kernels import copy_1, rotate_left, rotvec_of, sandwich
+from armsight.geometry.kernels import Pose, copy_1, rotate_left, rotvec_of, sandwich
 
 LINEAR = 30.0
 """Within so many standard deviations of the answer the residuals follow the parameters linearly, to a share of the
 noise that is far below its own uncertainty; the noises are judged only there."""
 
 
-@kernel
-def residual(Rx, tx, Rz, tz, gamma, Rf, tf, Rb, tb, e, P, t_hat, work):
-    """Fill e (6,), P (3, 3) = Rx' Rf' and t_hat (3,), the predicted translation before gamma, of one pair.
+class Unknowns(NamedTuple):
+    """X, Z and gamma of tB = gamma (X^-1 F^-1 Z)_t, RB = (X^-1 F^-1 Z)_R."""
 
-    work: (2, 3, 3).
-    """
+    X: Any
+    Z: Any
+    gamma: Any
+
+
+class Prediction(NamedTuple):
+    """Of one pair: P (3, 3) = RX' RF', t_hat (3,) the predicted translation before gamma, and room for two products."""
+
+    P: Any
+    t_hat: Any
+    work: Any
+
+
+@inner_kernel
+def named(unknowns):
+    """Return the Unknowns of the plain tuples that Python gives."""
+    X, Z, gamma = unknowns
+    return Unknowns(Pose(X[0], X[1]), Pose(Z[0], Z[1]), gamma)
+
+
+@inner_kernel
+def prediction():
+    """Return room for a Prediction."""
+    return Prediction(np.empty((3, 3)), np.empty(3), np.empty((2, 3, 3)))
+
+
+@inline_kernel
+def residual(at, pairs, row, e, out):
+    """Fill e (6,) and the Prediction out of the pair of this row at the Unknowns at."""
+    X, Z, gamma = at
+    Rf, tf, Rb, tb = pairs[0][row], pairs[1][row], pairs[2][row], pairs[3][row]
+    Rx, tx, tz = X.R, X.t, Z.t
+    P, t_hat, work = out
+    # F X B = Z solved for B: rotation RX' RF' RZ, translation RX' (RF' (tZ - tF) - tX)
     for i in range(3):
         for j in range(3):
             P[i, j] = Rx[0, i] * Rf[j, 0] + Rx[1, i] * Rf[j, 1] + Rx[2, i] * Rf[j, 2]
@@ -45,27 +81,33 @@ def residual(Rx, tx, Rz, tz, gamma, Rf, tf, Rb, tb, e, P, t_hat, work):
         t_hat[i] = P[i, 0] * d0 + P[i, 1] * d1 + P[i, 2] * d2
         t_hat[i] -= Rx[0, i] * tx[0] + Rx[1, i] * tx[1] + Rx[2, i] * tx[2]
         e[i] = tb[i] - gamma * t_hat[i]
-    multiply(P, Rz, work[0])
+    # measured = Exp(e_r) predicted, so that e_r is in the camera's axes like the covariances of its poses
+    multiply(P, Z.R, work[0])
     multiply_t(Rb, work[0], work[1])
     rotvec_of(work[1], e[3:])
 
 
-@kernel
-def jacobian(Rx, gamma, e, P, t_hat, J):
+@inline_kernel
+def jacobian(at, e, predicted, J):
     """Fill J (6, 13) = d e / d parameters of one pair, given what `residual` left."""
+    Rx, gamma = at.X.R, at.gamma
+    P, t_hat, _ = predicted
     J[:] = 0.0
     x, y, z = t_hat[0], t_hat[1], t_hat[2]
     for j in range(3):
         a, b, c = Rx[j, 0], Rx[j, 1], Rx[j, 2]  # column j of Rx'
+        # d t_hat = -RX' dtX + [t_hat]x RX' dwX + P dtZ, since RX' (1 - [dwX]x) u = RX' u + [RX' u]x RX' dwX
         J[0, j], J[1, j], J[2, j] = gamma * a, gamma * b, gamma * c
-        J[0, 3 + j] = -gamma * (y * c - z * b)  # -gamma [t_hat]x Rx'
+        J[0, 3 + j] = -gamma * (y * c - z * b)
         J[1, 3 + j] = -gamma * (z * a - x * c)
         J[2, 3 + j] = -gamma * (x * b - y * a)
         for i in range(3):
             J[i, 6 + j] = -gamma * P[i, j]
     for i in range(3):
         J[i, 12] = -t_hat[i]
-    # d e_r = Jr^-1(e_r) (Rx' dwX - P dwZ)
+    # d e_r = Jr^-1(e_r) (Rx' dwX - P dwZ): both turn the prediction from the left, so its inverse from the right.
+    # Jr^-1(w) = 1 + [w]x / 2 + k [w]x^2, k = 1 / t^2 - (1 + cos t) / (2 t sin t), t = |w| (Sola, Deray, Atchuthan 2018,
+    # appendix on SO(3)); near zero by its series, as the difference of two large terms would be rounding
     wx, wy, wz = e[3], e[4], e[5]
     t2 = wx * wx + wy * wy + wz * wz
     if t2 < 1e-6:
@@ -86,35 +128,48 @@ def jacobian(Rx, gamma, e, P, t_hat, J):
 
 
 @kernel
-def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
+def derivatives(unknowns, pairs, e, J):
+    """Fill e (n, 6) and J (n, 6, 13), in the camera's axes."""
+    at, predicted = named(unknowns), prediction()
+    for i in range(e.shape[0]):
+        residual(at, pairs, i, e[i], predicted)
+        jacobian(at, e[i], predicted, J[i])
+
+
+@kernel
+def weigh(unknowns, observed, theta, e, J, lever):
     """Fill whitened e (n, 6), J (n, 6, m) and lever (n,); return sum log det of the noise.
 
-    X, Z: (R, t). pairs: (Rf, tf, Rb, tb), arrays over n. theta (3,): variances. Pairs not kept are left zero.
+    theta (3,): variances. Pairs not kept are left zero.
     """
-    Rx, tx = X
-    Rz, tz = Z
-    Rf, tf, Rb, tb = pairs
-    P = np.empty((3, 3))
+    return _weighed(named(unknowns), observed, theta, e, J, lever)
+
+
+@inner_kernel
+def _weighed(at, observed, theta, e, J, lever):
+    """As `weigh`, at Unknowns."""
+    pairs, keep, to_hand = observed
     E = np.empty((3, 3))
-    work = np.empty((2, 3, 3))
-    t_hat = np.empty(3)
+    predicted = prediction()
     plain = np.empty(6)
     raw = np.empty((6, 1))
     one = np.empty((6, 1))
     full = np.empty((6, 13))
     w = np.empty(5)
     total = 0.0
-    for i in range(Rf.shape[0]):
+    for i in range(e.shape[0]):
         if not keep[i]:
             e[i] = 0.0
             J[i] = 0.0
             lever[i] = 0.0
             continue
-        residual(Rx, tx, Rz, tz, gamma, Rf[i], tf[i], Rb[i], tb[i], plain, P, t_hat, work)
-        jacobian(Rx, gamma, plain, P, t_hat, full)
+        residual(at, pairs, i, plain, predicted)
+        jacobian(at, plain, predicted, full)
         for a in range(6):
             raw[a, 0] = plain[a]
-        lever[i] = lever_frame(Rx, tx, gamma, Rf[i], tf[i], t_hat, to_hand, E)
+        lever[i] = _lever(at, pairs, i, predicted, to_hand, E)
+        # in the lever's axes the noise of every pair falls into two equal 2 x 2 blocks and two singles: five numbers
+        # whiten it, where a Cholesky factor of 6 x 6 would be needed in the camera's
         total += whitener(lever[i], theta, w)
         to_lever(E, w, raw, one)
         for a in range(6):
@@ -123,18 +178,21 @@ def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     return total
 
 
+@inline_kernel
+def _lever(at, pairs, i, predicted, to_hand, E):
+    """Fill E with the lever's axes of pair i; return the lever's length."""
+    return lever_frame(at.X.R, at.X.t, at.gamma, pairs[0][i], pairs[1][i], predicted.t_hat, to_hand, E)
+
+
 @kernel
-def linearise(X, Z, gamma, pairs, to_hand, e, J, reach):
+def linearise(unknowns, pairs, to_hand, e, J, reach):
     """Fill e (n, 6), J (n, 6, 13) and reach (n, 3), the lever from flange to target, in camera axes: not whitened."""
-    Rf, tf, Rb, tb = pairs
-    P = np.empty((3, 3))
+    at, predicted = named(unknowns), prediction()
     E = np.empty((3, 3))
-    work = np.empty((2, 3, 3))
-    t_hat = np.empty(3)
-    for i in range(Rf.shape[0]):
-        residual(X[0], X[1], Z[0], Z[1], gamma, Rf[i], tf[i], Rb[i], tb[i], e[i], P, t_hat, work)
-        jacobian(X[0], gamma, e[i], P, t_hat, J[i])
-        length = lever_frame(X[0], X[1], gamma, Rf[i], tf[i], t_hat, to_hand, E)
+    for i in range(e.shape[0]):
+        residual(at, pairs, i, e[i], predicted)
+        jacobian(at, e[i], predicted, J[i])
+        length = _lever(at, pairs, i, predicted, to_hand, E)
         for a in range(3):
             reach[i, a] = length * E[2, a]
 
@@ -159,119 +217,102 @@ def normal_equations(e, J, H, g):
 
 
 @inner_kernel
-def move(X, Z, gamma, step, n_free):
-    """Return X, Z, gamma moved by the step (n_free,)."""
-    Rx, tx = X
-    Rz, tz = Z
-    Rx2, Rz2 = np.empty((3, 3)), np.empty((3, 3))
-    rotate_left(step[3:6], Rx, Rx2)
-    rotate_left(step[9:12], Rz, Rz2)
+def move(at, step, n_free):
+    """Return Unknowns moved by the step (n_free,)."""
+    X, Z, gamma = at
+    Rx, Rz = np.empty((3, 3)), np.empty((3, 3))
+    rotate_left(step[3:6], X.R, Rx)
+    rotate_left(step[9:12], Z.R, Rz)
     if n_free > 12:
         gamma = gamma + step[12]
-    tx2, tz2 = np.empty(3), np.empty(3)
+    tx, tz = np.empty(3), np.empty(3)
     for i in range(3):
-        tx2[i] = tx[i] + step[i]
-        tz2[i] = tz[i] + step[6 + i]
-    return (Rx2, tx2), (Rz2, tz2), gamma
+        tx[i] = X.t[i] + step[i]
+        tz[i] = Z.t[i] + step[6 + i]
+    return Unknowns(Pose(Rx, tx), Pose(Rz, tz), gamma)
+
+
+@inner_kernel
+def _newton_step(C, g, step):
+    """Fill step (m,) = -C g; return its largest component in standard deviations."""
+    m = g.shape[0]
+    size = 0.0
+    for a in range(m):
+        step[a] = 0.0
+        for b in range(m):
+            step[a] -= C[a, b] * g[b]
+        size = max(size, abs(step[a]) / sqrt(C[a, a]))
+    return size
+
+
+@inner_kernel
+def _after(step, J, e):
+    """Move residuals e (n, 6) to what they will be after the step (m,), to first order."""
+    n, _, m = J.shape
+    for i in range(n):
+        for a in range(6):
+            for b in range(m):
+                e[i, a] += J[i, a, b] * step[b]
 
 
 @kernel
-def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tolerance, limit):
+def fit_pairs(unknowns, observed, noise, m, settled):
     """Alternate Gauss-Newton on X, Z (and gamma where m is 13) with scoring on the variances theta (3,).
 
-    Returns ok, X, Z, gamma, theta, C (m, m), e (n, 6) whitened, J (n, 6, m), lever (n,), restricted log-likelihood,
-    iterations. estimate: whether theta is fitted. tolerance: largest step in standard deviations, and largest change
-    of a variance in parts of its total, that count as an answer.
+    noise: theta, its floor (3,), and whether it is fitted. settled: the largest step in standard deviations, and
+    largest change of a variance in parts of its total, that count as an answer; and the most rounds.
+
+    Returns ok, X, Z, gamma, theta, C (m, m), (e (n, 6) whitened, J (n, 6, m), lever (n,)), restricted log-likelihood,
+    iterations.
     """
-    n = pairs[0].shape[0]
-    e = np.empty((n, 6))
-    J = np.empty((n, 6, m))
-    lever = np.empty(n)
-    H = np.empty((m, m))
-    L = np.zeros((m, m))
-    C = np.zeros((m, m))
-    g = np.empty(m)
-    step = np.empty(m)
-    score = np.empty(3)
-    information = np.empty((3, 3))
-    theta = theta.copy()
-    new = theta.copy()
-    best = theta.copy()
-    last = np.zeros(3)
-    relax = 1.0
-    best_likelihood = -np.inf
-    likelihood = np.nan
-    near = False
-    for iteration in range(limit):
-        logdet = weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever)
+    at, keep, n = named(unknowns), observed[1], observed[1].shape[0]
+    floor, estimate = noise[1], noise[2]
+    tolerance, limit = settled
+    e, J, lever = np.empty((n, 6)), np.empty((n, 6, m)), np.empty(n)
+    H, L, C = np.empty((m, m)), np.zeros((m, m)), np.zeros((m, m))
+    g, step = np.empty(m), np.empty(m)
+    theta, new = noise[0].copy(), noise[0].copy()
+    search = Search(noise[0].copy(), np.zeros(3), np.empty(3), np.empty((3, 3)), np.array([1.0, -np.inf]))
+    likelihood, near, ok, iteration = np.nan, False, False, 0
+    while iteration < limit and not ok:
+        logdet = _weighed(at, observed, theta, e, J, lever)
         cost = normal_equations(e, J, H, g)
         determinant = factor_invert(H, L, C)
         if not np.isfinite(cost + logdet + determinant):
-            return False, X, Z, gamma, theta, C, e, J, lever, likelihood, iteration
-        size = 0.0
-        for a in range(m):
-            step[a] = 0.0
-            for b in range(m):
-                step[a] -= C[a, b] * g[b]
-            size = max(size, abs(step[a]) / sqrt(C[a, a]))
+            break
+        iteration += 1
+        size = _newton_step(C, g, step)
         for a in range(m):
             cost += g[a] * step[a]
-        for i in range(n):  # residuals as they will be after the step
-            for a in range(6):
-                for b in range(m):
-                    e[i, a] += J[i, a, b] * step[b]
+        _after(step, J, e)
+        # restricted likelihood (Patterson, Thompson 1971): log det of the information pays for the freedom of X and Z,
+        # without which the variances of few pairs would come out too small
         likelihood = -0.5 * (logdet + cost + determinant)
         change = 0.0
         if estimate and size < LINEAR:
-            if near and likelihood < best_likelihood - 1e-7:
-                for k in range(3):
-                    new[k] = 0.5 * (theta[k] + best[k])
-            else:
-                copy_1(theta, best)
-                best_likelihood = likelihood
-                variance_step(e, J, C, lever, theta, keep, score, information)
-                scoring_step(theta, score, information, floor, new)
-                turned = 0.0  # steps that go to and fro overshoot: shorten them until they do not
-                for k in range(3):
-                    turned += (new[k] - theta[k]) * last[k] / (theta[min(k, 1)] + theta[2 * min(k, 1)]) ** 2
-                relax = max(0.5 * relax, 0.1) if turned < 0.0 else min(1.5 * relax, 1.0)
-                for k in range(3):
-                    last[k] = new[k] - theta[k]
-                    new[k] = theta[k] + relax * last[k]
+            change = next_variances(likelihood, near, theta, floor, observed, (e, J, C, lever), search, new)
             near = True
-            change = abs(new[0] - theta[0]) / theta[0]
-            for k in range(1, 3):
-                change = max(change, abs(new[k] - theta[k]) / (theta[1] + theta[2]))
         elif estimate:  # far away the residuals' size is the noise
-            used = 0
-            for i in range(n):
-                used += 6 if keep[i] else 0
-            factor = max(cost / max(used - m, 1), 1e-3)
-            for k in range(3):
-                new[k] = max(theta[k] * factor, floor[k])
+            scaled_variances(theta, floor, keep, cost, m, new)
             change = 1.0
             near = False
-        X, Z, gamma = move(X, Z, gamma, step, m)
+        at = move(at, step, m)
         copy_1(new, theta)
-        if size < tolerance and change < tolerance:
-            return True, X, Z, gamma, theta, C, e, J, lever, likelihood, iteration + 1
-    return False, X, Z, gamma, theta, C, e, J, lever, likelihood, limit
+        ok = size < tolerance and change < tolerance
+    X, Z, gamma = at
+    return ok, (X.R, X.t), (Z.R, Z.t), gamma, theta, C, (e, J, lever), likelihood, iteration
 
 
 @kernel
-def first_variances(X, Z, gamma, pairs, keep, floor):
+def first_variances(unknowns, pairs, keep, floor):
     """Return theta (3,) from the residuals of a start: translation, and orientation shared out evenly."""
-    P = np.empty((3, 3))
-    work = np.empty((2, 3, 3))
-    t_hat = np.empty(3)
+    at, predicted = named(unknowns), prediction()
     e = np.empty(6)
     sums = np.zeros(2)
     used = 0
-    for i in range(pairs[0].shape[0]):
+    for i in range(keep.shape[0]):
         if keep[i]:
-            residual(
-                X[0], X[1], Z[0], Z[1], gamma, pairs[0][i], pairs[1][i], pairs[2][i], pairs[3][i], e, P, t_hat, work
-            )
+            residual(at, pairs, i, e, predicted)
             used += 1
             for a in range(3):
                 sums[0] += e[a] ** 2
@@ -286,35 +327,20 @@ def first_variances(X, Z, gamma, pairs, keep, floor):
 
 
 @kernel
-def left_out(X, Z, gamma, pairs, theta, to_hand, keep, C, out):
+def left_out(unknowns, observed, theta, C, out):
     """Fill out (n, 6): each pair against its prediction from the other kept ones, camera axes, m and rad.
 
     A kept pair is taken out of the fit by the exact downdate of the linearised equations; a pair that was not kept
     is simply predicted. Returns q (n,), the squared length of that error against its own noise and the parameters'.
     """
-    n = pairs[0].shape[0]
-    m = C.shape[0]
-    e = np.empty((n, 6))
-    J = np.empty((n, 6, m))
-    lever = np.empty(n)
-    everything = np.ones(n, np.bool_)
-    weigh(X, Z, gamma, pairs, theta, to_hand, everything, e, J, lever)
-    q = np.empty(n)
-    S = np.empty((6, 6))
-    M = np.empty((6, 6))
-    rhs = np.empty(6)
-    y = np.empty(6)
-    step = np.zeros(13)
-    P = np.empty((3, 3))
-    t_hat = np.empty(3)
-    work = np.empty((2, 3, 3))
+    at, predicted = named(unknowns), prediction()
+    pairs, keep, to_hand = observed
+    n, m = keep.shape[0], C.shape[0]
+    e, J, lever = np.empty((n, 6)), np.empty((n, 6, m)), np.empty(n)
+    _weighed(at, (pairs, np.ones(n, np.bool_), to_hand), theta, e, J, lever)
+    q, step, y = np.empty(n), np.zeros(13), np.empty(6)
     for i in range(n):
-        sandwich(J[i], C, M)
-        for a in range(6):
-            rhs[a] = -e[i, a]
-            for b in range(6):
-                S[a, b] = (1.0 if a == b else 0.0) + (-M[a, b] if keep[i] else M[a, b])
-        if not solve_damped(S, rhs, 0.0, y):  # the pair alone fixes some parameter
+        if not _downdated(e[i], J[i], C, keep[i], y):  # the pair alone fixes some parameter
             out[i] = np.nan
             q[i] = np.nan
             continue
@@ -327,20 +353,22 @@ def left_out(X, Z, gamma, pairs, theta, to_hand, keep, C, out):
                 for c in range(m):
                     for a in range(6):
                         step[b] += C[b, c] * J[i, a, c] * y[a]
-        X1, Z1, gamma1 = move(X, Z, gamma, step, m)
-        residual(
-            X1[0],
-            X1[1],
-            Z1[0],
-            Z1[1],
-            gamma1,
-            pairs[0][i],
-            pairs[1][i],
-            pairs[2][i],
-            pairs[3][i],
-            out[i],
-            P,
-            t_hat,
-            work,
-        )
+        residual(move(at, step, m), pairs, i, out[i], predicted)
     return q
+
+
+@inner_kernel
+def _downdated(e, J, C, kept, y):
+    """Fill y (6,) = S^-1 e with the noise S = 1 -+ J C J' of a pair against the fit without it; False where none is.
+
+    The information without a kept pair is C^-1 - J'J; by the matrix inversion lemma (Woodbury 1950) the parameters of
+    the others lie C J' S^-1 e away, and e' S^-1 e is the squared length of the error left out. Of a pair that was not
+    kept, S is its own noise and that of the parameters.
+    """
+    S, M, rhs = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    sandwich(J, C, M)
+    for a in range(6):
+        rhs[a] = -e[a]
+        for b in range(6):
+            S[a, b] = (1.0 if a == b else 0.0) + (-M[a, b] if kept else M[a, b])
+    return solve_damped(S, rhs, 0.0, y)

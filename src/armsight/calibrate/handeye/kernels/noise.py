@@ -7,12 +7,27 @@ camera's orientation, and of the robot's orientation, which reaches the target t
 from __future__ import annotations
 
 from math import log, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.geometry.kernels import copy_1
+
+
+class Search(NamedTuple):
+    """Where the search for the variances stands.
+
+    best (3,): those of the highest likelihood so far. last (3,): their last change. score (3,), information (3, 3):
+    room. state (2,): the share of a scoring step that is taken, and the highest likelihood so far.
+    """
+
+    best: Any
+    last: Any
+    score: Any
+    information: Any
+    state: Any
 
 
 @kernel
@@ -39,6 +54,7 @@ def lever_frame(Rx, tx, gamma, Rf, tf, t_hat, to_hand, E):
         return 0.0
     for j in range(3):
         E[2, j] = z[j] / length
+    # any two axes square to the lever will do; built from the unit vector most across it they are never ill-conditioned
     least = 0
     for j in range(3):
         if abs(E[2, j]) < abs(E[2, least]):
@@ -123,6 +139,8 @@ def variance_step(e, J, C, lever, theta, keep, score, information):
                 for b in range(m):
                     CJ[a, b] += f * C[c, b]
         for a in range(8):
+            # 1 - e e' - J C J' of the whitened pair, where the shapes have entries: d log L / d theta_k is -1/2 tr Q_k
+            # times it
             r, c = (a, a) if a < 6 else (2 * a - 12, 2 * a - 11)  # the diagonal, then (0, 1) and (2, 3)
             s = (1.0 if r == c else 0.0) - e[i, r] * e[i, c]
             for b in range(m):
@@ -148,6 +166,7 @@ def scoring_step(theta, score, information, floor, out):
     index = np.empty(3, np.int64)
     count = 0
     for k in range(3):
+        # one at its floor that wants to fall is no unknown: kept, it would hold the others back
         if theta[k] > floor[k] or score[k] > 0.0:
             index[count] = k
             count += 1
@@ -165,9 +184,52 @@ def scoring_step(theta, score, information, floor, out):
         return
     for r in range(count):
         out[index[r]] = max(theta[index[r]] + step[r], floor[index[r]])
+    # a quadratic model far from the maximum may ask for less than nothing: no step takes more than nine tenths
     out[0] = max(out[0], 0.1 * theta[0])
     if out[1] + out[2] < 0.1 * (theta[1] + theta[2]):
         out[1], out[2] = 0.1 * theta[1], 0.1 * theta[2]
+
+
+@inner_kernel
+def next_variances(likelihood, near, theta, floor, observed, whitened, search, new):
+    """Fill new (3,) with the variances after those of this restricted likelihood; return their largest relative change.
+
+    near: whether the last step was one of these. whitened: e (n, 6), J (n, 6, m), C (m, m), lever (n,).
+    """
+    e, J, C, lever = whitened
+    best, last, state = search.best, search.last, search.state
+    # Fisher scoring promises no ascent: a step that lost likelihood is halved towards the best so far
+    if near and likelihood < state[1] - 1e-7:
+        for k in range(3):
+            new[k] = 0.5 * (theta[k] + best[k])
+    else:
+        copy_1(theta, best)
+        state[1] = likelihood
+        variance_step(e, J, C, lever, theta, observed[1], search.score, search.information)
+        scoring_step(theta, search.score, search.information, floor, new)
+        turned = 0.0  # steps that go to and fro overshoot: shorten them until they do not
+        for k in range(3):
+            turned += (new[k] - theta[k]) * last[k] / (theta[min(k, 1)] + theta[2 * min(k, 1)]) ** 2
+        state[0] = max(0.5 * state[0], 0.1) if turned < 0.0 else min(1.5 * state[0], 1.0)
+        for k in range(3):
+            last[k] = new[k] - theta[k]
+            new[k] = theta[k] + state[0] * last[k]
+    # orientation's two variances are hard to tell apart: each is measured by their sum, which is well known
+    change = abs(new[0] - theta[0]) / theta[0]
+    for k in range(1, 3):
+        change = max(change, abs(new[k] - theta[k]) / (theta[1] + theta[2]))
+    return change
+
+
+@inner_kernel
+def scaled_variances(theta, floor, keep, cost, m, new):
+    """Fill new (3,) with theta scaled to the sum of squares that the m parameters leave: what is right far away."""
+    used = 0
+    for i in range(keep.shape[0]):
+        used += 6 if keep[i] else 0
+    factor = max(cost / max(used - m, 1), 1e-3)
+    for k in range(3):
+        new[k] = max(theta[k] * factor, floor[k])
 
 
 @inner_kernel
