@@ -147,16 +147,12 @@ def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
 def _result(
     model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged, tolerance: Tolerance
 ) -> ArmCalibration:
-    first, proved, errors = judged.first, judged.proved(points), judged.left
+    first, proved = judged.first, judged.proved(points)
     best, held = _held(model, holdout, first, proved)
     gain = best is not first
-    cross = tuple(
-        Errors.of(x[errors.judged]) for x in (errors.nominal_m, errors.chosen_m if gain else errors.nominal_m)
-    )
-    left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
-    reached = [
-        item.sentence for item in (at_limit := limits_reached(model, best.fitted.p, best.choice.free, tolerance))
-    ]
+    cross, left = _left_out_errors(judged.left, held, gain=gain)
+    at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
+    reached = [item.sentence for item in at_limit]
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
     return ArmCalibration(
@@ -188,6 +184,16 @@ def _result(
         correlation=correlation,
         other_arm=None,
     )
+
+
+def _left_out_errors(
+    errors: LeftOut, held: tuple[Array, Array] | None, *, gain: bool
+) -> tuple[tuple[Errors, Errors], tuple[Errors, Errors]]:
+    """Return before and after on rows left out by cross-validation, and on the holdout where there is one."""
+    rows = errors.judged
+    kept_m = errors.chosen_m if gain else errors.nominal_m
+    cross = Errors.of(errors.nominal_m[rows]), Errors.of(kept_m[rows])
+    return cross, cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
 
 
 def _notes_on_rows(
