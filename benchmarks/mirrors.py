@@ -28,7 +28,7 @@ from armsight.optics.mirrors import Mirrors as Design
 from armsight.optics.mirrors import form_errors, paper_form, plate_constants, triangulate_paper
 from armsight.records import BoardView, Frame, PoseStatus, spot_target
 from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
+from armsight.sim.rigs import MirrorLens, Mirrors, mirror_views
 from armsight.store import parse_board
 from bench import machine, table
 

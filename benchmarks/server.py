@@ -34,9 +34,8 @@ from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
 from armsight.server.serving import background
 from armsight.server.web_server import ServeOptions
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
+from armsight.sim.arms import Drive, FlangeLimits, SimArm, SimJoint
 from armsight.sim.robot import SimRobot
-from armsight.sim.servo import Drive
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.tokens import add_token
 from armsight.testing.clocks import GatedClock

@@ -22,8 +22,7 @@ from armsight.drivers import RobotState
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.egm.packets import parse
 from armsight.errors import DataRefused, DeviceFailed, DeviceLost, DeviceNotFound, StaleData, UsageError
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
+from armsight.sim.arms import Drive, SimArm, SimJoint
 from armsight.sim.twins.egm import EgmController
 from armsight.testing import RobotCase, RobotContract
 

@@ -14,9 +14,8 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import RemoteRobot
 from armsight.errors import ArmsightError
 from armsight.server.serving import background
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
+from armsight.sim.arms import Drive, FlangeLimits, SimArm, SimJoint
 from armsight.sim.robot import RobotFault, SimRobot
-from armsight.sim.servo import Drive
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing import RobotCase, RobotContract
 from armsight.testing.clocks import GatedClock

@@ -27,7 +27,7 @@ import sys, threading
 import numpy as np
 from armsight.clock import SystemClock
 from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
+from armsight.sim.arms import Drive
 from armsight.sim.twins.rtde import RtdeServer
 from armsight.sim.twins.ur_controller import UrController
 

@@ -7,7 +7,7 @@ import pytest
 
 from armsight.errors import Inconsistent
 from armsight.sim.lens import Lens
-from armsight.sim.mirror import Mirrors, mirror_rig, mirror_views
+from armsight.sim.rigs import Mirrors, mirror_rig, mirror_views
 from armsight.store.rigs import rig_from_mapping
 
 

@@ -20,7 +20,7 @@ from armsight.optics.mirrors import Mirrors as Design
 from armsight.optics.mirrors import corrected_l, form_errors, pinhole_pair, plate_constants, triangulate_exact
 from armsight.records import BoardView, PoseStatus, Spots, spot_target
 from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
+from armsight.sim.rigs import MirrorLens, Mirrors, mirror_views
 from armsight.store import parse_board
 
 Array = NDArray[np.float64]

@@ -17,14 +17,13 @@ from armsight._files import is_utf8
 from armsight.errors import Inconsistent
 from armsight.sim.camera import SimCamera
 from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors
 from armsight.sim.render import LightImage, Patch
-from armsight.sim.room_schema import OccluderKeys, PanelKeys, RoomKeys
+from armsight.sim.rigs import MirrorLens, Mirrors
 from armsight.sim.rooms import textures as tx
 from armsight.sim.rooms.occluders import Occluder, make_occluder
 from armsight.sim.rooms.room import MOVING_STEP, Room, eye_of, furnished, layout_about, room_of, view_of
-from armsight.sim.rooms.scene import Panel, Texture
-from armsight.sim.rooms.view import View
+from armsight.sim.rooms.scene import Panel, Texture, View
+from armsight.sim.scenario_keys import OccluderKeys, PanelKeys, RoomKeys
 from armsight.sim.scene import Light, Rest
 
 Array = NDArray[np.float64]

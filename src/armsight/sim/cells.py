@@ -17,16 +17,25 @@ from armsight.errors import UsageError
 from armsight.sim.backdrops import make_occluders, make_room, stand_in_room
 from armsight.sim.boards import Board, random_board_pose
 from armsight.sim.camera import SimCamera
-from armsight.sim.cell import SEED_BACKDROP, SEED_BOARD, SEED_PATH, BoardCell, Cell
-from armsight.sim.cell_notes import cameras_chosen, light_chosen, pipeline_chosen, room_chosen, sensor_chosen
-from armsight.sim.faults import planned_events
+from armsight.sim.cell import (
+    SEED_BACKDROP,
+    SEED_BOARD,
+    SEED_PATH,
+    BoardCell,
+    Cell,
+    cameras_chosen,
+    light_chosen,
+    pipeline_chosen,
+    room_chosen,
+    sensor_chosen,
+)
+from armsight.sim.lens import zoomed_pair
 from armsight.sim.pipeline import Pipeline
 from armsight.sim.render import LightImage
 from armsight.sim.rigs import SIDES, Pair, converging_webcams, parallel_pair
-from armsight.sim.room_schema import RoomKeys, checked_pipeline, checked_room
-from armsight.sim.scene import Event, Light, SmoothTrajectory
+from armsight.sim.scenario_keys import RoomKeys, checked_pipeline, checked_room
+from armsight.sim.scene import Event, Light, SmoothTrajectory, planned_events
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
-from armsight.sim.zoom import zoomed_pair
 
 Array = NDArray[np.float64]
 

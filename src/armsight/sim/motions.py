@@ -1,8 +1,9 @@
-"""Motions: what joints are told, and where a hand or a turning base carries a target."""
+"""Motions: what joints are told, and how a hand or a turning base leads a target that the robot does not carry."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.errors import UsageError
 from armsight.records import frozen_array
-from armsight.sim.scene import Path
+from armsight.sim.scene import Path, Rest
 
 Array = NDArray[np.float64]
 
@@ -155,3 +157,126 @@ class Jumping:
         t = np.asarray(t_s) + 1e-9  # frames at the very end, by rounding, are past it
         on = ((t >= self.start_s) & (t < self.end_s)).astype(float)
         return self.path(t) * RigidTransform.from_translation(on[:, None] * self.by_m)
+
+
+RUN_UP_S = 1.0
+"""A hand takes up its speed within so long."""
+CIRCLE_M = 0.1
+"""Radius of the circle."""
+TRAPEZIUM_M = ((0.0, 0.0), (0.12, 0.0), (0.09, 0.06), (-0.09, 0.06), (-0.12, 0.0), (0.0, 0.0))
+"""Corners of a trapezium, two thirds of Pachidis 2005's length, round from the middle of its long edge."""
+CORNER_S = 0.15
+"""Standard deviation of the smoothing in time with which a hand rounds a corner."""
+WAVES = 4
+WANDER_HZ = (0.05, 0.4)
+"""Sines per axis of a hand that goes about, and their frequencies."""
+TURN_RAD_S = 0.08
+"""Fastest turning of a hand that goes about at 0.1 m/s: at 0.6 m it takes an arm another 50 mm/s to follow."""
+LONGEST_S = 120.0
+"""For so long a hand that goes about is known to keep within its speed."""
+JITTER_M, JITTER_RAD = 1e-4, 3e-4
+"""RMS per axis of the shake of a hand that is led by an edge or a turning base."""
+HAND_STREAM = 40
+"""Stream of random numbers of a hand, beside those of sim.cell."""
+
+
+class Hand(StrEnum):
+    """How a hand leads the target."""
+
+    STILL = "still"
+    CIRCLE = "circle"
+    TRAPEZIUM = "trapezium"
+    RANDOM = "random"
+
+
+def hand_path(hand: Hand | str, T_world_start: RigidTransform, speed_m_s: float, seed: int) -> Path:
+    """Return where a hand leads a target from T_world_start on: along horizontal lines, or about in space.
+
+    speed_m_s: along the line; at random its fastest. Raises UsageError for an unknown hand or a speed below zero.
+    """
+    known = [kind.value for kind in Hand]
+    if hand not in known:
+        raise UsageError(f"there is no hand {hand!r}", cure=f"Known are: {', '.join(known)}")
+    if not (np.isfinite(speed_m_s) and speed_m_s >= 0.0):
+        raise UsageError(f"a speed of {speed_m_s:g} m/s cannot be", cure="Give m/s, zero or more")
+    if hand == Hand.STILL or speed_m_s == 0.0:
+        return Rest(T_world_target=T_world_start)
+    rng = np.random.default_rng([seed, HAND_STREAM])
+    path: Path
+    if hand == Hand.CIRCLE:
+        angle = np.linspace(0.0, 2.0 * np.pi, 721)
+        ring = CIRCLE_M * np.column_stack([np.cos(angle), np.sin(angle)])
+        path = RoundPath(ring, T_world_start, speed_m_s, 0.0)
+    elif hand == Hand.TRAPEZIUM:
+        path = RoundPath(TRAPEZIUM_M, T_world_start, speed_m_s, CORNER_S)
+    else:
+        path = WanderingPath.drawn(T_world_start, speed_m_s, rng)
+    return HandJitter(path, JITTER_M, JITTER_RAD, rng)
+
+
+def run_up(t_s: ArrayLike) -> Array:
+    """Return how long (m,) a motion at full speed has taken at times (m,), where it is taken up within RUN_UP_S.
+
+    The integral of a step of least jerk: speed and acceleration have no jump.
+    """
+    t = np.maximum(np.asarray(t_s, dtype=float), 0.0)
+    s = np.minimum(t / RUN_UP_S, 1.0)
+    return np.asarray(RUN_UP_S * s**4 * (2.5 - 3.0 * s + s**2) + np.maximum(t - RUN_UP_S, 0.0))
+
+
+class RoundPath:
+    """A target led round a closed horizontal line again and again, with its attitude kept.
+
+    line_m (k, 2): from its first point to itself. smooth_s: standard deviation of the smoothing in time at corners.
+    """
+
+    def __init__(self, line_m: ArrayLike, T_world_start: RigidTransform, speed_m_s: float, smooth_s: float) -> None:
+        line = np.asarray(line_m, dtype=float)
+        at_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        self._period_s = float(at_m[-1]) / speed_m_s
+        n = max(8, int(np.ceil(self._period_s / DRAWN_STEP_S)))
+        self._t_s = np.linspace(0.0, self._period_s, n + 1)
+        sharp = np.column_stack([np.interp(speed_m_s * self._t_s[:-1], at_m, axis) for axis in line.T])
+        step_s = self._period_s / n
+        soft = gaussian_filter1d(sharp, smooth_s / step_s, axis=0, mode="wrap") if smooth_s > 0.0 else sharp
+        self._xy_m = np.concatenate([soft, soft[:1]]) - soft[0]
+        self._T = T_world_start
+
+    def __call__(self, t_s: Array) -> RigidTransform:
+        """Return the poses T_world_target at times (m,)."""
+        t = run_up(t_s) % self._period_s
+        xyz = np.zeros((len(t), 3))
+        xyz[:, :2] = np.column_stack([np.interp(t, self._t_s, axis) for axis in self._xy_m.T])
+        return RigidTransform.from_translation(xyz) * self._T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WanderingPath:
+    """A target led about at random: sines of hz (6, WAVES) for places (m) and a rotation vector (rad) about the start.
+
+    size (6, WAVES): their amplitudes; phase_rad (6, WAVES). It begins at rest at T_world_start.
+    """
+
+    T_world_start: RigidTransform
+    hz: Array
+    size: Array
+    phase_rad: Array
+
+    @classmethod
+    def drawn(cls, T_world_start: RigidTransform, speed_m_s: float, rng: np.random.Generator) -> WanderingPath:
+        """Return a path whose fastest moment within LONGEST_S has a given speed."""
+        hz = rng.uniform(*WANDER_HZ, (6, WAVES))
+        phase = rng.uniform(0.0, 2.0 * np.pi, (6, WAVES))
+        t = np.arange(0.0, LONGEST_S, 0.02)
+        rate = np.cos(2.0 * np.pi * hz * t[:, None, None] + phase).sum(axis=2)  # (m, 6), each wave of unit speed
+        fastest = [np.linalg.norm(rate[:, part], axis=1).max() for part in (slice(0, 3), slice(3, 6))]
+        speeds = np.repeat([speed_m_s / fastest[0], TURN_RAD_S * speed_m_s / 0.1 / fastest[1]], 3)
+        return cls(T_world_start=T_world_start, hz=hz, size=speeds[:, None] / (2.0 * np.pi * hz), phase_rad=phase)
+
+    def __call__(self, t_s: Array) -> RigidTransform:
+        """Return the poses T_world_target at times (m,)."""
+        t = run_up(t_s)[:, None, None]
+        swing = np.sin(2.0 * np.pi * self.hz * t + self.phase_rad) - np.sin(self.phase_rad)  # (m, 6, WAVES)
+        way = (self.size * swing).sum(axis=2)
+        turned = RigidTransform.from_rotation(Rotation.from_rotvec(way[:, 3:]))
+        return RigidTransform.from_translation(way[:, :3]) * self.T_world_start * turned

@@ -17,9 +17,8 @@ from armsight.clock import Clock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
 from armsight.records import JointReading
-from armsight.sim.arms import FlangeLimits, SimArm
+from armsight.sim.arms import Drive, FlangeLimits, Servo, SimArm
 from armsight.sim.motions import JointMotion, smooth_step
-from armsight.sim.servo import Drive, Servo
 
 Array = NDArray[np.float64]
 

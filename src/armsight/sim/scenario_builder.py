@@ -11,14 +11,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
+from armsight.sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint
 from armsight.sim.cell import SEED_PATH
 from armsight.sim.motions import Drawn, HandJitter, JointMotion, Jumping, Swing, Turntable, Vibration, Waypoints
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
-from armsight.sim.room_schema import checked_room
-from armsight.sim.scenario_cameras import make_cameras, set_room, with_zoom
-from armsight.sim.scenario_events import events_of, zero_jumps
+from armsight.sim.scenario_cameras import events_of, make_cameras, set_room, with_zoom, zero_jumps
+from armsight.sim.scenario_keys import checked_room
 from armsight.sim.scenario_schema import (
     ArcKeys,
     EdgeKeys,
@@ -29,7 +28,6 @@ from armsight.sim.scenario_schema import (
     WayKeys,
 )
 from armsight.sim.scene import Light, Path, Rest
-from armsight.sim.servo import Drive, Servo
 from armsight.sim.world import Carried, Timing, World
 
 Array = NDArray[np.float64]

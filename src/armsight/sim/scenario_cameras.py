@@ -1,4 +1,4 @@
-"""From a checked scenario's keys to its cameras and the room that they see."""
+"""From a checked scenario's keys to its cameras, the room that they see, and what goes wrong before them."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
 from armsight.sim.backdrops import MovingBackdrops, make_occluders, make_room, stand_in_room
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import SEED_BACKDROP
-from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_rig, mirror_views
-from armsight.sim.rigs import SIDES, rig_mapping
-from armsight.sim.room_schema import RoomKeys, pipeline_of
+from armsight.sim.lens import Cam, Lens, ZoomLens, zoomed
+from armsight.sim.rigs import SIDES, MirrorLens, Mirrors, mirror_rig, mirror_views, rig_mapping
 from armsight.sim.rooms.room import upright
-from armsight.sim.scenario_schema import CameraKeys, LensKeys
-from armsight.sim.scene import Light, Path
+from armsight.sim.scenario_keys import EventKeys, RoomKeys, pipeline_of
+from armsight.sim.scenario_schema import CameraKeys, LensKeys, Scenario
+from armsight.sim.scene import Event, Ghost, Light, Path
 from armsight.sim.sensor import Sensor, ambient, with_hot_pixels
-from armsight.sim.zoom import Cam, ZoomLens, zoomed
 
 PLACES = 60
 """Moments of a run at which it is asked where the target is, so that no furniture stands there."""
@@ -149,3 +148,33 @@ def set_room(
         return stand_in_room(cameras, room, T_world_room.inv() * T_world_rig, occluders), None
     carried = {side: replace(camera, occluders=occluders) for side, camera in cameras.items()}
     return carried, MovingBackdrops.of(carried, room, T_world_room)
+
+
+Array = NDArray[np.float64]
+
+
+def events_of(scenario: Scenario, kinds: tuple[str, ...]) -> tuple[Event, ...]:
+    """Return the events of these kinds, by the frames that they are in."""
+
+    def made(event: EventKeys) -> Event:
+        first = int(np.ceil(event.at_s * scenario.fps - 1e-9))
+        last = max(first + 1, int(np.ceil((event.at_s + event.for_s) * scenario.fps - 1e-9)))
+        ghosts: tuple[Ghost, ...] = ()
+        if event.kind == "reflection" and event.uv_px is not None:
+            uv = (event.uv_px[0], event.uv_px[1])
+            ghosts = (Ghost(uv_px=uv, level=event.level, sigma_px=scenario.target.sigma_px),)
+        hidden = tuple(event.lights) if event.kind == "occluded" else ()
+        return Event(first=first, last=last, side=event.side, note=event.kind, hidden=hidden, ghosts=ghosts)
+
+    return tuple(made(event) for event in scenario.events if event.kind in kinds)
+
+
+def zero_jumps(scenario: Scenario, units: Array) -> tuple[tuple[float, float, Array], ...]:
+    """Return when encoders jump: from, to in s, and by how much (n,) in rad or m."""
+    jumps = []
+    for event in scenario.events:
+        if event.kind == "encoder_jump" and event.joint is not None and event.by is not None:
+            by = np.zeros(len(units))
+            by[event.joint - 1] = units[event.joint - 1] * event.by
+            jumps.append((event.at_s, event.at_s + event.for_s, by))
+    return tuple(jumps)

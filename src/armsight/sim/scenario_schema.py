@@ -12,8 +12,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from armsight.sim.event_schema import EventKeys, Vector2
-from armsight.sim.room_schema import (
+from armsight.sim.scenario_keys import (
+    EventKeys,
     Finite,
     Keys,
     NotNegative,
@@ -23,6 +23,7 @@ from armsight.sim.room_schema import (
     Positive,
     RoomChoice,
     RoomKeys,
+    Vector2,
     Vector3,
 )
 
@@ -81,7 +82,7 @@ class ArmKeys(Keys):
 
 
 class ZoomKeys(Keys):
-    """A zoom lens of two thin groups (sim.zoom): its setting, the ends of its range, lengths in mm; see there."""
+    """A zoom lens of two thin groups (sim.lens): its setting, the ends of its range, lengths in mm; see there."""
 
     at: Finite = 100.0
     range: Annotated[list[Finite], Field(min_length=2, max_length=2)] = Field(default=[100.0, 500.0])

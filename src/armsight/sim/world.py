@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.records import Frame
-from armsight.sim.arms import SimArm, covered
+from armsight.sim.arms import Servo, SimArm, covered
 from armsight.sim.backdrops import MovingBackdrops
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import SEED_NOISE, Truth
@@ -23,7 +23,6 @@ from armsight.sim.motions import Vibration
 from armsight.sim.render import LightImage
 from armsight.sim.rigs import SIDES
 from armsight.sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
-from armsight.sim.servo import Servo
 
 Array = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus, spot_target
 from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
+from armsight.sim.rigs import MirrorLens, Mirrors, mirror_views
 from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
 
 Array = NDArray[np.float64]

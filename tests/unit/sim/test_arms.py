@@ -11,12 +11,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
 from armsight.kinematics import pose
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint, covered
+from armsight.sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint, covered
 from armsight.sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoints
 from armsight.sim.scenario_builder import robotics
 from armsight.sim.scenario_schema import Scenario
 from armsight.sim.scene import Rest
-from armsight.sim.servo import Drive, Servo
 from armsight.store.arm_file import arm_from_mapping
 
 NAMES = ("korayem2018-circle", "kapucu2005-rrp", "webcam-cell", "pachidis2005-static")

@@ -16,17 +16,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.simulate.scenarios import load_scenario, scenario_names, settled_text
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
-from armsight.sim.mirror import Mirrors, mirror_views
 from armsight.sim.pipeline import IDEAL
-from armsight.sim.room_schema import checked_room, pipeline_of
+from armsight.sim.rigs import Mirrors, mirror_views
 from armsight.sim.rooms import textures as tx
 from armsight.sim.rooms.furniture import AHEAD, Furnisher
 from armsight.sim.rooms.occluders import make_occluder
-from armsight.sim.rooms.presets import Layout
-from armsight.sim.rooms.room import furnished, layout_about, upright
-from armsight.sim.rooms.scene import Panel, Scene, Texture
-from armsight.sim.rooms.view import View
+from armsight.sim.rooms.room import Layout, furnished, layout_about, upright
+from armsight.sim.rooms.scene import Panel, Scene, Texture, View
 from armsight.sim.scenario_builder import build_world
+from armsight.sim.scenario_keys import checked_room, pipeline_of
 from armsight.sim.scenario_schema import Scenario
 
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)

@@ -13,8 +13,7 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.errors import DeviceFailed
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
+from armsight.sim.arms import Drive, SimArm, SimJoint
 from armsight.sim.twins.rtde import RtdeServer
 from armsight.sim.twins.ur_controller import UrController
 

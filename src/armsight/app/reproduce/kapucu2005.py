@@ -15,10 +15,15 @@ from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.drivers import read_image
 from armsight.errors import Inconsistent
 from armsight.optics import Rig
-from armsight.papers.kapucu2005.beacon import beacon_centroid
-from armsight.papers.kapucu2005.joints import PathJoint, joint_of_path
-from armsight.papers.kapucu2005.stereo import camera_places, from_world, to_world
-from armsight.papers.kapucu2005.table import rrp_links
+from armsight.papers.kapucu2005 import (
+    PathJoint,
+    beacon_centroid,
+    camera_places,
+    from_world,
+    joint_of_path,
+    rrp_links,
+    to_world,
+)
 from armsight.report.identify_report import identify_report
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
 from armsight.store import read_poses, read_rig, read_world, write_text

@@ -26,9 +26,7 @@ from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
 from armsight.optics import SIDES, Rig
-from armsight.papers.korayem2018.converged_rig import triangulate_parallel
-from armsight.papers.korayem2018.inverse import nearest_solution
-from armsight.papers.korayem2018.led import led_centroid
+from armsight.papers.korayem2018 import led_centroid, nearest_solution, triangulate_parallel
 from armsight.papers.three_points import pose_of_three
 from armsight.records import Target
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction

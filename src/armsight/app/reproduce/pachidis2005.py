@@ -26,8 +26,7 @@ from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.optics import Rig
-from armsight.papers.pachidis2005.areas import light_pairs, lit_areas
-from armsight.papers.pachidis2005.psvs import Psvs, plate_shift
+from armsight.papers.pachidis2005 import Psvs, light_pairs, lit_areas, plate_shift
 from armsight.papers.three_points import pose_of_three
 from armsight.records import Target
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction

@@ -14,9 +14,9 @@ from armsight.records import Frame
 from armsight.sim.boards import Board, board_light_at
 from armsight.sim.camera import SimCamera
 from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_rig, mirror_views
 from armsight.sim.pipeline import IDEAL
 from armsight.sim.render import LightImage
+from armsight.sim.rigs import MirrorLens, Mirrors, mirror_rig, mirror_views
 from armsight.sim.scene import Light
 from armsight.sim.sensor import Sensor, ambient
 from armsight.sim.sets.dataset import Dataset, checked_size

@@ -22,8 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.clock import Clock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
-from armsight.sim.arms import SimArm
-from armsight.sim.servo import Drive, Servo
+from armsight.sim.arms import Drive, Servo, SimArm
 from armsight.sim.twins.base import note_silence, twin_arm, twin_drive, twin_home
 
 Array = NDArray[np.float64]

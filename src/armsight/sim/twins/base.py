@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
+from armsight.sim.arms import Drive, SimArm, SimJoint
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
-from armsight.sim.arms import SimArm
-from armsight.sim.servo import Drive, Servo
+from armsight.sim.arms import Drive, Servo, SimArm
 from armsight.sim.twins.base import host_port, note_silence, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
 

@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim.arms import SimArm
-from armsight.sim.servo import Drive, Servo
+from armsight.sim.arms import Drive, Servo, SimArm
 from armsight.sim.twins.base import clipped, host_port, note_silence, twin_arm, twin_drive, twin_home
 
 Array = NDArray[np.float64]

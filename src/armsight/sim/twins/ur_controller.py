@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.sim.arms import SimArm
-from armsight.sim.servo import Drive, Servo
+from armsight.sim.arms import Drive, Servo, SimArm
 from armsight.sim.twins.rtde_wire import INPUTS, OUTPUTS, REGISTERS
 from armsight.sim.twins.urscript import Program, Routine, ScriptError
 

@@ -1,7 +1,8 @@
-"""A joint from the places of the beacon while it alone moves: steps 1 to 6 of section 3.1, corrected (MATH C1-C6)."""
+"""Kapucu and Baysec 2005: the beacon's centroid and place, a joint from its path, and the arm's table."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -10,9 +11,88 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fitting.chauvenet import chauvenet
+from armsight.kinematics.lines import Link, link_to_line
+from armsight.optics import Rig
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
+
+WINDOW_PX = 90
+"""Side of the window that is searched pixel by pixel (paper, section 2.2)."""
+
+REDDER_BY = 60
+"""Levels by which red exceeds green and blue in the beacon's colour; the paper does not print its definition."""
+
+COARSEST_PX = 64
+"""First spacing of the pixels that are tried; it is halved until one of the beacon's colour is met."""
+
+
+def is_red(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return which pixels of an image (rows, columns, 3), blue first, have the beacon's colour."""
+    levels = image.astype(np.int16)
+    return np.asarray(levels[..., 2] - np.maximum(levels[..., 0], levels[..., 1]) > REDDER_BY)
+
+
+def beacon_centroid(image: NDArray[np.uint8]) -> Array:
+    """Return the mean place (2,) in px, u then v, of the red pixels in the window about the first one met.
+
+    Raises NotEnoughData where no pixel is red.
+    """
+    red = is_red(image)
+    row, column = _first_met(red)
+    half = WINDOW_PX // 2
+    top, left = max(row - half, 0), max(column - half, 0)
+    rows, columns = np.nonzero(red[top : row + half, left : column + half])
+    return np.array([left + columns.mean(), top + rows.mean()])
+
+
+def _first_met(red: NDArray[np.bool_]) -> tuple[int, int]:
+    spacing = COARSEST_PX
+    while spacing >= 1:
+        rows, columns = np.nonzero(red[::spacing, ::spacing])
+        if len(rows):
+            return int(rows[0]) * spacing, int(columns[0]) * spacing
+        spacing //= 2
+    raise NotEnoughData(
+        "no pixel of the image is red",
+        consequence="The beacon has no place in it",
+        cure="Look at the frames: the beacon must shine red in both views",
+    )
+
+
+TO_CAMERA = np.diag([1.0, -1.0, 1.0])
+"""From x right, y down, z forward to the paper's axes, and back."""
+
+
+def camera_places(rig: Rig, left_px: ArrayLike, right_px: ArrayLike) -> Array:
+    """Return places (n, 3) in m in the paper's camera frame from pixels (n, 2) of identical parallel cameras.
+
+    The heights that the two images give are averaged. Raises Degenerate where a disparity is not positive.
+    """
+    left, right = np.atleast_2d(left_px).astype(float), np.atleast_2d(right_px).astype(float)
+    fu, fv, ru, rv = rig.right.intrinsics[:4]
+    lu, lv = rig.left.intrinsics[2:4]
+    baseline_m = float(np.linalg.norm(rig.T_rig_right.translation - rig.T_rig_left.translation))
+    x_left, x_right = left[:, 0] - lu, right[:, 0] - ru
+    disparity = x_left - x_right
+    if (disparity <= 0.0).any():
+        raise Degenerate("the disparity of a pair is not positive", consequence="Its rays do not meet before the rig")
+    Z = fu * baseline_m / disparity
+    Y = -0.5 * ((left[:, 1] - lv) + (right[:, 1] - rv)) * Z / fv
+    return np.stack([x_right * Z / fu, Y, Z], axis=1)
+
+
+def to_world(rig: Rig, T_world_rig: Array, places_m: Array) -> Array:
+    """Return places (n, 3) of the paper's camera frame in world; T_world_rig: (4, 4)."""
+    in_rig = places_m @ TO_CAMERA + rig.T_rig_right.translation
+    return np.asarray(in_rig @ T_world_rig[:3, :3].T + T_world_rig[:3, 3])
+
+
+def from_world(rig: Rig, T_world_rig: Array, world_m: Array) -> Array:
+    """Return places (n, 3) of the world in the paper's camera frame; T_world_rig: (4, 4)."""
+    in_rig = (world_m - T_world_rig[:3, 3]) @ T_world_rig[:3, :3]
+    return np.asarray((in_rig - rig.T_rig_right.translation) @ TO_CAMERA)
+
 
 STRAIGHT = 0.15
 """Mean distance from the x''' axis over the length along it, up to which a path counts as straight. The paper gives no
@@ -110,3 +190,35 @@ def joint_of_path(xyz_m: ArrayLike) -> PathJoint:
         n_used=int(kept.sum()),
         n_triples=n_triples,
     )
+
+
+Line = tuple[Array, Array]
+
+
+def rrp_links(axes: Sequence[Line], beacon_m: Array, x0_hint: Array) -> tuple[Link, Link, float]:
+    """Return links 1 and 2 and d3 (m) of axes (point (3,), direction (3,)) in world, at one pose of the arm.
+
+    Frame 0 stands on axis 1 at the height of the world's origin, its x along x0_hint (3,). The slide's axis is put
+    through the beacon (3,), as the paper does. d3: from the second frame's origin to the beacon along the slide. x1
+    is chosen so that alpha1 is positive, x2 so that alpha2 is.
+    """
+    (p0, z0), _, (_, z2) = axes
+    foot = p0 - (p0 @ z0) * z0
+    x0 = x0_hint - (x0_hint @ z0) * z0
+    x0 = x0 / np.linalg.norm(x0)
+    T0 = np.eye(4)
+    T0[:3, :3], T0[:3, 3] = np.stack([x0, np.cross(z0, x0), z0], axis=1), foot
+    first = _positive(T0, axes[1])
+    T1 = T0 @ first.matrix()
+    second = _positive(T1, (beacon_m, z2))
+    T2 = T1 @ second.matrix()
+    return first, second, float((beacon_m - T2[:3, 3]) @ T2[:3, 2])
+
+
+def _positive(T: Array, line: Line) -> Link:
+    """Return the link to a line with the sign of x that makes alpha positive."""
+    link = link_to_line(T, line[0], line[1])
+    if link.alpha_rad >= 0.0:
+        return link
+    x = (T @ link.matrix())[:3, 0]
+    return link_to_line(T, line[0], line[1], x_hint=-x)

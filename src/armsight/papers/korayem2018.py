@@ -1,4 +1,4 @@
-"""The paper's inverse kinematics of its 6R arm, complete and corrected (MATH 2.2, A6 to A10)."""
+"""Korayem et al. 2018: a LED's place by thresholding, places from parallel cameras, the arm's inverse kinematics."""
 
 from __future__ import annotations
 
@@ -6,10 +6,54 @@ from math import atan2, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
-from armsight.errors import NotEnoughData
+from armsight.errors import Degenerate, NotEnoughData
 
 Array = NDArray[np.float64]
+
+HALF_PX = 14
+"""Half of the window about the LED."""
+
+FAINTEST = 30.0
+"""Levels by which the window's brightest pixel must exceed its median to be a LED's; the paper names none."""
+
+
+def led_centroid(image: NDArray[np.uint8], near_px: ArrayLike) -> Array:
+    """Return the mean place (2,) in px, u then v, of the bright area about near_px (2,) in a grey image.
+
+    The area holds the window's brightest pixel, and its pixels are above the middle between that and the median. Raises
+    NotEnoughData where nothing is bright.
+    """
+    u, v = np.rint(np.asarray(near_px, float)).astype(int)
+    top, left = max(v - HALF_PX, 0), max(u - HALF_PX, 0)
+    window = image[top : v + HALF_PX + 1, left : u + HALF_PX + 1].astype(float)
+    ground = float(np.median(window)) if window.size else 0.0
+    peak = float(window.max(initial=0.0))
+    if peak - ground < FAINTEST:
+        raise NotEnoughData(
+            f"no pixel about ({u}, {v}) is {FAINTEST:g} levels above its surroundings",
+            consequence="The LED has no place",
+        )
+    labels, _ = ndimage.label(window > 0.5 * (peak + ground), structure=np.ones((3, 3)))
+    rows, columns = np.nonzero(labels == labels[np.unravel_index(int(window.argmax()), window.shape)])
+    return np.array([left + columns.mean(), top + rows.mean()])
+
+
+def triangulate_parallel(focal_m: float, baseline_m: float, uv1_m: ArrayLike, uv2_m: ArrayLike) -> Array:
+    """Return the points (n, 3) for parallel axes, sensors at x = -B/2 (first) and +B/2: eq. (10) with MATH A17.
+
+    Z counts from the sensor plane, so that Z - F = B F / (u2 - u1) (the sensor is inverted, u1 - u2 < 0).
+    Raises Degenerate where the disparity is zero.
+    """
+    (u1, v1), (u2, v2) = np.atleast_2d(uv1_m).astype(float).T, np.atleast_2d(uv2_m).astype(float).T
+    disparity = u1 - u2
+    if (disparity == 0.0).any():
+        raise Degenerate("the rays of a pair are parallel", consequence="Their point is at infinity")
+    Z = focal_m - baseline_m * focal_m / disparity
+    scale = (focal_m - Z) / focal_m
+    return np.stack([scale * u1 - 0.5 * baseline_m, scale * 0.5 * (v1 + v2), Z], axis=-1)
+
 
 A1_M, A2_M, A3_M, A4_M = 0.0365, 0.2515, 0.125, 0.092
 D1_M, D6_M = 0.438, 0.1528
