@@ -35,7 +35,7 @@ from armsight.drivers import (
 from armsight.drivers.aravis import AravisCamera
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, Motion
-from armsight.sim.devices import SimCameraView, SimPairs
+from armsight.sim.devices import SimCameraView
 from armsight.sim.scenario_builder import build_world
 from armsight.sim.scenario_schema import Scenario
 from armsight.sim.world import World
@@ -196,9 +196,9 @@ class TestReplay(CameraContract):
         return CameraCase(source=source, opened=lambda: source.opened, moves=True)
 
 
-class TestSimulatedPairs(CameraContract):
+class TestSimulatedCamera(CameraContract):
     def make(self) -> CameraCase:
-        source = SimPairs(small_stage("webcam-cell"), ManualClock(50.0))
+        source = SimCameraView(small_stage("webcam-cell"), ManualClock(50.0), "left")
         return CameraCase(source=source, opened=lambda: source.opened, moves=True)
 
 

@@ -3,7 +3,7 @@
 from armsight.sim.boards import Board, board_light, corner_rays, random_board_pose
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import BoardCell, Cell
-from armsight.sim.cells import LedCellOptions, beacon_cell, board_cell, cells, hand_cell, led_cell, warm_up
+from armsight.sim.cells import LedCellOptions, beacon_cell, board_cell, hand_cell, led_cell
 from armsight.sim.lens import Lens
 from armsight.sim.render import LightSource, Patch, PointSource, RegionSource, render_sources
 from armsight.sim.scene import Event, Ghost, Light, Path, Rest, SmoothTrajectory
@@ -31,13 +31,11 @@ __all__ = [
     "beacon_cell",
     "board_cell",
     "board_light",
-    "cells",
     "corner_rays",
     "hand_cell",
     "led_cell",
     "random_board_pose",
     "render_sources",
-    "warm_up",
     "with_clutter",
     "with_hot_pixels",
 ]

@@ -5,7 +5,7 @@ Reached by name through the entry points `armsight.cells`; a maker takes (seed, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -283,26 +283,6 @@ def _behind(
     empty = {side: replace(camera, backdrop=np.zeros_like(camera.backdrop)) for side, camera in cameras.items()}
     corners = np.concatenate([pose.apply(board.corners_m()) for pose in poses])
     return {side: camera.backdrop for side, camera in _in_room(empty, around, corners).items()}
-
-
-MAKERS: Mapping[str, Callable[..., Cell | BoardCell]] = {
-    "hand-cell": hand_cell,
-    "led-cell": led_cell,
-    "beacon-cell": beacon_cell,
-    "board-cell": board_cell,
-}
-
-
-def cells() -> tuple[str, ...]:
-    """Return the names of the built-in cells."""
-    return tuple(MAKERS)
-
-
-def warm_up() -> None:
-    """Compile the renderer, so that the first frame of a timed run does not wait for it."""
-    led_cell(0, 1, LedCellOptions(width=32, height=18)).pair(0)
-    led_cell(0, 1, LedCellOptions(width=32, height=18, diameter_m=0.01)).pair(0)
-    next(board_cell(0, 1, width=320, height=180).frames())
 
 
 def _surroundings(seed: int, frames: int, room: Any, pipeline: Any) -> Surroundings:
