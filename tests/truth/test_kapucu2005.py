@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.optics import Camera, Rig, RigKind
-from armsight.papers.kapucu2005 import (
+from armsight_sim.papers.kapucu2005 import (
     beacon_centroid,
     camera_places,
     circumcentres,

@@ -17,8 +17,8 @@ from armsight.errors import Degenerate, Inconsistent
 from armsight.geometry import pose_from_rotvec
 from armsight.optics import Camera, converged_rig, parallel_rig, triangulate
 from armsight.optics.rig import Rig, RigKind
-from armsight.papers.korayem2018 import triangulate_parallel
 from armsight.records import frozen_array
+from armsight_sim.papers.korayem2018 import triangulate_parallel
 
 Array = NDArray[np.float64]
 

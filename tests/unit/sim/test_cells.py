@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim import (
+from armsight_sim import (
     Board,
     LedCellOptions,
     Lens,
