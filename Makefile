@@ -14,8 +14,8 @@ test: install
 	$(BIN)/pytest -m alone
 
 check: install
-	$(BIN)/ruff format --check src tests benchmarks tools examples
-	$(BIN)/ruff check src tests benchmarks tools examples
+	$(BIN)/ruff format --check src sim tests benchmarks tools examples
+	$(BIN)/ruff check src sim tests benchmarks tools examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/structure.py
@@ -25,13 +25,13 @@ guides: install
 
 install: $(READY)
 
-$(READY): pyproject.toml requirements.lock tools/make_environment.py
+$(READY): pyproject.toml sim/pyproject.toml requirements.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv requirements.lock
 	$(BIN)/python -m armsight.app.compilation
 	@touch $@ $(RUNS)
 
 # what it takes to run it, without what the tests and the documentation need
-$(RUNS): pyproject.toml requirements-run.lock tools/make_environment.py
+$(RUNS): pyproject.toml sim/pyproject.toml requirements-run.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv requirements-run.lock
 	$(BIN)/python -m armsight.app.compilation demo
 	@touch $@
@@ -48,4 +48,4 @@ lock:
 	$(LOCKED) --constraint requirements.lock -o requirements-run.lock
 
 clean:
-	rm -rf .venv demo dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv demo dist sim/dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera
 from armsight.optics import LensKind
 from armsight.records import BoardView
-from armsight.sim.lens import Lens
 from armsight.store import parse_board
+from armsight_sim.lens import Lens
 
 BOARD = parse_board("checkerboard:9x6:0.025")
 D = (-0.012, 0.02, -0.015, 0.004)

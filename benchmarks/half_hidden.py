@@ -33,11 +33,11 @@ from armsight.measure.poses.outcome import Track
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.optics import Rig
 from armsight.records import Frame, PoseStatus, Target
-from armsight.sim import LedCellOptions, led_cell
-from armsight.sim.camera import SimCamera
-from armsight.sim.cell import Cell
-from armsight.sim.rooms.occluders import EDGE_BLUR_PX, make_occluder
 from armsight.store import rig_from_mapping, target_from_mapping
+from armsight_sim import LedCellOptions, led_cell
+from armsight_sim.camera import SimCamera
+from armsight_sim.cell import Cell
+from armsight_sim.rooms.occluders import EDGE_BLUR_PX, make_occluder
 from backdrops import photographs
 from bench import machine, table
 from composites import SIDES, Composite, composite

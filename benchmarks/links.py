@@ -44,10 +44,10 @@ from armsight.control.loop import ControlLoop
 from armsight.control.sources import GoalSource
 from armsight.drivers import ROBOTS, load
 from armsight.kinematics import Joint
-from armsight.sim.twins.alter import AlterTwin
-from armsight.sim.twins.egm import EgmTwin
-from armsight.sim.twins.rsi import RsiTwin
-from armsight.sim.twins.rtde import RtdeTwin
+from armsight_sim.twins.alter import AlterTwin
+from armsight_sim.twins.egm import EgmTwin
+from armsight_sim.twins.rsi import RsiTwin
+from armsight_sim.twins.rtde import RtdeTwin
 
 KINDS = ("alter", "rsi", "egm", "rtde")
 CONTROLLER, NEARER = "127.77.0.1", "127.78.0.1"

@@ -27,9 +27,9 @@ from armsight.optics import Camera, Plate, triangulate
 from armsight.optics.mirrors import Mirrors as Design
 from armsight.optics.mirrors import form_errors, paper_form, plate_constants, triangulate_paper
 from armsight.records import BoardView, Frame, PoseStatus, spot_target
-from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
 from armsight.store import parse_board
+from armsight_sim.lens import Lens
+from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
 from bench import machine, table
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair, measure_spots, warm_up
 from armsight.optics import SIDES, Camera, PackedRig, Rig, converged_rig
 from armsight.records import PoseStatus, Spots, Target, spot_target, unmeasured_target
-from armsight.sim.cells import LedCellOptions, led_cell
 from armsight.store import rig_from_mapping
+from armsight_sim.cells import LedCellOptions, led_cell
 from bench import interleaved_ms, machine, table
 
 Array = NDArray[np.float64]

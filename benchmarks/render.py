@@ -18,9 +18,9 @@ import numpy as np
 import yaml
 
 import bench
-from armsight.sim import Cell, LedCellOptions, Sensor, ambient, led_cell
-from armsight.sim.scenario_builder import build_world
-from armsight.sim.scenario_schema import Scenario
+from armsight_sim import Cell, LedCellOptions, Sensor, ambient, led_cell
+from armsight_sim.scenario_builder import build_world
+from armsight_sim.scenario_schema import Scenario
 
 TARGETS_MS = {"dark": 8.0, "workshop, machine": 15.0, "workshop, webcam": 40.0}
 """A 1280x720 pair with six spots on one core, by room and pipeline."""
@@ -43,7 +43,7 @@ def six_lights(room: Any = "dark", pipeline: str = "ideal", **options: Any) -> C
 
 def moving_rig() -> Callable[[], object]:
     """Return what takes the complex images of a mirror rig that a robot carries through a workshop."""
-    text = (files("armsight") / "sim/scenarios/pachidis2005-static.yaml").read_text()
+    text = (files("armsight_sim") / "scenarios/pachidis2005-static.yaml").read_text()
     keys = yaml.safe_load(text) | {"room": "workshop"}
     world = build_world(Scenario.model_validate(keys), frames=50)
     index = iter(range(10**9))

@@ -29,11 +29,11 @@ from armsight.app.simulate.scenarios import load_scenario
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.records import CameraTiming, Frame, PoseStatus, unmeasured_target
-from armsight.sim import LedCellOptions, beacon_cell, led_cell
-from armsight.sim.cell import Cell
-from armsight.sim.scenario_builder import build_world
-from armsight.sim.scene import SmoothTrajectory
 from armsight.store import read_poses, read_rig, rig_from_mapping, target_from_mapping, write_rig, write_target
+from armsight_sim import LedCellOptions, beacon_cell, led_cell
+from armsight_sim.cell import Cell
+from armsight_sim.scenario_builder import build_world
+from armsight_sim.scene import SmoothTrajectory
 from bench import machine, table
 from verdicts import BEYOND, BEYOND_MM, SIDES, Array, Verdict, judge, pose_error, reason, share, spread, within
 

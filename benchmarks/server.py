@@ -34,12 +34,11 @@ from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
 from armsight.server.serving import background
 from armsight.server.web_server import ServeOptions
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
-from armsight.sim.robot import SimRobot
-from armsight.sim.servo import Drive
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.tokens import add_token
 from armsight.testing.clocks import GatedClock
+from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
+from armsight_sim.robot import SimRobot
 
 CLIENTS = 10
 CYCLE_S = 0.004
@@ -86,7 +85,7 @@ def drive(url: str, over) -> None:
 
 
 def loop(seconds: float) -> None:
-    text = (files("armsight") / "sim" / "scenarios" / "webcam-cell.yaml").read_text()
+    text = (files("armsight_sim") / "scenarios" / "webcam-cell.yaml").read_text()
     line = next(line for line in text.splitlines() if line.strip().startswith("cycle_s:"))
     context = multiprocessing.get_context("spawn")
     counts = {0: 0, CLIENTS: 0}

@@ -30,12 +30,11 @@ from armsight.control.loop import ControlLoop, LoopStatus
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
 from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.records import PoseStatus, Silent, TargetPose
-from armsight.sim.hands import CORNER_S, RoundPath
-from armsight.sim.live import LiveCell, live_cell
-from armsight.sim.live_carried import CarriedView
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping
 from armsight.units import DEG, MM
+from armsight_sim.live import CarriedView, LiveCell, live_cell
+from armsight_sim.motions import CORNER_S, RoundPath
 from bench import machine, table
 
 HANDEYE = (3e-4, 0.03 * DEG)  # standard deviation of a hand-eye calibration per axis, m and rad

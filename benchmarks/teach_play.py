@@ -43,11 +43,11 @@ from armsight.control.paths import smoothed
 from armsight.control.play import PathPlan, PathSource, PlaySettings, Weave, plan_path
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
-from armsight.sim.live import live_cell
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.handeye_file import read_handeye, write_handeye_poses
 from armsight.store.path_file import read_path
 from armsight.units import DEG, MM
+from armsight_sim.live import live_cell
 from bench import machine, table
 
 SERVO_FPS = 1.0 / 0.07

@@ -28,12 +28,12 @@ from armsight.clock import ManualClock, SystemClock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed
 from armsight.records import Frame, JointReading
-from armsight.sim.live import live_cell
-from armsight.sim.scenario_builder import build_world
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.worlds import World, write_world
 from armsight.verify.supervision import Level, Limits
+from armsight_sim.live import live_cell
+from armsight_sim.scenario_builder import build_world
 from bench import machine, table
 
 PERIOD_S, FPS, CYCLE_S, SETTLE_S = 3.0, 60.0, 0.008, 3.0

@@ -20,8 +20,8 @@ from armsight.errors import BadImage
 from armsight.measure.boards import find_board, find_two_boards, xcorner_corners
 from armsight.measure.boards.gridmap import fit_map
 from armsight.records import TargetKind, board_target
-from armsight.sim.boards import Board, board_light, corner_rays
-from armsight.sim.lens import Lens
+from armsight_sim.boards import Board, board_light, corner_rays
+from armsight_sim.lens import Lens
 from bench import DATA, machine, table
 
 PAIRS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14)

@@ -23,9 +23,8 @@ from armsight.errors import DataRefused
 from armsight.optics import INTRINSICS, Camera, ZoomLens, ZoomSetting
 from armsight.optics.zoom import image_distance
 from armsight.records import BoardView, TargetKind, board_target
-from armsight.sim.lens import Lens
-from armsight.sim.zoom import ZoomLens as SimZoomLens
-from armsight.sim.zoom import random_zoom_lens
+from armsight_sim.lens import Lens, random_zoom_lens
+from armsight_sim.lens import ZoomLens as SimZoomLens
 
 BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
 SIGMA_PX, VIEWS, ASKED = 0.1, 14, 4

@@ -184,8 +184,8 @@ def mirror_boards(tmp_path_factory: pytest.TempPathFactory) -> MirrorBoards:
 
 def complex_board(made: MirrorBoards, turned: Rotation, middle_m: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
     """Return the light (480, 640) of a board's two views, one upon the other; tilt: of mirror 2."""
-    from armsight.sim.lens import Lens
-    from armsight.sim.mirror import Mirrors, mirror_views
+    from armsight_sim.lens import Lens
+    from armsight_sim.rigs import Mirrors, mirror_views
 
     fx, fy, cx, cy = made.camera
     lens = Lens(width=640, height=480, focal_px=(fx, fy), centre_px=(cx, cy))

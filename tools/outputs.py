@@ -145,7 +145,8 @@ def keep(folder: Path, source: Path, only: str | None) -> None:
     (work / "picks.csv").write_text("u_px,v_px\n600,300\n640,320\n680,340\n", encoding="utf-8")
     header = "index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag"
     (work / "path.csv").write_text("\n".join([header, *PATH_ROWS]) + "\n", encoding="utf-8")
-    environment = {**os.environ, "PYTHONPATH": str(source / "src"), "COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"}
+    sources = os.pathsep.join(str(source / part) for part in ("src", "sim/src"))
+    environment = {**os.environ, "PYTHONPATH": sources, "COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"}
     for name, arguments in steps(only):
         begun = time.perf_counter()
         done = subprocess.run(

@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent / "src" / "armsight"
+HOME = Path(__file__).resolve().parent.parent
+ROOTS = (HOME / "src" / "armsight", HOME / "sim" / "src" / "armsight_sim")
 MOST_LINES = 40
 MOST_ARGUMENTS = 8
 MOST_FILE_LINES = 400
@@ -78,10 +79,13 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "files": {
         "measure/spots/kernels/detection/scan.py": "thresholds and connected components of one pass over an image",
         "measure/spots/kernels/fitting/measure_areas.py": "all that is done to one list of areas, in its order",
-        "sim/rooms/kernels.py": "rays and light of one scene, which is one tuple of arrays for all of them",
+        "armsight_sim/rooms/kernels.py": "rays and light of one scene, which is one tuple of arrays for all of them",
     },
 }
-"""What may be over a limit, by the limit's key: place (a pattern) -> reason. Every one of them is printed."""
+"""What may be over a limit, by the limit's key: place (a pattern) -> reason. Every one of them is printed.
+
+A place is a file's path in armsight; one in armsight_sim begins with that name.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +125,13 @@ class Figure:
         return [reason for pattern, reason in self.exceptions.items() if fnmatch(place, pattern)]
 
 
-def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
+def main(arguments: Sequence[str] | None = None, roots: Sequence[Path] = ROOTS) -> int:
     """Print the figures and the exceptions with their reasons; with --list also all that stands behind them."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("--list", action="store_true", help="name the functions and files")
     listed = parser.parse_args(arguments).list
     wrong: list[str] = []
-    for figure in figures(root):
+    for figure in figures(*roots):
         print(f"{figure.what}: {len(figure.items)}")
         for place, more in sorted(figure.items) if listed else ():
             print(f"    {place}: {more}" if more else f"    {place}")
@@ -140,13 +144,16 @@ def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
     return 1 if wrong else 0
 
 
-def figures(root: Path, exceptions: Mapping[str, Mapping[str, str]] | None = None) -> list[Figure]:
-    """Return all that is counted in the package at root."""
+def figures(*roots: Path, exceptions: Mapping[str, Mapping[str, str]] | None = None) -> list[Figure]:
+    """Return all that is counted in the packages at roots."""
     exceptions = EXCEPTIONS if exceptions is None else exceptions
-    imports = {module: set(imported(root, path, module)) for module, path in modules(root).items()}
-    found = [function for path in root.rglob("*.py") for function in functions(root, path)]
+    files = {path: place(path, roots) for root in roots for path in root.rglob("*.py")}
+    known = modules(roots)
+    imports = {module: set(imported(known, path, module)) for module, path in known.items()}
+    found = [function for path, name in files.items() for function in functions(path, name)]
     plain, kernels = [f for f in found if not f.kernel], [f for f in found if f.kernel]
-    files = [(str(path.relative_to(root)), count_lines(path)) for path in root.rglob("*.py")]
+    long_files = [(name, f"{n}") for path, name in files.items() if (n := count_lines(path)) > MOST_FILE_LINES]
+    unformatted = [(name, f"{n}") for path, name in files.items() if (n := count_skips(path))]
 
     def long(some: Sequence[Function]) -> list[tuple[str, str]]:
         return [(f.place, f"{f.lines} lines") for f in some if f.lines > MOST_LINES]
@@ -157,7 +164,6 @@ def figures(root: Path, exceptions: Mapping[str, Mapping[str, str]] | None = Non
     def figure(what: str, key: str, items: Sequence[tuple[str, str]]) -> Figure:
         return Figure(what, items, key, exceptions.get(key, {}))
 
-    unformatted = [(str(path.relative_to(root)), f"{n}") for path in root.rglob("*.py") if (n := count_skips(path))]
     return [
         figure("modules in circles", "circles", [(" <-> ".join(circle), "") for circle in circles(imports)]),
         *(
@@ -170,26 +176,32 @@ def figures(root: Path, exceptions: Mapping[str, Mapping[str, str]] | None = Non
         figure(f"kernels with more than {MOST_ARGUMENTS} arguments", "kernels' arguments", wide(kernels)),
         figure("functions without types, kernels not counted", "types", [(f.place, "") for f in plain if not f.typed]),
         figure("files with lines kept from the formatter", "formatter", unformatted),
-        figure(
-            f"files over {MOST_FILE_LINES} lines", "files", [(name, f"{n}") for name, n in files if n > MOST_FILE_LINES]
-        ),
+        figure(f"files over {MOST_FILE_LINES} lines", "files", long_files),
     ]
 
 
-def modules(root: Path) -> dict[str, Path]:
+def place(path: Path, roots: Sequence[Path]) -> str:
+    """Return a file's path in the first of the roots; in another one after that root's name."""
+    root = next(root for root in roots if path.is_relative_to(root))
+    inside = path.relative_to(root).as_posix()
+    return inside if root == roots[0] else f"{root.name}/{inside}"
+
+
+def modules(roots: Sequence[Path]) -> dict[str, Path]:
     """Return all modules by dotted name."""
     out = {}
-    for path in root.rglob("*.py"):
-        parts = ["armsight", *path.relative_to(root).with_suffix("").parts]
-        out[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    for root in roots:
+        for path in root.rglob("*.py"):
+            parts = [root.name, *path.relative_to(root).with_suffix("").parts]
+            out[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return out
 
 
-def imported(root: Path, path: Path, module: str) -> Iterator[str]:
-    """Yield the modules of this package that a file imports while it is loaded, those for type checkers left out."""
-    known = modules(root)
+def imported(known: Mapping[str, Path], path: Path, module: str) -> Iterator[str]:
+    """Yield the modules of these packages that a file imports while it is loaded, those for type checkers left out."""
+    packages = {name.partition(".")[0] for name in known}
     for node in _running(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("armsight"):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in packages:
             for alias in node.names:
                 name = f"{node.module}.{alias.name}"
                 target = name if name in known else str(node.module)
@@ -246,9 +258,9 @@ def circles(imports: dict[str, set[str]]) -> list[list[str]]:
     return out
 
 
-def functions(root: Path, path: Path) -> Iterator[Function]:
-    """Yield every function of a file."""
-    kernel_file = "kernels" in path.relative_to(root).parts or path.stem == "kernels"
+def functions(path: Path, name: str) -> Iterator[Function]:
+    """Yield every function of a file that is called by this name."""
+    kernel_file = "kernels" in name.removesuffix(".py").split("/")
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
@@ -257,7 +269,7 @@ def functions(root: Path, path: Path) -> Iterator[Function]:
         own = [arg for arg in every if arg.arg not in ("self", "cls")]
         told = ast.get_docstring(node, clean=False)
         yield Function(
-            place=f"{path.relative_to(root)}:{node.name}",
+            place=f"{name}:{node.name}",
             lines=(node.end_lineno or node.lineno) - node.lineno + 1 - (told.count("\n") + 1 if told else 0),
             arguments=len(own),
             typed=all(arg.annotation for arg in own) and (node.returns is not None),

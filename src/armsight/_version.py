@@ -1,5 +1,3 @@
-"""The installed version."""
+"""The version of armsight and of armsight-sim: both are built with it."""
 
-from importlib.metadata import version
-
-__version__ = version("armsight")
+__version__ = "0.1.0"

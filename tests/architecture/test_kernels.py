@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import armsight
+import armsight_sim
 from armsight._numba import InnerKernel, inner_kernel, kernel
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,12 +49,17 @@ def inner_kernels_of(module: ModuleType | SimpleNamespace, source: str) -> list[
 
 def test_only_one_file_says_how_kernels_are_compiled(tmp_path: Path) -> None:
     assert not named_outside(ROOT / "src")
+    assert not named_outside(ROOT / "sim" / "src")
     (tmp_path / "planted.py").write_text("from numba import njit\n")
     assert named_outside(tmp_path) == ["planted.py"]
 
 
 def test_the_program_calls_no_inner_kernel_from_python() -> None:
-    for info in pkgutil.walk_packages(armsight.__path__, "armsight."):
+    walked = [
+        *pkgutil.walk_packages(armsight.__path__, "armsight."),
+        *pkgutil.walk_packages(armsight_sim.__path__, "armsight_sim."),
+    ]
+    for info in walked:
         if "kernels" in info.name.split(".") or info.name == "armsight.__main__":
             continue
         module = importlib.import_module(info.name)

@@ -18,10 +18,16 @@ PLANTED = {
     "calibrate sees measure": ("calibrate/planted.py", "import armsight.measure"),
     "verify sees control": ("verify/planted.py", "import armsight.control"),
     "verify opens files": ("verify/planted.py", "import pathlib"),
-    "measure sees sim": ("measure/planted.py", "import armsight.sim"),
-    "sim projects with optics": ("sim/planted.py", "import armsight.optics"),
+    "measure sees the simulation": ("measure/planted.py", "import armsight_sim"),
+    "the simulation projects with optics": ("armsight_sim/twins/planted.py", "import armsight.optics"),
+    "the simulation measures": ("armsight_sim/rooms/planted.py", "import armsight.measure"),
+    "the simulation calibrates": ("armsight_sim/sets/planted.py", "import armsight.calibrate"),
+    "the simulation's papers measure": ("armsight_sim/papers/planted.py", "import armsight.measure"),
+    "a room sees a cell": ("armsight_sim/rooms/planted.py", "import armsight_sim.cell"),
+    "a cell sees a paper": ("armsight_sim/sets/planted.py", "import armsight_sim.papers.kapucu2005"),
+    "a module outside the simulation's plan": ("armsight_sim/planted.py", '"""Nobody knows what this is."""'),
     "store sees config": ("store/planted.py", "import armsight.config"),
-    "app imports sim by name": ("app/planted.py", "import armsight.sim"),
+    "app imports the simulation by name": ("app/planted.py", "import armsight_sim.cells"),
     "drivers see testing": ("drivers/planted.py", "import armsight.testing"),
     "maths opens files": ("fitting/planted.py", "import pathlib"),
     "maths draws": ("optics/planted.py", "import plotly"),
@@ -34,7 +40,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(folder / "src")},
+        env={**os.environ, "PYTHONPATH": f"{folder / 'src'}{os.pathsep}{folder / 'sim' / 'src'}"},
         capture_output=True,
         text=True,
         check=False,
@@ -44,7 +50,8 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("house")
-    shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for part in ("src", "sim/src"):
+        shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     return folder
 
@@ -57,7 +64,7 @@ def test_the_clean_tree_passes(copy: Path) -> None:
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_violation_fails(copy: Path, name: str) -> None:
     path, text = PLANTED[name]
-    planted = copy / "src" / "armsight" / path
+    planted = copy / ("sim/src" if path.startswith("armsight_sim") else "src/armsight") / path
     new_folder = not planted.parent.exists()
     planted.parent.mkdir(exist_ok=True)
     planted.write_text(text + "\n")

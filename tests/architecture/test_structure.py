@@ -34,7 +34,7 @@ def structure() -> ModuleType:
 
 
 def over(structure: ModuleType, root: Path, exceptions: dict[str, dict[str, str]]) -> list[str]:
-    return [text for figure in structure.figures(root, exceptions) for text in figure.unlisted()]
+    return [text for figure in structure.figures(root, exceptions=exceptions) for text in figure.unlisted()]
 
 
 @pytest.mark.parametrize("name", PLANTED)
@@ -59,3 +59,13 @@ def test_an_exception_that_nothing_needs_is_seen(structure: ModuleType, tmp_path
     assert over(structure, tmp_path, exceptions) == []
     (tmp_path / "planted.py").write_text("X = 1\n")
     assert over(structure, tmp_path, exceptions) == ["planted.py:planted: no exception is needed any more"]
+
+
+def test_the_simulation_is_held_to_the_same_limits_under_its_own_name(structure: ModuleType, tmp_path: Path) -> None:
+    roots = tmp_path / "armsight", tmp_path / "armsight_sim"
+    for root in roots:
+        root.mkdir()
+        (root / "planted.py").write_text(LONG)
+    long = next(figure for figure in structure.figures(*roots, exceptions={}) if figure.key == "long")
+    assert [place for place, _ in long.items] == ["planted.py:planted", "armsight_sim/planted.py:planted"]
+    assert structure.ROOTS[1].name == "armsight_sim" and structure.ROOTS[1].is_dir()

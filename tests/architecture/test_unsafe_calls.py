@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).resolve().parents[2] / "src" / "armsight"
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "src" / "armsight"
+SIMULATION = ROOT / "sim" / "src"
 
 UNSAFE = re.compile(
     r"(?:pickle|_pickle|dill|marshal|shelve)\.(?:load|loads|Unpickler|open)|(?:builtins\.)?(?:eval|exec)|os\.(?:system|popen)"
@@ -21,7 +23,9 @@ UNSAFE = re.compile(
 ALLOWED = {
     "app/robot/hosting.py": {"pickle.loads"},  # memory shared with the loop, its own child process, alone
     "app/robot/loop_side.py": {"pickle.loads"},  # ... and the child's side of it
-    "sim/twins/urscript.py": {"exec"},  # an emulated controller's program, of listed kinds of nodes, without builtins
+    "armsight_sim/twins/urscript.py": {
+        "exec"
+    },  # an emulated controller's program, of listed kinds of nodes, without builtins
 }
 
 SCRIPTS = re.compile(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function|javascript:")
@@ -44,7 +48,11 @@ OFF = (("shell", True), ("verify", False), ("check_hostname", False), ("allow_pi
 
 
 def found() -> dict[str, set[str]]:
-    said = {path.relative_to(SOURCE).as_posix(): set(calls(path.read_text())) for path in SOURCE.rglob("*.py")}
+    said = {
+        path.relative_to(root).as_posix(): set(calls(path.read_text()))
+        for root in (SOURCE, SIMULATION)
+        for path in root.rglob("*.py")
+    }
     return {name: called for name, called in said.items() if called}
 
 

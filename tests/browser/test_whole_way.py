@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.sim.boards import Board, random_board_pose
-from armsight.sim.cell import BoardCell
 from armsight.store import read_rig
 from armsight.store.handeye_file import read_handeye
+from armsight_sim.boards import Board, random_board_pose
+from armsight_sim.cell import BoardCell
 
 CHROMIUM = "/usr/bin/chromium"
 BOARDS = 24

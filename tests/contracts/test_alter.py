@@ -21,9 +21,9 @@ from armsight.drivers import RobotState
 from armsight.drivers.alter import AlterRobot
 from armsight.drivers.alter.frames import FrameSplitter, parse_state
 from armsight.errors import DataRefused, DeviceFailed, DeviceLost, UsageError
-from armsight.sim.twins.alter import AlterController
-from armsight.sim.twins.base import small_arm, twin_drive, twin_home
 from armsight.testing import RobotCase, RobotContract
+from armsight_sim.twins.alter import AlterController
+from armsight_sim.twins.base import small_arm, twin_drive, twin_home
 
 CYCLE_S = 0.028
 HOME = twin_home(small_arm())

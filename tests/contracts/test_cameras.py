@@ -35,12 +35,12 @@ from armsight.drivers import (
 from armsight.drivers.aravis import AravisCamera
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, Motion
-from armsight.sim.devices import SimCameraView, SimPairs
-from armsight.sim.scenario_builder import build_world
-from armsight.sim.scenario_schema import Scenario
-from armsight.sim.world import World
 from armsight.testing import CameraCase, CameraContract, RobotCase, RobotReadingContract, contract_tests
 from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing
+from armsight_sim.devices import SimCameraView
+from armsight_sim.scenario_builder import build_world
+from armsight_sim.scenario_schema import Scenario
+from armsight_sim.world import World
 
 COUNT = 9
 
@@ -59,7 +59,7 @@ def folder(where: Path) -> ImageFolder:
 
 @cache
 def small_stage(name: str, frames: int = COUNT) -> World:
-    content = yaml.safe_load((files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text())
+    content = yaml.safe_load((files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text())
     world: World = build_world(Scenario.model_validate(content), frames=frames)
     return world
 
@@ -196,9 +196,9 @@ class TestReplay(CameraContract):
         return CameraCase(source=source, opened=lambda: source.opened, moves=True)
 
 
-class TestSimulatedPairs(CameraContract):
+class TestSimulatedCamera(CameraContract):
     def make(self) -> CameraCase:
-        source = SimPairs(small_stage("webcam-cell"), ManualClock(50.0))
+        source = SimCameraView(small_stage("webcam-cell"), ManualClock(50.0), "left")
         return CameraCase(source=source, opened=lambda: source.opened, moves=True)
 
 

@@ -22,10 +22,9 @@ from armsight.drivers import RobotState
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.egm.packets import parse
 from armsight.errors import DataRefused, DeviceFailed, DeviceLost, DeviceNotFound, StaleData, UsageError
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
-from armsight.sim.twins.egm import EgmController
 from armsight.testing import RobotCase, RobotContract
+from armsight_sim.arms import Drive, SimArm, SimJoint
+from armsight_sim.twins.egm import EgmController
 
 CYCLE_S = 0.004
 HOME = np.array([0.1, -0.4, 0.5, -0.8, 0.9, 0.4])

@@ -14,12 +14,11 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import RemoteRobot
 from armsight.errors import ArmsightError
 from armsight.server.serving import background
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
-from armsight.sim.robot import RobotFault, SimRobot
-from armsight.sim.servo import Drive
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing import RobotCase, RobotContract
 from armsight.testing.clocks import GatedClock
+from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
+from armsight_sim.robot import RobotFault, SimRobot
 
 BEAT_S = 0.1
 QUARTER = np.pi / 2

@@ -12,10 +12,9 @@ from scipy.spatial.transform import RigidTransform
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState, Sent
 from armsight.records import JointReading
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
-from armsight.sim.robot import RobotFault, SimRobot
-from armsight.sim.servo import Drive
 from armsight.testing import RobotCase, RobotContract, contract_tests
+from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
+from armsight_sim.robot import RobotFault, SimRobot
 
 QUARTER = np.pi / 2
 

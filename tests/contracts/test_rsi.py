@@ -23,9 +23,9 @@ from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.rsi.messages import parse
 from armsight.drivers.rsi.settings import read_tags
 from armsight.errors import BadFile, DataRefused, DeviceFailed, DeviceLost, DeviceNotFound, UsageError
-from armsight.sim.twins.base import small_arm, twin_drive, twin_home
-from armsight.sim.twins.rsi import RsiController
 from armsight.testing import RobotCase, RobotContract
+from armsight_sim.twins.base import small_arm, twin_drive, twin_home
+from armsight_sim.twins.rsi import RsiController
 
 CYCLE_S = 0.004
 HOME = twin_home(small_arm())

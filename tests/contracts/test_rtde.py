@@ -26,10 +26,10 @@ PROGRAM = """
 import sys, threading
 import numpy as np
 from armsight.clock import SystemClock
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
-from armsight.sim.twins.rtde import RtdeServer
-from armsight.sim.twins.ur_controller import UrController
+from armsight_sim.arms import SimArm, SimJoint
+from armsight_sim.arms import Drive
+from armsight_sim.twins.rtde import RtdeServer
+from armsight_sim.twins.ur_controller import UrController
 
 host, port, home = sys.argv[1], int(sys.argv[2]), [float(v) for v in sys.argv[3:]]
 arm = SimArm(joints=tuple(SimJoint(name=f"j{i}", a_m=0.2, d_m=0.1, lower=-6.3, upper=6.3) for i in range(6)))

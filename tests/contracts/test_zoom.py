@@ -20,9 +20,9 @@ from armsight.drivers.aravis import AravisCamera
 from armsight.drivers.live import SETTLED
 from armsight.drivers.opencv_controls import ZOOM_S
 from armsight.errors import DeviceFailed, UsageError
-from armsight.sim.scenario_builder import build_world
-from armsight.sim.scenario_schema import Scenario
 from armsight.store.yamls import parse_yaml
+from armsight_sim.scenario_builder import build_world
+from armsight_sim.scenario_schema import Scenario
 
 
 class Wire:
@@ -149,7 +149,7 @@ def scenario(zoom: str) -> Scenario:
 def content(zoom: str) -> dict[str, Any]:
     from importlib.resources import files
 
-    text = (files("armsight") / "sim/scenarios/webcam-cell.yaml").read_text()
+    text = (files("armsight_sim") / "scenarios/webcam-cell.yaml").read_text()
     cell: dict[str, Any] = parse_yaml(text.encode(), "webcam-cell")
     for side in ("left", "right"):
         cell["cameras"][side].pop("distortion", None)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from armsight.errors import Inconsistent
-from armsight.sim.lens import Lens
-from armsight.sim.mirror import Mirrors, mirror_rig, mirror_views
 from armsight.store.rigs import rig_from_mapping
+from armsight_sim.lens import Lens
+from armsight_sim.rigs import Mirrors, mirror_rig, mirror_views
 
 
 def closed_form(left: np.ndarray, right: np.ndarray, b: float, d: float, n: float) -> np.ndarray:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.sim import Lens
+from armsight_sim import Lens
 
 LENSES = {
     "no distortion": (0.0, 0.0, 0.0, 0.0, 0.0),

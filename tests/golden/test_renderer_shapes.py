@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.sim import Lens, Light, Rest, Sensor, SimCamera, ambient
+from armsight_sim import Lens, Light, Rest, Sensor, SimCamera, ambient
 
 DATA = np.load(Path(__file__).parent / "data" / "renderer" / "lit_shapes.npz")
 CENTRE_TOLERANCE_PX = 0.01

@@ -18,11 +18,11 @@ from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import ControllerState
 from armsight.drivers.rtde.worker import GOAL, STATE
-from armsight.sim.twins.alter import AlterController
-from armsight.sim.twins.base import small_arm, twin_drive, twin_home
-from armsight.sim.twins.egm import EgmController
-from armsight.sim.twins.rsi import RsiController
-from armsight.sim.twins.ur_controller import UrController
+from armsight_sim.twins.alter import AlterController
+from armsight_sim.twins.base import small_arm, twin_drive, twin_home
+from armsight_sim.twins.egm import EgmController
+from armsight_sim.twins.rsi import RsiController
+from armsight_sim.twins.ur_controller import UrController
 
 Array = NDArray[np.float64]
 HOME = twin_home(small_arm())

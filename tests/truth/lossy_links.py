@@ -19,9 +19,9 @@ from armsight.control import CycleState, JointGoal, JointVelocity, SetPoint, Too
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits
 from armsight.control.loop import ControlLoop
 from armsight.kinematics import Arm, Joint
-from armsight.sim.twins.base import small_arm
-from armsight.sim.twins.egm import EgmController
-from armsight.sim.twins.ur_controller import UrController
+from armsight_sim.twins.base import small_arm
+from armsight_sim.twins.egm import EgmController
+from armsight_sim.twins.ur_controller import UrController
 
 Array = NDArray[np.float64]
 

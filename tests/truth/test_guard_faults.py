@@ -24,10 +24,10 @@ from armsight.control.guard.space import Breach
 from armsight.control.guard.watch import Watch
 from armsight.control.loop import ControlLoop, LoopStatus
 from armsight.errors import ArmsightError
-from armsight.sim.arms import SimArm
-from armsight.sim.robot import SimRobot
-from armsight.sim.scenario_builder import robotics
 from armsight.store.arm_file import arm_from_mapping
+from armsight_sim.arms import SimArm
+from armsight_sim.robot import SimRobot
+from armsight_sim.scenario_builder import robotics
 
 Array = NDArray[np.float64]
 SCENARIO = load_scenario("webcam-cell")[0]

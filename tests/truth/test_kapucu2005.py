@@ -8,10 +8,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.optics import Camera, Rig, RigKind
-from armsight.papers.kapucu2005.beacon import beacon_centroid
-from armsight.papers.kapucu2005.joints import circumcentres, joint_of_path, plane_frame
-from armsight.papers.kapucu2005.stereo import camera_places, from_world, to_world
-from armsight.papers.kapucu2005.table import rrp_links
+from armsight_sim.papers.kapucu2005 import (
+    beacon_centroid,
+    camera_places,
+    circumcentres,
+    from_world,
+    joint_of_path,
+    plane_frame,
+    rrp_links,
+    to_world,
+)
 
 
 def circle(rng: np.random.Generator, angles_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

@@ -8,9 +8,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.kinematics import preset
-from armsight.papers.korayem2018.inverse import nearest_solution, solutions
-from armsight.papers.korayem2018.led import led_centroid
-from armsight.papers.three_points import frame_of_three, pose_of_three
+from armsight_sim.papers.korayem2018 import led_centroid, nearest_solution, solutions
+from armsight_sim.papers.pachidis2005 import frame_of_three, pose_of_three
 
 
 def test_the_corrected_inverse_holds_the_original_and_only_true_solutions() -> None:

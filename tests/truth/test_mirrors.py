@@ -19,9 +19,9 @@ from armsight.optics import Camera, PackedRig, Plate, Rig, RigKind, parallel_rig
 from armsight.optics.mirrors import Mirrors as Design
 from armsight.optics.mirrors import corrected_l, form_errors, pinhole_pair, plate_constants, triangulate_exact
 from armsight.records import BoardView, PoseStatus, Spots, spot_target
-from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
 from armsight.store import parse_board
+from armsight_sim.lens import Lens
+from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
 
 Array = NDArray[np.float64]
 Tilts = tuple[tuple[float, float], ...]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from armsight.errors import Degenerate, NotEnoughData
-from armsight.papers.pachidis2005.areas import light_pairs, lit_areas
-from armsight.papers.pachidis2005.psvs import Psvs, plate_shift
+from armsight_sim.papers.pachidis2005 import Psvs, light_pairs, lit_areas, plate_shift
 
 ABC_M = np.array([[-0.008, 0.0, 0.6], [0.006, 0.0064, 0.6], [0.006, -0.0064, 0.6]])
 

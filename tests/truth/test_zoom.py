@@ -12,8 +12,8 @@ from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.optics import INTRINSICS, Camera, Rig, RigKind, ZoomLens, ZoomSetting, at_zoom, parallel_rig, with_zoom
 from armsight.optics.zoom_curves import curves
 from armsight.records import NamedCovariance
-from armsight.sim.zoom import SETTINGS, random_zoom_lens
-from armsight.sim.zoom import ZoomLens as SimZoomLens
+from armsight_sim.lens import SETTINGS, random_zoom_lens
+from armsight_sim.lens import ZoomLens as SimZoomLens
 
 N_LENSES = 120
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")

@@ -29,10 +29,10 @@ from armsight.records import (
 )
 from armsight.records.target import BLUE, RED
 from armsight.report.residuals import distance_rms
-from armsight.sim.render import PointSource, render_sources
 from armsight.store import tracks
 from armsight.store.foreign import rig_from_kalibr
 from armsight.units import DEG, MM
+from armsight_sim.render import PointSource, render_sources
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "conventions.md"
 CAMERA = Camera.pinhole(320, 240, 300.0, 310.0, 160.0, 120.0)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.warm_up import compile_beside
-from armsight.drivers import CELLS, load
+from armsight.drivers import CELLS, known, load
 from armsight.records import BoardView, Progress, Silent, Spots
 
 COMPILING = "compiling"
@@ -230,7 +230,9 @@ def guard() -> None:
 
 
 def simulator() -> None:
-    """Compile the renderers of the simulated cells: lights, boards and rooms."""
+    """Compile the renderers of the simulated cells: lights, boards and rooms; nothing where there are none."""
+    if not known(CELLS):
+        return
     makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "hand-cell", "beacon-cell")}
     small = {"width": 320, "height": 180}
     for cell in (
@@ -244,13 +246,20 @@ def simulator() -> None:
 
 
 def together() -> None:
-    """Measure simulated frames from end to end: what is left of `armsight measure`, and a check that it works."""
+    """Measure frames from end to end: what is left of `armsight measure`, and a check that it works.
+
+    They are simulated, or, where the simulation is not installed, the real pictures of a board.
+    """
     from armsight.app.demo import demo
+    from armsight.app.demo_pictures import measure_pictures
     from armsight.measure.poses.pipeline import warm_up
 
     warm_up()
     with tempfile.TemporaryDirectory() as folder:
-        demo(Path(folder), seed=0, frames=4, cell="hand-cell")
+        if known(CELLS):
+            demo(Path(folder), seed=0, frames=4, cell="hand-cell")
+        else:
+            measure_pictures(Path(folder), Silent())
 
 
 GROUPS: Mapping[str, Callable[[], None]] = {

@@ -14,8 +14,8 @@ from typing import Annotated
 import cv2
 
 from armsight._version import __version__
-from armsight.app.simulate.scenarios import scenario_names
-from armsight.drivers import CAMERAS, CELLS, ROBOTS, SETS, cameras_there, cores, known
+from armsight.app.simulate.scenarios import FILES, scenario_names
+from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_there, cores, folder, known
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.measure.planning import LEAST_COMMON, Accuracy, Choice, plan
@@ -206,7 +206,10 @@ def doctor(
         )
     drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS, SETS)}
     drivers["scenarios"] = list(scenario_names())
-    kernels = kernel_cache(Path(__file__).parent.parent)
+    packages = [Path(__file__).parent.parent]
+    if FILES in known(SCENARIOS):
+        packages.append(folder(SCENARIOS, FILES).parent)
+    kernels = kernel_cache(*packages)
     return DoctorOutput(
         versions={"armsight": __version__, "python": platform.python_version(), **_versions()},
         machine=Machine(system=platform.platform(), cores=cores(), cores_there=os.cpu_count() or 1),
@@ -243,12 +246,16 @@ def _resolution_at(row: Resolution) -> ResolutionAt:
     )
 
 
-def kernel_cache(package: Path) -> KernelCache:
-    """Return how many compiled kernels are kept on disk, where, and whether more can be added."""
+def kernel_cache(*packages: Path) -> KernelCache:
+    """Return how many compiled kernels of packages are kept on disk, where, and whether more can be added.
+
+    Where: the first package, or the first that nothing can be added to.
+    """
     given = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(given) if given else package
-    kept = sum(1 for _ in folder.rglob("*.nbc")) if folder.is_dir() else 0
-    return KernelCache(folder=str(folder), compiled=kept, writable=os.access(folder, os.W_OK))
+    places = [Path(given)] if given else packages
+    closed = [place for place in places if not os.access(place, os.W_OK)]
+    kept = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
+    return KernelCache(folder=str([*closed, *places][0]), compiled=kept, writable=not closed)
 
 
 def _versions() -> dict[str, str]:

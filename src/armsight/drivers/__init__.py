@@ -9,7 +9,7 @@ from armsight.drivers.opening import is_live, open_pairs, open_source, open_spli
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
 from armsight.drivers.prefetch import cores, ordered_map
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
-from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, known, load
+from armsight.drivers.registry import CAMERAS, CELLS, METHODS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
@@ -20,9 +20,11 @@ __all__ = [
     "CAMERAS",
     "CELLS",
     "FPS",
+    "METHODS",
     "ROBOTS",
     "SCENARIOS",
     "SETS",
+    "TWINS",
     "CameraSettings",
     "Capture",
     "DeviceLock",
@@ -49,6 +51,7 @@ __all__ = [
     "cameras_there",
     "check_forward",
     "cores",
+    "folder",
     "is_live",
     "known",
     "list_images",

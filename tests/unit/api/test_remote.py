@@ -11,11 +11,10 @@ from armsight.app.robot.hosting import ThreadHost
 from armsight.app.robot.service import Service
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.server.serving import background
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.robot import SimRobot
-from armsight.sim.servo import Drive
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing.clocks import GatedClock
+from armsight_sim.arms import Drive, SimArm, SimJoint
+from armsight_sim.robot import SimRobot
 
 
 class NoLog:

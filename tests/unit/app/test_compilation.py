@@ -13,19 +13,21 @@ from armsight.app.compilation import GROUPS, SHARES
 CODE = """
 import importlib, json, pkgutil, sys
 import armsight
+import armsight_sim
 from numba.core.dispatcher import Dispatcher
 from armsight._numba import InnerKernel
 from armsight.app.compilation import GROUPS
 for name in sys.argv[1:]:
     GROUPS[name]()
 used, unused, within = [], [], set()
-for module in pkgutil.walk_packages(armsight.__path__, "armsight."):
-    if "kernels" in module.name.split("."):
-        for name, value in vars(importlib.import_module(module.name)).items():
-            if isinstance(value, Dispatcher) and value.py_func.__module__ == module.name:
-                within.update(value.py_func.__code__.co_names)  # compiled together with the kernels that call them
-                if not isinstance(value, InnerKernel):
-                    (used if value.signatures else unused).append(module.name + "." + name)
+for package in (armsight, armsight_sim):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if "kernels" in module.name.split("."):
+            for name, value in vars(importlib.import_module(module.name)).items():
+                if isinstance(value, Dispatcher) and value.py_func.__module__ == module.name:
+                    within.update(value.py_func.__code__.co_names)  # compiled together with the kernels that call them
+                    if not isinstance(value, InnerKernel):
+                        (used if value.signatures else unused).append(module.name + "." + name)
 print(json.dumps([used, [name for name in unused if name.rsplit(".", 1)[1] not in within]]))
 """
 

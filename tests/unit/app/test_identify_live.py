@@ -18,12 +18,12 @@ from armsight.control.joint_sweep import Pace
 from armsight.drivers import RobotState
 from armsight.errors import BadFile, Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame
-from armsight.sim.live import live_cell
-from armsight.sim.scenario_builder import build_world
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import read_arm
 from armsight.store.sweeps import read_sweeps
 from armsight.store.worlds import World, write_world
+from armsight_sim.live import live_cell
+from armsight_sim.scenario_builder import build_world
 
 LIMITS = np.array([[-0.5, 5.2], [-0.4, 1.9], [0.3, 1.1]])
 TEXT = "-0.5:5.2,-0.4:1.9,0.3:1.1"

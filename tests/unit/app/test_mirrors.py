@@ -25,9 +25,9 @@ from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.results import MeasureOutput
 from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus, spot_target
-from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
 from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
+from armsight_sim.lens import Lens
+from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
 
 Array = NDArray[np.float64]
 Tilts = tuple[tuple[float, float], ...]

@@ -16,14 +16,14 @@ from armsight.app.verify.supervising import LiveVerifyJob, Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, NotEnoughData
-from armsight.sim.live import live_cell
-from armsight.sim.robot import RobotFault
-from armsight.sim.scenario_builder import build_world
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
 from armsight.store.worlds import World, write_world
 from armsight.verify.supervision import Limits
+from armsight_sim.live import live_cell
+from armsight_sim.robot import RobotFault
+from armsight_sim.scenario_builder import build_world
 
 
 class Ticking(ManualClock):

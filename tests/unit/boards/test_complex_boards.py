@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.measure.boards import find_two_boards
 from armsight.records import BoardView, TargetKind, board_target
-from armsight.sim.boards import Board, board_light, corner_rays
-from armsight.sim.lens import Lens
+from armsight_sim.boards import Board, board_light, corner_rays
+from armsight_sim.lens import Lens
 
 LENS = Lens(
     width=640, height=480, focal_px=(830.0, 830.0), centre_px=(319.5, 239.5), distortion=(-0.1, 0.05, 0.0, 0.0, 0.0)

@@ -9,8 +9,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.measure.boards import find_board, xcorner_corners
 from armsight.measure.boards.xcorner import order_squares, segment
 from armsight.records import TargetKind, board_target
-from armsight.sim.boards import Board, board_light, corner_rays
-from armsight.sim.lens import Lens
+from armsight_sim.boards import Board, board_light, corner_rays
+from armsight_sim.lens import Lens
 
 LENS = Lens(
     width=480, height=360, focal_px=(405.0, 403.0), centre_px=(238.0, 183.0), distortion=(-0.2, 0.06, 0.001, 0.0, 0.0)

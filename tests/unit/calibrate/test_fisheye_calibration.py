@@ -10,8 +10,8 @@ from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import LensKind
 from armsight.records import BoardView
-from armsight.sim.lens import Lens
 from armsight.store import parse_board
+from armsight_sim.lens import Lens
 
 BOARD = parse_board("checkerboard:9x6:0.025")
 D = (-0.012, 0.02, -0.015, 0.004)

@@ -43,13 +43,14 @@ def test_help_shows_them_and_the_overview_has_panels_and_completion() -> None:
     assert names == leaves | {n for n, c in ROOT.commands.items() if not hasattr(c, "commands")}
 
 
-SOURCE = Path(__file__).resolve().parents[3] / "src" / "armsight"
+PROJECT = Path(__file__).resolve().parents[3]
+SOURCES = (PROJECT / "src", PROJECT / "sim" / "src")
 GIVEN = re.compile(r"armsight ([a-z]+(?: [a-z][a-z-]*)?)((?: (?!armsight )[^\s`';(),]+)*)")
 
 
 def texts_of_errors() -> Iterator[tuple[str, str]]:
     """Yield file and text of every string in the source but docstrings; parts that are computed are left out."""
-    for file in sorted(SOURCE.rglob("*.py")):
+    for file in sorted(path for source in SOURCES for path in source.rglob("*.py")):
         nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
         docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
         for node in nodes:

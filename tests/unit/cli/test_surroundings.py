@@ -19,7 +19,7 @@ from armsight.drivers.live import open_camera
 from armsight.drivers.sources import open_video
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, Inconsistent
 from armsight.records import Frame
-from armsight.sim.backdrops import picture_backdrop
+from armsight_sim.backdrops import picture_backdrop
 
 JOINTS = "q1,q2,q3,q4,q5,q6\n0,0,0,0,0,0\n"
 FK = "kinematics fk --arm ur10 --joints joints.csv -o poses.csv --json"

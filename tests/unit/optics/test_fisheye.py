@@ -13,7 +13,7 @@ from armsight.errors import Inconsistent
 from armsight.optics import Camera, LensKind, Plate, Rig, RigKind, epipolar_distance, triangulate
 from armsight.optics.epipolar import epipolar_curve
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point, undistort_point
-from armsight.sim.lens import Lens
+from armsight_sim.lens import Lens
 
 D = (-0.012, 0.02, -0.015, 0.004)
 CAMERA = Camera.fisheye(1280, 1024, 420.0, 415.0, 640.3, 511.2, skew=0.3, distortion=D)

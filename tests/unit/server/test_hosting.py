@@ -21,11 +21,10 @@ from armsight.control.setpoints import JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, UsageError
 from armsight.records import JointReading
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.robot import RobotFault, SimRobot
-from armsight.sim.servo import Drive
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing.clocks import GatedClock
+from armsight_sim.arms import Drive, SimArm, SimJoint
+from armsight_sim.robot import RobotFault, SimRobot
 
 CYCLE_S = 0.02
 UP = np.array([0.2, 0.1])

@@ -11,19 +11,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
 from armsight.kinematics import pose
-from armsight.sim.arms import FlangeLimits, SimArm, SimJoint, covered
-from armsight.sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoints
-from armsight.sim.scenario_builder import robotics
-from armsight.sim.scenario_schema import Scenario
-from armsight.sim.scene import Rest
-from armsight.sim.servo import Drive, Servo
 from armsight.store.arm_file import arm_from_mapping
+from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint, covered
+from armsight_sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoints
+from armsight_sim.scenario_builder import robotics
+from armsight_sim.scenario_schema import Scenario
+from armsight_sim.scene import Rest
 
 NAMES = ("korayem2018-circle", "kapucu2005-rrp", "webcam-cell", "pachidis2005-static")
 
 
 def arm_of(name: str) -> SimArm:
-    text = (files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text()
+    text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
     return robotics(Scenario.model_validate(yaml.safe_load(text)), 3).true
 
 

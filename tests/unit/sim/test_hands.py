@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
-from armsight.sim.hands import CIRCLE_M, JITTER_M, RUN_UP_S, Hand, RoundPath, WanderingPath, hand_path
+from armsight_sim.motions import CIRCLE_M, JITTER_M, RUN_UP_S, Hand, RoundPath, WanderingPath, hand_path
 
 START = RigidTransform.from_components([0.2, 1.2, 0.1], Rotation.from_rotvec([-2.7, 0.1, 0.0]))
 T_S = np.arange(0.0, 20.0, 0.01)

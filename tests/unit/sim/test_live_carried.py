@@ -10,9 +10,9 @@ from armsight.clock import ManualClock
 from armsight.errors import DeviceFailed
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.records import PoseStatus
-from armsight.sim.live import live_cell
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.targets import target_from_mapping
+from armsight_sim.live import live_cell
 
 
 def cell_of(name: str, clock: ManualClock, **asked):

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim import Lens, Light, Patch, Rest, Sensor, SimCamera, ambient
-from armsight.sim.pipeline import PIPELINES, LensLosses, Pipeline
-from armsight.sim.room_schema import checked_pipeline
+from armsight_sim import Lens, Light, Patch, Rest, Sensor, SimCamera, ambient
+from armsight_sim.pipeline import PIPELINES, LensLosses, Pipeline
+from armsight_sim.scenario_keys import checked_pipeline
 
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
 WIDTH, HEIGHT = 96, 64

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import ndtr
 
 from armsight.errors import Inconsistent
-from armsight.sim import (
+from armsight_sim import (
     Ghost,
     Lens,
     Light,

@@ -15,19 +15,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.simulate.scenarios import load_scenario, scenario_names, settled_text
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
-from armsight.sim.mirror import Mirrors, mirror_views
-from armsight.sim.pipeline import IDEAL
-from armsight.sim.room_schema import checked_room, pipeline_of
-from armsight.sim.rooms import textures as tx
-from armsight.sim.rooms.furniture import AHEAD, Furnisher
-from armsight.sim.rooms.occluders import make_occluder
-from armsight.sim.rooms.presets import Layout
-from armsight.sim.rooms.room import furnished, layout_about, upright
-from armsight.sim.rooms.scene import Panel, Scene, Texture
-from armsight.sim.rooms.view import View
-from armsight.sim.scenario_builder import build_world
-from armsight.sim.scenario_schema import Scenario
+from armsight_sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
+from armsight_sim.pipeline import IDEAL
+from armsight_sim.rigs import Mirrors, mirror_views
+from armsight_sim.rooms import textures as tx
+from armsight_sim.rooms.furniture import AHEAD, Furnisher
+from armsight_sim.rooms.occluders import make_occluder
+from armsight_sim.rooms.room import Layout, furnished, layout_about, upright
+from armsight_sim.rooms.scene import Panel, Scene, Texture, View
+from armsight_sim.scenario_builder import build_world
+from armsight_sim.scenario_keys import checked_room, pipeline_of
+from armsight_sim.scenario_schema import Scenario
 
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
 
@@ -213,7 +211,7 @@ def test_a_picture_of_ones_own_is_what_the_camera_delivers(tmp_path: Path) -> No
 
 def scenario(name: str, **keys: Any) -> dict[str, Any]:
     """A scenario's content in the dark, as ideal cameras see it."""
-    text = (files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text()
+    text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
     mapping: dict[str, Any] = copy.deepcopy(yaml.safe_load(text))
     mapping["cameras"]["pipeline"] = "ideal"
     mapping["room"] = "dark"

@@ -13,10 +13,9 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.errors import DeviceFailed
-from armsight.sim.arms import SimArm, SimJoint
-from armsight.sim.servo import Drive
-from armsight.sim.twins.rtde import RtdeServer
-from armsight.sim.twins.ur_controller import UrController
+from armsight_sim.arms import Drive, SimArm, SimJoint
+from armsight_sim.twins.rtde import RtdeServer
+from armsight_sim.twins.ur_controller import UrController
 
 HOME = [0.1, -1.2, 1.5, -1.0, -1.3, 0.2]
 HOST = f"127.9.{os.getpid() // 250 % 250}.{os.getpid() % 250}"

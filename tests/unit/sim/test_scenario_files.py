@@ -18,13 +18,13 @@ import yaml
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import load_scenario, scenario_names
 from armsight.errors import ArmsightError, BadFile, DeviceNotFound, Inconsistent
-from armsight.sim.scenario_builder import build_world
-from armsight.sim.scenario_schema import Scenario
-from armsight.sim.world import World
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
 from armsight.store.tracks import read_joints, read_poses
 from armsight.store.worlds import read_world
+from armsight_sim.scenario_builder import build_world
+from armsight_sim.scenario_schema import Scenario
+from armsight_sim.world import World
 
 NAMES = (
     "kapucu2005-rrp",
@@ -39,7 +39,7 @@ NAMES = (
 @cache
 def content(name: str) -> dict[str, Any]:
     """A scenario's content in the dark, as ideal cameras see it: rooms have tests of their own."""
-    found: dict[str, Any] = yaml.safe_load((files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text())
+    found: dict[str, Any] = yaml.safe_load((files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text())
     found["cameras"]["pipeline"], found["room"] = "ideal", "dark"
     return found
 
@@ -76,7 +76,7 @@ def test_the_scenarios_are_there() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_number_says_where_it_is_from(name: str) -> None:
-    text = (files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text()
+    text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
     for line in text.splitlines():
         value, _, note = line.partition("#")
         if (

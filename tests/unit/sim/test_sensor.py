@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from armsight.errors import Inconsistent
-from armsight.sim import Patch, Sensor, ambient, with_clutter, with_hot_pixels
+from armsight_sim import Patch, Sensor, ambient, with_clutter, with_hot_pixels
 
 SIZE = 600  # 360,000 pixels: a variance is known to 0.24 %, a correlation to 0.0017
 N = SIZE * SIZE

@@ -13,8 +13,8 @@ import pytest
 import armsight
 from armsight.app.robot import twin as twins
 from armsight.errors import DeviceFailed, UsageError
-from armsight.sim.twins.base import BEHIND_S, note_silence, small_arm, twin_drive, twin_home
-from armsight.sim.twins.rsi import LATE_LIMIT, RsiController
+from armsight_sim.twins.base import BEHIND_S, note_silence, small_arm, twin_drive, twin_home
+from armsight_sim.twins.rsi import LATE_LIMIT, RsiController
 
 
 def test_a_twin_from_python_runs_in_another_process_and_ends_with_the_block() -> None:

@@ -12,9 +12,9 @@ import pytest
 from armsight.clock import ManualClock
 from armsight.drivers.egm.packets import parse
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
-from armsight.sim.twins.base import HOME
-from armsight.sim.twins.egm import EgmTwin
-from armsight.sim.twins.rtde import RtdeTwin
+from armsight_sim.twins.base import HOME
+from armsight_sim.twins.egm import EgmTwin
+from armsight_sim.twins.rtde import RtdeTwin
 
 SLIDE = {"joints": [{"name": "j1", "type": "prismatic", "a_m": 0.0, "alpha_rad": 0.0, "d_m": 0.0, "theta_rad": 0.0}]}
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armsight.sim.twins.urscript import Pose, Program, ScriptError, complete
+from armsight_sim.twins.urscript import Pose, Program, ScriptError, complete
 
 SAID: list[tuple[Any, ...]] = []
 

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.identify.sweep_files import IdentifyJob, seen_in_frames
-from armsight.app.reproduce.stage import Stage
+from armsight.app.reproduce.stage import Stage, method_of
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.drivers import read_image
 from armsight.errors import Inconsistent
 from armsight.optics import Rig
-from armsight.papers.kapucu2005.beacon import beacon_centroid
-from armsight.papers.kapucu2005.joints import PathJoint, joint_of_path
-from armsight.papers.kapucu2005.stereo import camera_places, from_world, to_world
-from armsight.papers.kapucu2005.table import rrp_links
 from armsight.report.identify_report import identify_report
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
 from armsight.store import read_poses, read_rig, read_world, write_text
@@ -61,6 +58,21 @@ MISSING = (
 )
 
 
+class PathJoint(Protocol):
+    """A joint as the paper finds it: its axis through point_m (3,) along direction (3,); radius_m is 0 of a slide."""
+
+    revolute: bool
+    point_m: Array
+    direction: Array
+    radius_m: float
+    n_used: int
+    n_triples: int
+
+
+def _paper() -> Any:
+    return method_of("kapucu2005")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Run:
     """What was seen. All (30, 3) in world, in the order of the readings, unless it says camera or px."""
@@ -85,9 +97,9 @@ def reproduce_kapucu(stage: Stage) -> Reproduction:
     """Return tables and figures of the paper. Raises UsageError for fewer than 30 frames, what identify raises."""
     folder = stage.simulate(SCENARIO, least=READINGS, most=READINGS)
     run = _measure(stage, folder)
-    method = [joint_of_path(run.method_m[run.rows(j)]) for j in range(3)]
-    ours = [joint_of_path(run.ours_m[run.rows(j)]) for j in range(3)]
-    true = [joint_of_path(run.true_m[run.rows(j)]) for j in range(3)]
+    method = [_paper().joint_of_path(run.method_m[run.rows(j)]) for j in range(3)]
+    ours = [_paper().joint_of_path(run.ours_m[run.rows(j)]) for j in range(3)]
+    true = [_paper().joint_of_path(run.true_m[run.rows(j)]) for j in range(3)]
     tables = (_parameters(run, (method, ours, true)), _circles(method, ours, true), _paths(run))
     return Reproduction(
         paper="kapucu2005",
@@ -136,7 +148,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
         sweeps=sweeps,
         left_px=px[0],
         right_px=px[1],
-        method_m=to_world(rig, T, camera_places(rig, px[0], px[1])),
+        method_m=_paper().to_world(rig, T, _paper().camera_places(rig, px[0], px[1])),
         ours_m=result.predicted_m @ T[:3, :3].T + T[:3, 3],
         true_m=np.array([pose.T_parent_target[:3, 3] for pose in poses if pose.T_parent_target is not None]),
         result=result,
@@ -145,7 +157,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
 
 def _centroids(folder: Path, frames: NDArray[np.intp]) -> Array:
     names = sorted(folder.glob("*.png"))
-    return np.array([beacon_centroid(read_image(names[frame], colour=True)) for frame in frames])
+    return np.array([_paper().beacon_centroid(read_image(names[frame], colour=True)) for frame in frames])
 
 
 def _printed_table() -> Mapping[str, tuple[float | None, float | None, bool, str]]:
@@ -168,7 +180,7 @@ def _entries(run: _Run, found: Sequence[PathJoint], places: Array) -> dict[str, 
     """Return the entries of Table 1 from joints and the beacon's places (30, 3) in world."""
     lines = [(joint.point_m, joint.direction) for joint in found]
     slide = run.rows(2)
-    one, two, d3 = rrp_links(lines, places[slide[0]], np.array([1.0, 0.0, 0.0]))
+    one, two, d3 = _paper().rrp_links(lines, places[slide[0]], np.array([1.0, 0.0, 0.0]))
     return {
         "a1_m": one.a_m,
         "d1_m": one.d_m,
@@ -286,7 +298,7 @@ def _paths(run: _Run) -> ComparisonTable:
 
 def _figures(run: _Run) -> tuple[PaperFigure, ...]:
     out = []
-    in_camera = [from_world(run.rig, run.T_world_rig, p) for p in (run.true_m, run.method_m, run.ours_m)]
+    in_camera = [_paper().from_world(run.rig, run.T_world_rig, p) for p in (run.true_m, run.method_m, run.ours_m)]
     in_world = [run.true_m, run.method_m, run.ours_m]
     for j, number in enumerate((7, 10, 13)):
         rows = run.rows(j)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.measure.run import MeasureJob, measure
-from armsight.app.reproduce.stage import Stage
+from armsight.app.reproduce.stage import Stage, method_of
 from armsight.app.reproduce.tracks import (
     SHOWN,
     PoseTracks,
@@ -26,10 +26,6 @@ from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
 from armsight.optics import SIDES, Rig
-from armsight.papers.korayem2018.converged_rig import triangulate_parallel
-from armsight.papers.korayem2018.inverse import nearest_solution
-from armsight.papers.korayem2018.led import led_centroid
-from armsight.papers.three_points import pose_of_three
 from armsight.records import Target
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
 from armsight.store import read_poses, read_rig, read_target, read_times, read_world
@@ -141,6 +137,7 @@ def _by_paper(
 ) -> dict[int, Array]:
     """Return T_rig_target (4, 4) by frame as the paper's method gives it; frames without all lights are left out."""
     files = {side: sorted((folder / side).glob("*.png")) for side in SIDES}
+    centroid = method_of("korayem2018").led_centroid
     out: dict[int, Array] = {}
     for frame in range(n_frames):
         spots = [seen.get((frame, side), {}) for side in SIDES]
@@ -149,12 +146,12 @@ def _by_paper(
         images = [read_image(files[side][frame]) for side in SIDES]
         try:
             uv = [
-                np.array([led_centroid(image, known[name]) for name in target.names])
+                np.array([centroid(image, known[name]) for name in target.names])
                 for image, known in zip(images, spots, strict=True)
             ]
         except NotEnoughData:
             continue
-        out[frame] = pose_of_three(places(rig, uv[0], uv[1]), target.xyz_m)
+        out[frame] = method_of("pachidis2005").pose_of_three(places(rig, uv[0], uv[1]), target.xyz_m)
     return out
 
 
@@ -164,7 +161,7 @@ def places(rig: Rig, left_px: Array, right_px: Array) -> Array:
     baseline_m = rig.baseline_m
     centres = [camera.intrinsics[2:4] for camera in (rig.left, rig.right)]
     uv_m = [-(px - centre) * PIXEL_M for px, centre in zip((left_px, right_px), centres, strict=True)]
-    XYZ = triangulate_parallel(focal_m, baseline_m, uv_m[0], uv_m[1])
+    XYZ = method_of("korayem2018").triangulate_parallel(focal_m, baseline_m, uv_m[0], uv_m[1])
     return np.asarray(XYZ + np.array([0.5 * baseline_m, 0.0, -focal_m]))
 
 
@@ -206,7 +203,8 @@ def _joints(run: _Run) -> ComparisonTable:
     tracks = run.tracks
     T_tool_flange = run.arm.T_flange_tool.inv().as_matrix()
     T_base_world = run.arm.T_world_base.inv().as_matrix()
-    paper = [nearest_solution(T_base_world @ T @ T_tool_flange, q) for T, q in zip(tracks.method, run.q, strict=True)]
+    nearest = method_of("korayem2018").nearest_solution
+    paper = [nearest(T_base_world @ T @ T_tool_flange, q) for T, q in zip(tracks.method, run.q, strict=True)]
     ours = [run.arm.ik(T, near=q)[0].q for T, q in zip(tracks.ours, run.q, strict=True)]
     true = [run.arm.ik(T, near=q)[0].q for T, q in zip(tracks.true, run.q, strict=True)]
     names = [f"q{k}_rad" for k in range(1, 7)]

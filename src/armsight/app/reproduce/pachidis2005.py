@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.measure.run import MeasureJob, measure
-from armsight.app.reproduce.stage import Stage
+from armsight.app.reproduce.stage import Stage, method_of
 from armsight.app.reproduce.tracks import (
     COORDINATES,
     SHOWN,
@@ -26,9 +27,6 @@ from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.optics import Rig
-from armsight.papers.pachidis2005.areas import light_pairs, lit_areas
-from armsight.papers.pachidis2005.psvs import Psvs, plate_shift
-from armsight.papers.three_points import pose_of_three
 from armsight.records import Target
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
 from armsight.store import read_poses, read_rig, read_target, read_times
@@ -176,27 +174,28 @@ def _record(stage: Stage, name: str) -> _Recorded:
 
 def _by_paper(folder: Path, vision: _Vision) -> dict[int, Array]:
     """Return T_rig_target (4, 4) by frame as the paper's method gives it; frames without six areas are left out."""
-    psvs, rig = _psvs(vision.rig), vision.rig
+    paper, psvs, rig = method_of("pachidis2005"), _psvs(vision.rig), vision.rig
     rows, columns = np.mgrid[0 : rig.left.height, 0 : rig.left.width]
     mask = (np.abs(columns - psvs.u0_px) < MASK_PX[0]) & (np.abs(rows - psvs.v0_px) < MASK_PX[1])
     out: dict[int, Array] = {}
     order = [vision.target.names.index(name) for name in "ABC"]
     for i, path in enumerate(sorted((folder / "image").glob("*.png"))):
         try:
-            left, right = light_pairs(lit_areas(read_image(path), THRESHOLD, mask))
+            left, right = paper.light_pairs(paper.lit_areas(read_image(path), THRESHOLD, mask))
         except NotEnoughData:
             continue
-        out[i] = pose_of_three(psvs.places(left, right), vision.target.xyz_m[order])
+        out[i] = paper.pose_of_three(psvs.places(left, right), vision.target.xyz_m[order])
     return out
 
 
-def _psvs(rig: Rig) -> Psvs:
-    """Return the rig in the paper's terms."""
+def _psvs(rig: Rig) -> Any:
+    """Return the rig in the paper's terms, a Psvs."""
+    paper = method_of("pachidis2005")
     au, av, u0, v0 = rig.right.intrinsics[:4]
     plate = rig.left.plate
-    m, shift = plate_shift(plate.thickness_m, plate.index) if plate else (0.0, 0.0)
+    m, shift = paper.plate_shift(plate.thickness_m, plate.index) if plate else (0.0, 0.0)
     baseline_m = 2.0 * float(rig.T_rig_right.translation[0])
-    return Psvs(au_px=au, av_px=av, u0_px=u0, v0_px=v0, baseline_m=baseline_m, m_m=m, l_m=shift)
+    return paper.Psvs(au_px=au, av_px=av, u0_px=u0, v0_px=v0, baseline_m=baseline_m, m_m=m, l_m=shift)
 
 
 def _about_mean(poses: Array) -> Array:

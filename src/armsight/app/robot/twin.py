@@ -15,13 +15,11 @@ from armsight import errors
 from armsight.app.arm_files import load_arm
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import SystemClock
-from armsight.drivers import load
+from armsight.drivers import TWINS, load
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.kinematics import in_convention
 from armsight.store.arm_file import arm_mapping
 
-TWINS = "armsight.twins"
-"""Group of callables (*, port, connect, arm, cycle_s, clock) -> Twin; see sim/twins/base.py."""
 END_S = 5.0
 """Longest wait for a twin's process to end, before it is killed."""
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, known, load
+from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, folder, known, load
 from armsight.errors import DeviceNotFound
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import named, validated
 from armsight.store.yamls import MAX_BYTES, parse_yaml
 
 MODEL = "scenario"
-WORLD, LIVE, VIEW = "world", "live", "view"
+FILES, WORLD, LIVE, VIEW = "files", "world", "live", "view"
 VIEWS = ("left", "right", "image")
 
 ROOM_BLOCK = re.compile(r"^room:.*\n(?:[ \t]+.*\n|#.*\n(?=[ \t]))*", re.MULTILINE)
@@ -25,20 +24,24 @@ ROOM_BLOCK = re.compile(r"^room:.*\n(?:[ \t]+.*\n|#.*\n(?=[ \t]))*", re.MULTILIN
 
 
 def scenario_names() -> tuple[str, ...]:
-    """Return the names of the built-in scenarios, sorted."""
-    folder = files("armsight") / "sim" / "scenarios"
-    return tuple(sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml")))
+    """Return the names of the built-in scenarios, sorted; none where the simulation is not installed."""
+    if FILES not in known(SCENARIOS):
+        return ()
+    return tuple(sorted(path.stem for path in folder(SCENARIOS, FILES).glob("*.yaml")))
 
 
 def scenario_text(name: str) -> tuple[bytes, str] | None:
-    """Return the content of a built-in scenario or of a file, and what to call it; None where it is neither."""
+    """Return the content of a built-in scenario or of a file, and what to call it; None where it is neither.
+
+    Raises DeviceNotFound for a name where the simulation is not installed.
+    """
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
         return read_bytes(path, limit=MAX_BYTES), name
+    inside = folder(SCENARIOS, FILES) / f"{name}.yaml"
     if name not in scenario_names():
         return None
-    with as_file(files("armsight") / "sim" / "scenarios" / f"{name}.yaml") as inside:
-        return read_bytes(inside, limit=MAX_BYTES), f"the scenario {name}"
+    return read_bytes(inside, limit=MAX_BYTES), f"the scenario {name}"
 
 
 def load_scenario(name: str) -> tuple[Any, str]:

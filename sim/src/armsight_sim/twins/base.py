@@ -1,0 +1,163 @@
+"""What every twin is: an emulated controller of its own process, found by name among the entry points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent, UsageError
+from armsight_sim.arms import Drive, SimArm, SimJoint
+
+Array = NDArray[np.float64]
+
+BEHIND_S = 0.1
+"""A twin that wakes so late has been silent for longer than its driver may wait (rtde: 0.1 s): it says so."""
+
+MAX_SPEED = 3.0
+"""Largest joint speed in rad/s or m/s where the arm's file states none."""
+
+LAG_S = 0.02
+"""Time constant of the motors."""
+
+ENCODER_STEP = 1e-5
+"""Resolution of the encoders in rad or m."""
+
+HOME = (0.1, -0.4, 0.5, -0.8, 0.9, 0.4)
+"""Joint values a twin stands at first, as far as its ranges allow."""
+
+TABLE = (
+    (0.0, -1, 0.29, 0),
+    (0.27, 0, 0.0, -1),
+    (0.07, -1, 0.0, 0),
+    (0.0, 1, 0.302, 0),
+    (0.0, -1, 0.0, 0),
+    (0.0, 0, 0.072, 0),
+)
+"""The arm of a twin that was given none: a in m, alpha in quarter turns, d in m, theta in quarter turns."""
+
+
+class Twin(Protocol):
+    """An emulated controller; `with` opens and closes it.
+
+    Made as XTwin(port=, connect=, arm=, cycle_s=, clock=), each but the clock None where the person did not say it.
+    port: where it listens; connect: HOST:PORT of the driver it sends to; arm: arm.yaml's structure. A twin shares no
+    protocol code with the driver it is for.
+    """
+
+    @property
+    def address(self) -> str:
+        """What the driver is told to open it, as DRIVER:DEVICE; known when it is open."""
+        ...
+
+    @property
+    def messages(self) -> list[str]:
+        """Why it stopped the arm or fell silent, oldest first; whoever tells them takes them out."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Open its line. Raises DeviceFailed where that cannot be done."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close its line."""
+        ...
+
+    def run(self, on: Callable[[], bool]) -> None:
+        """Work in real time as long as on() holds; it is asked once a cycle."""
+        ...
+
+
+def note_silence(messages: list[str], late_s: float) -> None:
+    """Note that a twin was silent because this computer woke it so late."""
+    if late_s > BEHIND_S:
+        messages.append(f"silent for {late_s:.2f} s: this computer had no time for it")
+
+
+def twin_arm(mapping: Mapping[str, Any] | None) -> SimArm:
+    """Return the arm of arm.yaml's structure, or the small one of six axes. Raises UsageError where it cannot be."""
+    if mapping is None:
+        return small_arm()
+    if mapping.get("convention", "standard") != "standard":
+        raise UsageError("the twin's arm is not in standard convention", cure="Convert it: armsight convert arm")
+    joints = []
+    for row in mapping["joints"]:
+        odd = [key for key in ("beta_rad", "coupled") if row.get(key)] + ["sign"] * (row.get("sign", 1) != 1)
+        if odd:
+            raise UsageError(
+                f"joint {row['name']} has {', '.join(odd)}, which a twin cannot emulate",
+                consequence="There is no twin",
+                cure="Take an arm of nominal lengths and angles",
+            )
+        lengths = {key: float(row.get(key) or 0.0) for key in ("a_m", "alpha_rad", "d_m", "theta_rad")}
+        joints.append(
+            SimJoint(
+                name=str(row["name"]),
+                prismatic=row.get("type") == "prismatic",
+                lower=_or(row.get("lower"), -math.inf),
+                upper=_or(row.get("upper"), math.inf),
+                max_speed=_or(row.get("max_speed"), MAX_SPEED),
+                **lengths,
+            )
+        )
+    return SimArm(joints=tuple(joints))
+
+
+def small_arm() -> SimArm:
+    """Return a small arm of six axes."""
+    quarter = math.pi / 2
+    return SimArm(
+        joints=tuple(
+            SimJoint(
+                name=f"j{i}",
+                a_m=a,
+                alpha_rad=k * quarter,
+                d_m=d,
+                theta_rad=t * quarter,
+                lower=-3.0,
+                upper=3.0,
+                max_speed=MAX_SPEED,
+            )
+            for i, (a, k, d, t) in enumerate(TABLE, 1)
+        )
+    )
+
+
+def twin_drive(arm: SimArm, cycle_s: float) -> Drive:
+    """Return the motors of a twin. Raises UsageError for a cycle that cannot be."""
+    if not 0.0 < cycle_s <= 1.0:
+        raise UsageError(f"a cycle of {cycle_s} s cannot be", cure="Give 0.004 or 0.028, for instance")
+    speed = np.array([joint.max_speed for joint in arm.joints])
+    return Drive(cycle_s=cycle_s, lag_s=LAG_S, max_speed=speed, encoder_step=np.full(arm.n, ENCODER_STEP))
+
+
+def twin_home(arm: SimArm) -> Array:
+    """Return joint values (n,) within the ranges, away from where the axes of six line up."""
+    return clipped(arm, np.resize(HOME, arm.n))
+
+
+def clipped(arm: SimArm, q: Array) -> Array:
+    """Return joint values (n,) within the ranges of an arm. Raises Inconsistent where they are not finite."""
+    if not np.isfinite(q).all():
+        raise Inconsistent("joint values are not finite")
+    return np.clip(q, [joint.lower for joint in arm.joints], [joint.upper for joint in arm.joints])
+
+
+def host_port(text: str) -> tuple[str, int]:
+    """Return the host and port of HOST:PORT, or of PORT on this machine. Raises UsageError."""
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit()):
+        raise UsageError(f"{text!r} is not HOST:PORT", cure="Give for instance 127.0.0.1:49152")
+    if not 0 < int(port) < 65536:
+        raise UsageError(f"there is no port {port}", cure="Give one from 1 to 65535, for instance 127.0.0.1:49152")
+    return host or "127.0.0.1", int(port)
+
+
+def _or(value: Any, otherwise: float) -> float:
+    return otherwise if value is None else float(value)

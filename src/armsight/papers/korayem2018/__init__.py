@@ -1,1 +1,0 @@
-"""Korayem et al. 2018: the converged rig in sensor coordinates, and the rotary base under a rig."""

@@ -1,0 +1,169 @@
+"""armsight without armsight-sim: its own work goes on, and what would be simulated is refused with the cure.
+
+The environment is a new one that holds links to all that is installed here, armsight-sim excepted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import venv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import armsight
+from armsight._version import __version__
+from armsight.app.simulate.run import simulate
+from armsight.kinematics import fk, presets
+
+ROOT = Path(__file__).resolve().parents[2]
+
+WORKS = (
+    "--help",
+    "simulate --help",
+    "measure --rig cell/rig.yaml --target cell/target.yaml --left cell/left --right cell/right -o measured --json",
+    "calibrate robot-world --arm arm/arm_true.yaml --points arm/observed.csv -o world.yaml --json",
+    "identify --sweep sweep.csv -o found.yaml --json",
+    "verify --measured measured.csv --commanded commanded.csv -o verified --json",
+    "kinematics fk --arm stanford-rrp --joints joints.csv -o flange.csv --json",
+    "doctor --json",
+)
+REFUSED = (
+    "demo -o none --json",
+    "simulate webcam-cell -o none --json",
+    "simulate hand-cell -o none --json",
+    "simulate handeye -o none --json",
+    "simulate cell/scenario.yaml -o none --json",
+    "reproduce kapucu2005 -o none --json",
+    "robot test --robot sim:webcam-cell --json",
+    "twin rsi",
+    "record --cell hand-cell -o none.mcap --json",
+    "measure --rig cell/rig.yaml --target cell/target.yaml --left camera:sim:webcam-cell:left "
+    "--right camera:sim:webcam-cell:right -o none --json",
+)
+
+CODE = """
+import importlib.util, json, sys
+from typer.testing import CliRunner
+import armsight
+from armsight.cli.commands import app
+
+out = {"there": importlib.util.find_spec("armsight_sim") is not None, "scenarios": armsight.scenarios()}
+for line in json.load(sys.stdin):
+    done = CliRunner().invoke(app, line.split())
+    out[line] = [done.exit_code, done.stdout, done.stderr]
+try:
+    armsight.simulate("webcam-cell")
+except armsight.ArmsightError as error:
+    out["simulate"] = [type(error).__name__, error.cure]
+print(json.dumps(out))
+"""
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what every command does there: exit code, stdout, stderr."""
+    work = tmp_path_factory.mktemp("bare")
+    simulate("hand-cell", work / "cell", seed=1, frames=4, room="dark")
+    simulate("arm-points", work / "arm", seed=1)
+    write_sweep(work)
+    write_track(work)
+    venv.create(work / "venv")
+    here = Path(sysconfig.get_path("purelib"))
+    packages = work / "venv" / here.relative_to(sys.prefix)
+    for path in here.iterdir():
+        if "armsight_sim" not in path.name:
+            (packages / path.name).symlink_to(path)
+    done = subprocess.run(
+        [str(work / "venv" / "bin" / "python"), "-c", CODE],
+        cwd=work,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        input=json.dumps([*WORKS, *REFUSED]),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def write_sweep(folder: Path) -> None:
+    """Write the track of a beacon on an arm whose three joints move in turn, and one reading of its joints."""
+    n, home = 10, np.array([0.2, 0.3, 0.5])
+    joint, q = np.repeat([1, 2, 3], n), np.tile(home, (3 * n, 1))
+    for number, travel in enumerate((1.2, 1.0, 0.4)):
+        q[joint == number + 1, number] += np.linspace(-0.5, 0.5, n) * travel
+    xyz_m = fk(presets.stanford_rrp(), q)[:, :3, 3] + np.random.default_rng(1).normal(0.0, 1e-4, (3 * n, 3))
+    rows = [",".join(map(repr, [int(j), *map(float, values)])) for j, *values in np.column_stack([joint, q, xyz_m])]
+    (folder / "sweep.csv").write_text("\n".join(["joint,q1,q2,q3,x_m,y_m,z_m", *rows]) + "\n")
+    (folder / "joints.csv").write_text("q1,q2,q3\n0.2,0.3,0.5\n")
+
+
+def write_track(folder: Path) -> None:
+    """Write commanded and measured poses, in one order and without times."""
+    rng = np.random.default_rng(2)
+    poses = np.column_stack([rng.uniform(-0.2, 0.2, (20, 3)), Rotation.random(20, rng=rng).as_quat()])
+    for name, off in (("commanded", np.zeros(7)), ("measured", 1e-3 * np.eye(7)[0])):
+        rows = [",".join(map(repr, row)) for row in (poses + off).tolist()]
+        (folder / f"{name}.csv").write_text("\n".join(["x_m,y_m,z_m,qx,qy,qz,qw", *rows]) + "\n")
+
+
+def test_the_simulation_is_not_there(bare: dict[str, Any]) -> None:
+    assert not bare["there"]
+    assert bare["scenarios"] == []
+    assert "webcam-cell" in armsight.scenarios(), "... and it is here"
+
+
+@pytest.mark.parametrize("line", WORKS)
+def test_armsights_own_work_goes_on(bare: dict[str, Any], line: str) -> None:
+    code, stdout, stderr = bare[line]
+    assert code == 0, stderr or stdout
+    if line.startswith("measure"):
+        assert json.loads(stdout)["n_ok"] == 4
+    if line.startswith("doctor"):
+        assert json.loads(stdout)["drivers"]["cells"] == [] and "egm" in json.loads(stdout)["drivers"]["robots"]
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_what_would_be_simulated_is_refused_with_the_cure(bare: dict[str, Any], line: str) -> None:
+    code, stdout, stderr = bare[line]
+    assert code == 4, stderr or stdout
+    if "--json" in line:
+        error = json.loads(stdout)["error"]
+        assert (error["kind"], error["exit_code"]) == ("DeviceNotFound", 4)
+        assert error["consequence"] and "armsight[sim]" in error["cure"]
+    else:
+        assert "armsight[sim]" in stderr
+
+
+def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
+    kind, cure = bare["simulate"]
+    assert kind == "DeviceNotFound" and "armsight[sim]" in cure
+
+
+def test_both_distributions_have_one_version_and_ask_for_each_other_by_it() -> None:
+    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    sim = tomllib.loads((ROOT / "sim" / "pyproject.toml").read_text(encoding="utf-8"))
+    assert core["project"]["optional-dependencies"]["sim"] == [f"armsight-sim=={__version__}"]
+    assert f"armsight=={__version__}" in sim["project"]["dependencies"]
+    for project, folder in ((core, ROOT), (sim, ROOT / "sim")):
+        assert project["project"]["dynamic"] == ["version"]
+        assert (folder / project["tool"]["hatch"]["version"]["path"]).resolve() == ROOT / "src/armsight/_version.py"
+
+
+def test_the_simulation_asks_for_no_other_version_of_what_both_need() -> None:
+    core, sim = (
+        {re.split(r"[<>=]", need)[0]: need for need in tomllib.loads(path.read_text())["project"]["dependencies"]}
+        for path in (ROOT / "pyproject.toml", ROOT / "sim" / "pyproject.toml")
+    )
+    sim.pop("armsight")
+    assert sim and sim.items() <= core.items()
