@@ -226,9 +226,7 @@ def expect(setup: Setup, state: MotionState, side: int, timing: CameraTiming, he
     uv, H, tau = np.empty((m, 2)), np.empty((2 * m, kernels.N)), np.zeros(m)
     for _ in range(2 if timing.rolling else 1):
         for i in range(m):
-            if not observe(
-                state.x, packed.k[side], packed.R[side], packed.t[side], X[i], tau[i], uv[i], H[2 * i : 2 * i + 2]
-            ):
+            if not observe(state.x, packed.camera(side), X[i], tau[i], uv[i], H[2 * i : 2 * i + 2]):
                 return None
         tau = timing.line_time(uv[:, 1], height)
     return Expected(uv_px=uv, H=H, S=H @ state.C @ H.T, tau_s=tau)

@@ -30,9 +30,7 @@ def systematic_covariance(setup: Setup, state: MotionState) -> Array | None:
     X, packed = setup.model.xyz_m, setup.packed
     unit, out = np.tile(np.eye(2), (len(X), SIDES, 1, 1)), np.zeros((6, 6))
     rig_covariance.carry_to_pose(
-        packed.k,
-        packed.R,
-        packed.t,
+        packed.arrays,
         unit,
         X,
         state.T_rig_target,
@@ -50,6 +48,6 @@ def _slopes(setup: Setup, state: MotionState) -> Array | None:
     H, uv = np.zeros((SIDES, len(X), 2, kernels.N)), np.empty(2)
     for side in range(SIDES):
         for i, place in enumerate(X):
-            if not observe(state.x, packed.k[side], packed.R[side], packed.t[side], place, 0.0, uv, H[side, i]):
+            if not observe(state.x, packed.camera(side), place, 0.0, uv, H[side, i]):
                 return None
     return H[..., :6]

@@ -129,7 +129,7 @@ def _triangulate(
     xyz, covariance, chi2 = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
     chi2.fill(np.nan)
     verdict = np.zeros(n, np.int8)
-    kernels.triangulate_rows(packed.k, packed.R, packed.t, uv, cov, likeliest, xyz, covariance, chi2, verdict)
+    kernels.triangulate_rows(packed.arrays, uv, cov, likeliest, xyz, covariance, chi2, verdict)
     return Triangulation(xyz_m=xyz, covariance_m2=covariance, chi2=chi2, verdict=verdict)
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from armsight.measure.poses.kernels.correspondence import _keep
+from armsight.measure.poses.kernels.correspondence import Best, _keep
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
     BLOCK,
@@ -26,6 +26,7 @@ from armsight.measure.spots.kernels.detection.scan import (
     threshold_map,
 )
 from armsight.measure.spots.kernels.fitting.round_gaussian import MOST, REACH, set_box
+from armsight.measure.spots.kernels.picture import Picture
 
 Image = NDArray[np.uint8]
 NO_MASK = np.empty((0, 0), np.uint8)
@@ -69,13 +70,14 @@ def test_areas_are_those_of_scipys_labels(number: int) -> None:
     h, w = image.shape
     most = h * w
     table, runs, parent = np.empty((most, COLUMNS)), np.empty((most, 3), np.int32), np.empty(most, np.int32)
+    picture = Picture(image, np.uint8(0), 255, NO_MASK)
     hits = np.empty((most + BLOCK - 1) // BLOCK, np.int64)
     blocks = bright_blocks(image.reshape(-1), np.uint8(0), LEVEL, hits)
     level = np.full((GRID, GRID), float(LEVEL))
-    n = connected_components(image, np.uint8(0), NO_MASK, 255, level, False, hits, blocks, runs, parent, table)
+    n = connected_components(picture, level, False, hits, blocks, runs, parent, table)
     assert found(table, n) == expected(image)
     whole = np.array([0, w, 0, h])
-    n = connected_components_in_window(image, np.uint8(0), NO_MASK, 255, LEVEL, whole, runs, parent, table)
+    n = connected_components_in_window(picture, LEVEL, whole, runs, parent, table)
     assert found(table, n) == expected(image)
 
 
@@ -154,7 +156,7 @@ def test_hypotheses_are_kept_in_order_and_the_worst_goes_where_there_is_no_room(
         names, chi2s, poses = np.zeros((room, 3), np.intp), np.zeros(room), np.zeros((room, 3, 4))
         kept = 0
         for k, chi2 in enumerate(values):
-            kept = _keep(kept, room, margin, np.full(3, k), chi2, np.eye(3), np.zeros(3), names, chi2s, poses)
+            kept = _keep(kept, margin, np.full(3, k), chi2, np.eye(3), np.zeros(3), Best(names, chi2s, poses))
         wanted = [v for v in sorted(values)[:room] if v <= min(values) + margin]
         assert chi2s[:kept].tolist() == wanted
         assert [values[row[0]] for row in names[:kept]] == wanted

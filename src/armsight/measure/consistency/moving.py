@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +40,15 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     for start in starts:
         weight[start.view : start.view + SETTLED_VIEWS] = 0.0
     information, score, chi2 = np.zeros((BLOCKS, q, q)), np.zeros((BLOCKS, q)), np.zeros(BLOCKS)
-    states, sums = (run.xs, run.xp, run.Cp, run.Cs, run.Fs, dp, ds), (information, score, chi2)
-    run_evidence: Any = kernels.run_evidence  # many columns by one star
-    run_evidence(*run.spots, *run.cameras, np.ascontiguousarray(evidence.basis), weight, block, *states, *sums)
+    kernels.run_evidence(
+        run.rows.views,
+        run.rows.spots,
+        setup.packed.arrays,
+        (run.positions_m, np.ascontiguousarray(evidence.basis)),
+        (weight, block),
+        *run.states(ds, dp),
+        (information, score, chi2),
+    )
     dof = np.bincount(block, weight * [2.0 * len(view.lights) for view in views], BLOCKS)
     for k in np.unique(block[weight > 0.0]).tolist():
         part = Block(

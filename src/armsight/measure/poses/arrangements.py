@@ -62,28 +62,11 @@ def search_arrangements(
     rows, chi2 = np.empty((scope.room, m), np.intp), np.empty(scope.room)
     poses = np.empty((scope.room, 3, 4))
     found, passed, cut = kernels.search(
-        packed.k,
-        packed.R,
-        packed.t,
-        model.xyz_m,
-        model.distance_m,
-        radius_m,
-        model.normal,
+        packed.arrays,
+        (model.xyz_m, model.distance_m, radius_m, model.normal),
         outlines,
-        pairs.index,
-        pairs.uv_px,
-        pairs.cov_px2,
-        pairs.xyz_m,
-        pairs.cov_m2,
-        slack_px**2,
-        PAIR_GATE,
-        model.limits,
-        scope.margin,
-        pairs.overlaid,
-        scope.smaller,
-        scope.most_nodes,
-        rows,
-        chi2,
-        poses,
+        (pairs.index, pairs.uv_px, pairs.cov_px2, pairs.xyz_m, pairs.cov_m2),
+        (slack_px**2, PAIR_GATE, model.limits, scope.margin, pairs.overlaid, scope.smaller, scope.most_nodes),
+        (rows, chi2, poses),
     )
     return Arrangements(rows=rows[:found], chi2=chi2[:found], poses=poses[:found], passed=int(passed), cut=bool(cut))

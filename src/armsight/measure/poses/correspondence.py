@@ -199,14 +199,9 @@ def _neg2_log_likelihood(
     radius = model.radius_m * np.column_stack([outline[0, index[:, 0]], outline[1, index[:, 1]]])
     return float(
         kernels.neg2_log_likelihood(
-            packed.k,
-            packed.R,
-            packed.t,
-            model.xyz_m[named],
-            radius,
-            model.normal,
-            pairs.uv_px[a.pair],
-            pairs.cov_px2[a.pair],
+            packed.arrays,
+            (model.xyz_m[named], radius, model.normal),
+            (pairs.uv_px[a.pair], pairs.cov_px2[a.pair]),
             a.R,
             a.t_m,
         )

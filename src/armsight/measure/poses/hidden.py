@@ -83,21 +83,14 @@ def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tup
     """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
     out = np.zeros((2, len(left), kernels.FINDING))
     verdict = kernels.compare_lights(
-        channels(frames[0]),
-        channels(frames[1]),
+        (channels(frames[0]), channels(frames[1])),
         setup.settings.options,
-        setup.packed.k,
-        setup.packed.R,
-        setup.packed.t,
+        setup.packed.arrays,
         solved.points.xyz_m,
         UNKNOWN if solved.T is None else solved.T,
         setup.model.lean,
-        left.uv_px,
-        left.covariance_px2,
-        sizes(left, overlaid=setup.overlaid),
-        right.uv_px,
-        right.covariance_px2,
-        sizes(right, overlaid=setup.overlaid),
+        (left.uv_px, left.covariance_px2, sizes(left, overlaid=setup.overlaid)),
+        (right.uv_px, right.covariance_px2, sizes(right, overlaid=setup.overlaid)),
         out,
     )
     return int(verdict), out

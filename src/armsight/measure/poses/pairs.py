@@ -68,14 +68,10 @@ def pair_spots(
     view's, their order tells: the other way round they would meet behind the cameras.
     """
     index, uv, cov, P, S, behind = kernels.candidate_pairs(
-        packed.k,
-        packed.R,
-        packed.t,
+        packed.arrays,
         packed.baseline,
-        left.uv_px,
-        left.covariance_px2,
-        right.uv_px,
-        right.covariance_px2,
+        (left.uv_px, left.covariance_px2),
+        (right.uv_px, right.covariance_px2),
         slack_px**2,
         PAIR_GATE,
         overlaid,

@@ -201,9 +201,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     n, packed = len(track.names), setup.packed
     predicted, at_left, at_right = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 2))
     dt = t_s - track.t_s
-    if not kernels.predict_views(
-        packed.k, packed.R, packed.t, track.xyz_m, track.velocity_m_s, dt, predicted, at_left, at_right
-    ):
+    if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at_left, at_right):
         return None
     if setup.overlaid:
         both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup.sides[0])

@@ -141,14 +141,10 @@ def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, a
     for array in (*uv, *cov):
         array.setflags(write=False)  # as those of Spots: one compilation serves both
     index, uv_px, cov_px2, P, S, behind = kernels.candidate_pairs(
-        packed.k,
-        packed.R,
-        packed.t,
+        packed.arrays,
         packed.baseline,
-        uv[0],
-        cov[0],
-        uv[1],
-        cov[1],
+        (uv[0], cov[0]),
+        (uv[1], cov[1]),
         slack2,
         PAIR_GATE,
         setup.overlaid,

@@ -118,14 +118,9 @@ def blobs(grey: Image, settings: SpotSettings, noise: float, faint: bool) -> tup
     peaks = pyramid_peaks(seen, contrast, settings.max_radius_px)
     table = np.empty((MOST, COLUMNS))
     n, looked, _ = grow_blobs(
-        grey,
-        np.uint8(255 if settings.inverted else 0),
-        settings.saturation,
-        settings.mask_bytes,
+        (grey, np.uint8(255 if settings.inverted else 0), settings.saturation, settings.mask_bytes),
         peaks,
-        contrast,
-        float(settings.min_pixels),
-        settings.max_radius_px,
+        (contrast, float(settings.min_pixels), settings.max_radius_px),
         table,
         MOST_GROWN,
     )

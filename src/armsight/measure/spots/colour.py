@@ -212,14 +212,9 @@ def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
     peaks = np.ascontiguousarray(peaks[np.max(near, axis=0) >= LEAST_SIGNAL])
     table = np.empty((MOST, COLUMNS))
     n, looked, _ = grow_blobs(
-        signal,
-        np.uint8(0),
-        plain.saturation,
-        plain.mask_bytes,
+        (signal, np.uint8(0), plain.saturation, plain.mask_bytes),
         peaks,
-        CONTRAST,
-        float(plain.min_pixels),
-        plain.max_radius_px,
+        (CONTRAST, float(plain.min_pixels), plain.max_radius_px),
         table,
         MOST_GROWN,
     )

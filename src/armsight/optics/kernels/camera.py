@@ -10,6 +10,7 @@ Brandt 2006, equation 6 divided by its k1).
 from __future__ import annotations
 
 from math import atan, sqrt, tan
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,25 @@ FISHEYE = -1.0
 references to it in every pinhole's loop as well, which doubles its time."""
 NEAR_AXIS = 1e-12
 """Square of the tangent below which the fisheye's series about the axis is exact to rounding."""
+
+
+class CameraK(NamedTuple):
+    """A camera as kernels take it: k its vector of intrinsics, R (3, 3) and t (3,) m with p_camera = R p_rig + t."""
+
+    k: Any
+    R: Any
+    t: Any
+
+
+class RigK(NamedTuple):
+    """Both cameras of a rig, left one first: k (2, 12), R (2, 3, 3), t (2, 3) m; see CameraK and PackedRig.
+
+    Kernels that Python calls take a plain tuple, in the same order, and make this of it: that costs nothing there.
+    """
+
+    k: Any
+    R: Any
+    t: Any
 
 
 @inline_kernel

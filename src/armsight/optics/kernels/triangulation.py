@@ -7,7 +7,7 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, dot
-from armsight.optics.kernels.camera import see_point, undistort_point
+from armsight.optics.kernels.camera import RigK, see_point, undistort_point
 
 # What became of a pair of pixels; armsight.optics.triangulate.Verdict gives the names.
 FOUND, NO_RAY, PARALLEL, BEHIND = 0, 1, 2, 3
@@ -55,11 +55,12 @@ def _parallel(rays):
 
 
 @inner_kernel
-def triangulate_linear_point(k, R, t, uv, cov, X, S):
+def triangulate_linear_point(rig, uv, cov, X, S):
     """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
 
     Linear least squares of x (r3 X + t3) = r1 X + t1 and the same in y, in normalised coordinates of both views.
     """
+    k, R, t = rig
     A = np.empty((4, 3))
     b = np.empty(4)
     xy = np.empty((2, 2))
@@ -110,8 +111,9 @@ def triangulate_linear_point(k, R, t, uv, cov, X, S):
 
 
 @inner_kernel
-def _point_normal(k, R, t, uv, W, X, H, g):
+def _point_normal(rig, uv, W, X, H, g):
     """Fill H (3, 3) and g (3,) of the whitened reprojection of X; return the squared sum, infinite behind a camera."""
+    k, R, t = rig
     H[:] = 0.0
     g[:] = 0.0
     p = np.empty(2)
@@ -148,9 +150,9 @@ def invert_2(S, out):
 
 
 @inner_kernel
-def triangulate_ml_point(k, R, t, uv, cov, X, S):
+def triangulate_ml_point(rig, uv, cov, X, S):
     """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square, 1 dof)."""
-    verdict = triangulate_linear_point(k, R, t, uv, cov, X, S)
+    verdict = triangulate_linear_point(rig, uv, cov, X, S)
     if verdict != FOUND:
         return verdict, np.nan
     W = np.empty((2, 2, 2))
@@ -162,14 +164,14 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
     g2 = np.empty(3)
     step = np.empty(3)
     trial = np.empty(3)
-    cost = _point_normal(k, R, t, uv, W, X, H, g)
+    cost = _point_normal(rig, uv, W, X, H, g)
     damping = 0.0
     for _ in range(TRIANGULATE_STEPS):
         if not solve_damped(H, g, damping, step):
             return PARALLEL, np.nan
         for i in range(3):
             trial[i] = X[i] + step[i]
-        new = _point_normal(k, R, t, uv, W, trial, H2, g2)
+        new = _point_normal(rig, uv, W, trial, H2, g2)
         if new <= cost:
             settled = cost - new <= SETTLED * (1.0 + new)
             copy_1(trial, X)
@@ -184,28 +186,29 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
                 break
             damping = max(10.0 * damping, 1e-4)
     centre = np.empty(3)
-    centre_of(R[0], t[0], centre)
+    centre_of(rig.R[0], rig.t[0], centre)
     if not invert_spd(H, S) or _undetermined(X, S, centre):
         return PARALLEL, np.nan
     return FOUND, cost
 
 
 @kernel
-def triangulate_rows(k, R, t, uv, cov, likeliest, X, S, chi2, verdict):
+def triangulate_rows(rig, uv, cov, likeliest, X, S, chi2, verdict):
     """Triangulate uv (n, 2, 2) [point, side] with cov (n, 2, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
 
     likeliest: by maximum likelihood; else the linear closed form.
     """
+    rig = RigK(*rig)
     W = np.empty((2, 2, 2))
     H = np.empty((3, 3))
     g = np.empty(3)
     for i in range(uv.shape[0]):
         if likeliest:
-            verdict[i], chi2[i] = triangulate_ml_point(k, R, t, uv[i], cov[i], X[i], S[i])
+            verdict[i], chi2[i] = triangulate_ml_point(rig, uv[i], cov[i], X[i], S[i])
         else:
-            verdict[i] = triangulate_linear_point(k, R, t, uv[i], cov[i], X[i], S[i])
+            verdict[i] = triangulate_linear_point(rig, uv[i], cov[i], X[i], S[i])
             if verdict[i] == FOUND and invert_2(cov[i, 0], W[0]) and invert_2(cov[i, 1], W[1]):
-                chi2[i] = _point_normal(k, R, t, uv[i], W, X[i], H, g)
+                chi2[i] = _point_normal(rig, uv[i], W, X[i], H, g)
         if verdict[i] != FOUND:
             X[i] = np.nan
             S[i] = np.nan

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from armsight.measure.spots.kernels.detection.scan import (
     Y_MAX,
     Y_MIN,
 )
-from armsight.measure.spots.kernels.loops import copy_to, insertion_sort
+from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
 
 RING = 4.5
 """Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""
@@ -45,6 +46,26 @@ LEAST_FILL = 0.7
 """Area over that of the ellipse with the same second moments (1 for a filled ellipse): ragged blobs lie below."""
 LEAST_AXES = 0.2
 """Ratio of the axes: below it is a line. A light that moves five of its widths within the exposure is still kept."""
+
+
+class BlobLimits(NamedTuple):
+    """Which blobs count: by contrast, least height above the ring (grey levels), min_pixels, max_radius (px)."""
+
+    contrast: Any
+    min_pixels: Any
+    max_radius: Any
+
+
+class Labels(NamedTuple):
+    """Where blobs were grown: marks (rows, columns), the number of the last blob that took the pixel.
+
+    left, top: column and row of the image that the first mark is of. stack: room for the pixels yet to be looked at.
+    """
+
+    marks: Any
+    left: Any
+    top: Any
+    stack: Any
 
 
 @inner_kernel
@@ -82,13 +103,14 @@ def has_contrast(image, flip, x0, y0, radius, top, contrast):
 
 
 @inner_kernel
-def grow_region(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
+def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
     Returns 0, or 1 where the blob reaches further than reach from (x0, y0), 2 where it meets the image's border.
-    labels gets stamp at every pixel that was looked at and belongs to it; its first one is that of the image's column
-    left and row top_row. Sums are weighted above level.
+    labels.marks gets stamp at every pixel that was looked at and belongs to it. Sums are weighted above level.
     """
+    image, flip, saturation, mask = picture
+    marks, left, top_row, stack = labels
     h, w = image.shape
     for c in range(COLUMNS):
         row[c] = 0.0
@@ -97,7 +119,7 @@ def grow_region(image, flip, saturation, mask, x0, y0, level, reach, stamp, labe
     row[Y_MIN] = y0
     row[Y_MAX] = y0
     stack[0] = y0 * w + x0
-    labels[y0 - top_row, x0 - left] = stamp
+    marks[y0 - top_row, x0 - left] = stamp
     top = 1
     reach2 = reach * reach
     while top > 0:
@@ -123,10 +145,10 @@ def grow_region(image, flip, saturation, mask, x0, y0, level, reach, stamp, labe
         for d in range(4):
             a = x + (1 if d == 0 else -1 if d == 1 else 0)
             b = y + (1 if d == 2 else -1 if d == 3 else 0)
-            if labels[b - top_row, a - left] == stamp:
+            if marks[b - top_row, a - left] == stamp:
                 continue
             if np.uint8(image[b, a] ^ flip) > level and (mask.size == 0 or mask[b, a] != 0):
-                labels[b - top_row, a - left] = stamp
+                marks[b - top_row, a - left] = stamp
                 stack[top] = b * w + a
                 top += 1
     row[SUM_X] += row[WEIGHT] * x0
@@ -136,7 +158,7 @@ def grow_region(image, flip, saturation, mask, x0, y0, level, reach, stamp, labe
 
 
 @inner_kernel
-def roundness(labels, left, top_row, stamp, row):
+def roundness(labels, stamp, row):
     """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
     n = 0.0
     sx = 0.0
@@ -148,7 +170,7 @@ def roundness(labels, left, top_row, stamp, row):
     y0 = int(row[Y_MIN])
     for y in range(y0, int(row[Y_MAX]) + 1):
         for x in range(x0, int(row[X_MAX]) + 1):
-            if labels[y - top_row, x - left] == stamp:
+            if labels.marks[y - labels.top, x - labels.left] == stamp:
                 n += 1.0
                 sx += x - x0
                 sy += y - y0
@@ -212,64 +234,47 @@ def find_duplicate(table, n, row):
 
 
 @inner_kernel
-def blob_at(
-    image,
-    flip,
-    saturation,
-    mask,
-    x,
-    y,
-    top,
-    radius,
-    contrast,
-    min_pixels,
-    widest,
-    stamp,
-    labels,
-    left,
-    top_row,
-    stack,
-    ring,
-    row,
-):
+def blob_at(picture, x, y, top, radius, limits, stamp, labels, ring, row):
     """Fill row (COLUMNS,) with the blob of the peak at (x, y); return its roundness, 0 where it is none.
 
-    It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
-    it may reach.
+    It is cut at half its height above the ring of the given radius; one of a pixel or two, lower.
     """
-    if not has_contrast(image, flip, x, y, radius, top, contrast):
+    if not has_contrast(picture.grey, picture.flip, x, y, radius, top, limits.contrast):
         return 0.0
-    count = ring_level(image, flip, x, y, radius, ring)
+    count = ring_level(picture.grey, picture.flip, x, y, radius, ring)
     background = ring[min(int(BACKGROUND_SHARE * count), count - 1)]
     level = int(0.5 * (top + background))
-    reach = min(REACH * radius, widest)
-    code = grow_region(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
-    if code == 0 and row[AREA] < min_pixels:
+    reach = min(REACH * radius, 2.0 * limits.max_radius)
+    code = grow_region(picture, x, y, level, reach, stamp, labels, row)
+    if code == 0 and row[AREA] < limits.min_pixels:
         level = int(TINY * top + (1.0 - TINY) * background)
-        code = grow_region(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
+        # the first cut's marks stay: with a stamp of its own the second one does not take them for its pixels
+        code = grow_region(picture, x, y, level, reach, -stamp, labels, row)
         stamp = -stamp
-    if code != 0 or row[AREA] < min_pixels:
+    if code != 0 or row[AREA] < limits.min_pixels:
         return 0.0
     row[BACKGROUND] = background
     row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
-    return roundness(labels, left, top_row, stamp, row)
+    return roundness(labels, stamp, row)
 
 
 @kernel
-def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_radius, table, work):
+def grow_blobs(picture, peaks, limits, table, work):
     """Fill table (.., COLUMNS) with the blobs of peaks (n, 3: x, y, scale), strongest first.
 
-    Returns how many blobs, how many peaks were looked at, and how many pixels were grown over. contrast: least height
-    above the ring. work: pixels to grow over at most.
+    picture, limits: as Picture, BlobLimits. Returns how many blobs, how many peaks were looked at, and how many pixels
+    were grown over. work: pixels to grow over at most.
     """
-    h, w = image.shape
-    labels = np.zeros((h, w), np.int32)
+    picture, limits = Picture(*picture), BlobLimits(*limits)
+    image, flip, _, mask = picture
+    max_radius = limits.max_radius
+    marks = np.zeros(image.shape, np.int32)
     taken = np.zeros(peaks.shape[0] + 1, np.uint8)
     score = np.zeros(table.shape[0] + 1)
     widest = 1.0
     for k in range(peaks.shape[0]):
         widest = max(widest, REACH * RING * peaks[k, 2])
-    stack = np.empty(int((2.0 * widest + 4.0) ** 2), np.int64)
+    labels = Labels(marks, np.int64(0), np.int64(0), np.empty(int((2.0 * widest + 4.0) ** 2), np.int64))
     ring = np.empty(RING_SAMPLES)
     row = np.empty(COLUMNS)
     n = np.int64(0)
@@ -280,29 +285,10 @@ def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_r
             break
         looked += 1
         x, y, top = brightest_near(image, flip, peaks[k, 0], peaks[k, 1], peaks[k, 2])
-        if taken[abs(labels[y, x])] or (mask.size > 0 and mask[y, x] == 0):
+        if taken[abs(marks[y, x])] or (mask.size > 0 and mask[y, x] == 0):
             continue
         row[AREA] = 0.0
-        fine = blob_at(
-            image,
-            flip,
-            saturation,
-            mask,
-            x,
-            y,
-            top,
-            RING * peaks[k, 2],
-            contrast,
-            min_pixels,
-            2.0 * max_radius,
-            k + 1,
-            labels,
-            np.int64(0),
-            np.int64(0),
-            stack,
-            ring,
-            row,
-        )
+        fine = blob_at(picture, x, y, top, RING * peaks[k, 2], limits, k + 1, labels, ring, row)
         spent += int(row[AREA])
         if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
             continue
@@ -330,13 +316,13 @@ def is_peak(image, flip, x, y, grey):
 
 
 @inner_kernel
-def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, max_radius, row):
-    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
-    ring = np.empty(RING_SAMPLES)
+def nearest_peaks(picture, u, v, box, contrast, at):
+    """Fill at (MOST_PEAKS, 2) with the peaks x, y in box (x0, x1, y0, y1), nearest to (u, v) first; return how many."""
+    image, flip = picture.grey, picture.flip
     away = np.empty(MOST_PEAKS)
-    at = np.empty((MOST_PEAKS, 2), np.int64)
     n = np.int64(0)
     background = 255
+    # every other pixel is enough for a level that no light lifts everywhere
     for y in range(box[2], box[3], 2):
         for x in range(box[0], box[1], 2):
             background = min(background, int(np.uint8(image[y, x] ^ flip)))
@@ -358,42 +344,32 @@ def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, ma
             at[k, 0] = x
             at[k, 1] = y
             n = n + 1 if n < MOST_PEAKS else n
+    return n
+
+
+@inner_kernel
+def blob_near(picture, u, v, box, limits, row):
+    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
+    ring = np.empty(RING_SAMPLES)
+    at = np.empty((MOST_PEAKS, 2), np.int64)
+    n = nearest_peaks(picture, u, v, box, limits.contrast, at)
     reach = np.int64(0)
-    labels = np.zeros((0, 0), np.int32)
+    marks = np.zeros((0, 0), np.int32)
     stack = np.empty(0, np.int64)
     stamp = np.int64(0)
     for k in range(n):
         x = at[k, 0]
         y = at[k, 1]
-        top = int(np.uint8(image[y, x] ^ flip))
+        top = int(np.uint8(picture.grey[y, x] ^ picture.flip))
         scale = np.int64(2)
-        while scale <= max(0.5 * max_radius, 2.0):
+        while scale <= max(0.5 * limits.max_radius, 2.0):
             stamp += 1
-            if reach < REACH * RING * scale:  # labels of what such a blob may cover about its peak
+            if reach < REACH * RING * scale:  # marks of what such a blob may cover about its peak
                 reach = np.int64(REACH * RING * scale) + 1
-                labels = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
-                stack = np.empty(labels.size, np.int64)
-            fine = blob_at(
-                image,
-                flip,
-                saturation,
-                mask,
-                x,
-                y,
-                top,
-                RING * scale,
-                contrast,
-                min_pixels,
-                2.0 * max_radius,
-                stamp,
-                labels,
-                x - reach - 1,
-                y - reach - 1,
-                stack,
-                ring,
-                row,
-            )
-            if fine > 0.0:
+                marks = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
+                stack = np.empty(marks.size, np.int64)
+            labels = Labels(marks, x - reach - 1, y - reach - 1, stack)
+            if blob_at(picture, x, y, top, RING * scale, limits, stamp, labels, ring, row) > 0.0:
                 return True
             scale *= 2
     return False

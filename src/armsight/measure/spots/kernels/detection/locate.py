@@ -24,7 +24,7 @@ from armsight.measure.spots.kernels.detection.area import (
     boxes_overlap,
     classify,
 )
-from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, blob_near, ring_level
+from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
     BACKGROUND,
@@ -48,7 +48,7 @@ from armsight.measure.spots.kernels.detection.scan import (
     estimate_background,
     threshold_map,
 )
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels.picture import Picture, copy_to
 
 SIGNIFICANT = 5.0
 """Threshold above the background in standard deviations of the noise: one false pixel in three frames of 1280 x 720."""
@@ -115,16 +115,14 @@ def count_rising_edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, m
 
 
 @inner_kernel
-def label_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
+def label_components(picture, thresholds, mapped, blocks, n_blocks, likely, most):
     """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
     runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
     while True:
         table = np.empty((runs_most, COLUMNS))
         runs = np.empty((runs_most, 3), np.int32)
         parent = np.empty(runs_most, np.int32)
-        n = connected_components(
-            image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table
-        )
+        n = connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, parent, table)
         if n >= 0 or runs_most >= most:
             return table, n
         runs_most *= 8
@@ -211,7 +209,8 @@ def locate(image, mask, options):
         if rises > BUSY_RUNS:
             return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
     most = BUSY_RUNS if automatic else MOST_RUNS
-    table, n = label_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
+    picture = Picture(image, flip, saturation, mask)
+    table, n = label_components(picture, thresholds, mapped, blocks, n_blocks, rises, most)
     if n < 0:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
     comps = np.empty((n, COLUMNS))
@@ -288,6 +287,23 @@ def crowded_window(table, count, box):
     return count == 0
 
 
+@inner_kernel
+def set_window(u, v, half, w, h, box):
+    """Fill box (x0, x1, y0, y1; ends excluded) with the window about (u, v), cut at the image."""
+    box[0] = max(int(u + 0.5) - half, 0)
+    box[1] = min(int(u + 0.5) + half + 1, w)
+    box[2] = max(int(v + 0.5) - half, 0)
+    box[3] = min(int(v + 0.5) + half + 1, h)
+
+
+@inner_kernel
+def write_cut(comp, row):
+    """Fill row (3,) with the centre of an area that reaches beyond its window, and why it is refused."""
+    row[0] = comp[SUM_X] / comp[WEIGHT]
+    row[1] = comp[SUM_Y] / comp[WEIGHT]
+    row[2] = BEYOND
+
+
 @kernel
 def locate_near(image, mask, options, predicted, half):
     """Search windows of half width half around predicted (n, 2); return areas, state, survey, and (m, 3) those cut.
@@ -297,7 +313,8 @@ def locate_near(image, mask, options, predicted, half):
     """
     h, w = image.shape
     flip = np.uint8(options[O_FLIP])
-    saturation = int(options[O_SATURATION])
+    picture = Picture(image, flip, int(options[O_SATURATION]), mask)
+    limits = BlobLimits(WINDOW_CONTRAST, options[O_MIN_PIXELS], options[O_MAX_RADIUS])
     survey = np.empty((SURVEY, GRID))
     thresholds = np.empty((GRID, GRID))
     margin, _, _ = survey_image(image, flip, mask, survey, thresholds)
@@ -316,48 +333,28 @@ def locate_near(image, mask, options, predicted, half):
         v = predicted[k, 1]
         if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
             continue
-        box[0] = max(int(u + 0.5) - half, 0)
-        box[1] = min(int(u + 0.5) + half + 1, w)
-        box[2] = max(int(v + 0.5) - half, 0)
-        box[3] = min(int(v + 0.5) + half + 1, h)
+        set_window(u, v, half, w, h, box)
         level = options[O_THRESHOLD]
         if level < 0.0:
             level = thresholds[int(v + 0.5) * GRID // h, int(u + 0.5) * GRID // w]
         count = 0
-        if level < min(saturation, 255):
-            count = connected_components_in_window(image, flip, mask, saturation, int(level), box, runs, parent, table)
+        if level < min(picture.saturation, 255):
+            count = connected_components_in_window(picture, int(level), box, runs, parent, table)
         i = nearest(table, count, u, v, box, options, w, h, margin)
+        # a threshold tells a light from its background, not from a bright room: there it is grown from its peak
         if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
-            if blob_near(
-                image,
-                flip,
-                saturation,
-                mask,
-                u,
-                v,
-                box,
-                WINDOW_CONTRAST,
-                options[O_MIN_PIXELS],
-                options[O_MAX_RADIUS],
-                seen[n],
-            ):
-                if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
-                    cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]
-                    cut[n_cut, 1] = seen[n, SUM_Y] / seen[n, WEIGHT]
-                    cut[n_cut, 2] = BEYOND
+            if blob_near(picture, u, v, box, limits, seen[n]):
+                if classify(seen[n], w, h, box, limits.min_pixels, limits.max_radius, margin) == BEYOND:
+                    write_cut(seen[n], cut[n_cut])
                     n_cut += 1
                 else:
                     owner[n] = k
                     n += 1
             continue
-        if count < 0:
-            continue
         for j in range(min(count, MOST_SEEN)):
-            what = classify(table[j], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+            what = classify(table[j], w, h, box, limits.min_pixels, limits.max_radius, margin)
             if what == BEYOND and j == i:
-                cut[n_cut, 0] = table[i, SUM_X] / table[i, WEIGHT]
-                cut[n_cut, 1] = table[i, SUM_Y] / table[i, WEIGHT]
-                cut[n_cut, 2] = BEYOND
+                write_cut(table[i], cut[n_cut])
                 n_cut += 1
             copy_to(table[j], seen[n])
             owner[n] = k if j == i and what != BEYOND else -1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
-from armsight.measure.spots.kernels.loops import insertion_sort
+from armsight.measure.spots.kernels.picture import insertion_sort
 
 BLOCK = 64
 """Pixels that are accepted or skipped together."""
@@ -283,8 +283,9 @@ def find_root(parent, i):
 
 
 @inner_kernel
-def add_run(image, flip, saturation, y, start, stop, level, k, table):
+def add_run(picture, y, start, stop, level, k, table):
     """Write the sums of the run of row y, columns start..stop-1, into row k of table; weights are above level."""
+    image, flip, saturation, _ = picture
     weight = 0.0
     sum_x = 0.0
     peak = 0.0
@@ -354,11 +355,13 @@ def merge_runs(parent, n, table):
 
 
 @inner_kernel
-def connected_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table):
+def connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, parent, table):
     """Fill table (.., COLUMNS) with the connected bright areas of the given blocks; -1 where the runs do not fit.
 
-    image (h, w) is contiguous. A run starts in one of the blocks and may end beyond it.
+    thresholds (GRID, GRID): each block's own where mapped, else the first one's. runs (.., 3), parent (..): room to
+    work in. A run starts in one of the blocks and may end beyond it.
     """
+    image, flip, _, mask = picture
     h, w = image.shape
     flat = image.reshape(-1)
     level = np.uint8(thresholds[0, 0])
@@ -397,7 +400,7 @@ def connected_components(image, flip, mask, saturation, thresholds, mapped, bloc
             runs[n, 1] = start - base
             runs[n, 2] = i - base - 1
             parent[n] = n
-            add_run(image, flip, saturation, row, start - base, i - base, level, n, table)
+            add_run(picture, row, start - base, i - base, level, n, table)
             first = join_touching_runs(runs, parent, first, last, n)
             n += 1
         done = max(done, i)
@@ -405,11 +408,12 @@ def connected_components(image, flip, mask, saturation, thresholds, mapped, bloc
 
 
 @inner_kernel
-def connected_components_in_window(image, flip, mask, saturation, level, box, runs, parent, table):
+def connected_components_in_window(picture, level, box, runs, parent, table):
     """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
 
     -1 where the runs do not fit.
     """
+    image, flip, _, mask = picture
     n = np.int64(0)
     first = np.int64(0)
     last = np.int64(0)
@@ -431,7 +435,7 @@ def connected_components_in_window(image, flip, mask, saturation, level, box, ru
             runs[n, 1] = start
             runs[n, 2] = x - 1
             parent[n] = n
-            add_run(image, flip, saturation, y, start, x, level, n, table)
+            add_run(picture, y, start, x, level, n, table)
             first = join_touching_runs(runs, parent, first, last, n)
             n += 1
     return merge_runs(parent, n, table)

@@ -23,7 +23,7 @@ from armsight.measure.spots.kernels.detection.area import (
 from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, RING_X, RING_Y
 from armsight.measure.spots.kernels.detection.locate import NOISE
 from armsight.measure.spots.kernels.detection.scan import GRID, SLOPE, X_MAX, X_MIN, Y_MAX, Y_MIN
-from armsight.measure.spots.kernels.loops import insertion_sort
+from armsight.measure.spots.kernels.picture import insertion_sort
 
 BACKGROUND_INFLUENCE = 0.9
 """Shift of a centre in radii at half height, over the background's standard deviation round the light as a share of its

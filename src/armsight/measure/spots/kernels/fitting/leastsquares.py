@@ -14,7 +14,7 @@ from armsight.measure.spots.kernels.fitting.light_models import (
     is_feasible,
     light_and_slopes,
 )
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels.picture import copy_to
 
 STEPS = 40
 CLOSE = 3e-3
@@ -63,15 +63,21 @@ def unused(use):
 
 
 @inner_kernel
-def evaluate(kind, p, n, values, use, special, grid, J, m, r):
+def patch_grid(patch):
+    """Return the Grid of a Patch."""
+    return grid_of(patch.box[0], patch.box[2], patch.values.shape[1], patch.values.shape[0])
+
+
+@inner_kernel
+def evaluate(kind, p, n, patch, special, grid, J, m, r):
     """Fill light m, derivatives J (n, pixels) and residuals r of a patch (values less model).
 
     Zero in J and r, and so in every sum, where use is 0, and where it is CLIPPED_PIXEL and the model is brighter than
     the value: the light is at least as bright there, and a model that is brighter costs nothing.
     """
     light_and_slopes(kind, p, n, grid, J, m)
-    subtract_model(values.reshape(-1), p[0], m, r)
-    marks = use.reshape(-1)
+    subtract_model(patch.values.reshape(-1), p[0], m, r)
+    marks = patch.use.reshape(-1)
     for k in special:
         if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
             r[k] = 0.0
@@ -126,7 +132,7 @@ def normal_equations(J, r, n, H, g):
 
 
 @inner_kernel
-def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
+def fit_model(kind, p, n, patch, count, residuals):
     """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge.
 
     residuals (ny, nx): values less model, 0 where unused; filled where it converges.
@@ -141,13 +147,14 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
     copy_to(p[:n], start)
     if not is_feasible(kind, p, n):
         return -1.0
-    grid = grid_of(x0, y0, values.shape[1], values.shape[0])
-    special = unused(use)
-    J = np.empty((n, values.size))
-    m = np.empty(values.size)
-    r = np.empty(values.size)
+    grid = patch_grid(patch)
+    special = unused(patch.use)
+    pixels = patch.values.size
+    J = np.empty((n, pixels))
+    m = np.empty(pixels)
+    r = np.empty(pixels)
     best = residuals.reshape(-1)
-    evaluate(kind, p, n, values, use, special, grid, J, m, best)
+    evaluate(kind, p, n, patch, special, grid, J, m, best)
     extra = 0.0
     rss = normal_equations(J, best, n, H, g)
     add_prior(kind, p, start, n, H, g)
@@ -160,7 +167,7 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
         new = rss + 1.0
         new_extra = 0.0
         if is_feasible(kind, trial, n):
-            evaluate(kind, trial, n, values, use, special, grid, J, m, r)
+            evaluate(kind, trial, n, patch, special, grid, J, m, r)
             new = normal_equations(J, r, n, H2, g2)
             new_extra = add_prior(kind, trial, start, n, H2, g2)
             new += new_extra
@@ -184,12 +191,12 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
 
 
 @inner_kernel
-def evaluate_patch(kind, p, n, values, use, x0, y0, residuals):
+def evaluate_patch(kind, p, n, patch, residuals):
     """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
-    grid = grid_of(x0, y0, values.shape[1], values.shape[0])
-    J = np.empty((n, values.size))
-    m = np.empty(values.size)
-    evaluate(kind, p, n, values, use, unused(use), grid, J, m, residuals.reshape(-1))
+    grid = patch_grid(patch)
+    J = np.empty((n, patch.values.size))
+    m = np.empty(patch.values.size)
+    evaluate(kind, p, n, patch, unused(patch.use), grid, J, m, residuals.reshape(-1))
     return J, m, grid
 
 
@@ -227,10 +234,10 @@ def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
 
 
 @inner_kernel
-def add_light_to_patch(kind, p, n, x0, y0, values, sign):
-    """Add sign times the model's light to the patch values (ny, nx)."""
-    m = np.empty(values.size)
-    light_and_slopes(kind, p, n, grid_of(x0, y0, values.shape[1], values.shape[0]), np.empty((n, values.size)), m)
-    flat = values.reshape(-1)
-    for i in range(values.size):
+def add_light_to_patch(kind, p, n, patch, sign):
+    """Add sign times the model's light to the patch's values."""
+    m = np.empty(patch.values.size)
+    light_and_slopes(kind, p, n, patch_grid(patch), np.empty((n, patch.values.size)), m)
+    flat = patch.values.reshape(-1)
+    for i in range(flat.size):
         flat[i] += sign * m[i]

@@ -126,8 +126,12 @@ def joint_light(p, n, grid, J, m):
 
 
 @inner_sum_kernel
-def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
-    """Fill the distance across the streak, and those along it from its two ends, in widths."""
+def streak_axes(grid, p, c, s_, across, a, b):
+    """Fill the distance across the streak p, and those along it from its two ends, in widths.
+
+    c, s_: cosine and sine of its angle.
+    """
+    x, y, u, v, s, h = grid.x, grid.y, p[1], p[2], p[4], p[6]
     for i in range(x.shape[0]):
         dx = x[i] - u
         dy = y[i] - v
@@ -192,7 +196,7 @@ def streak_light(p, grid, J, m):
     along = grid.work[5]
     fb = grid.work[6]
     to_b = grid.work[7]
-    streak_axes(grid.x, grid.y, p[1], p[2], c, s_, s, h, z, a, b)
+    streak_axes(grid, p, c, s_, z, a, b)
     normal(z, across, fa)
     scaled(across, ROOT_2PI, across)
     normal(a, fa, along)
@@ -259,8 +263,11 @@ def edge_factors(slope, Q, G, s, d, h):
 
 
 @inner_sum_kernel
-def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
-    """Fill the derivative by a coordinate of the centre, for that row (mx, my) of M and (nx, ny) of M^2."""
+def edge_moved(grid, p, a, b, G, of_M, of_M2, by_u):
+    """Fill the derivative by a coordinate of the centre, for that row of M and of M^2, two numbers each."""
+    x, y, u, v = grid.x, grid.y, p[1], p[2]
+    mx, my = of_M
+    nx, ny = of_M2
     for i in range(x.shape[0]):
         dx = x[i] - u
         dy = y[i] - v
@@ -280,8 +287,9 @@ def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
 
 
 @inner_sum_kernel
-def edge_turned(x, y, u, v, a, b, G, m0, m1, m2, by_m):
+def edge_turned(grid, p, a, b, G, by_m):
     """Fill the derivative by m1."""
+    x, y, u, v, m0, m1, m2 = grid.x, grid.y, p[1], p[2], p[5], p[6], p[7]
     k = CORE_VARIANCE
     for i in range(x.shape[0]):
         dx = x[i] - u
@@ -320,10 +328,10 @@ def ellipse_light(p, grid, J, m):
     edge_blur(slope, d, h, G, s, J[4])
     edge_factors(slope, Q, G, s, d, h)
     n1 = m1 * (m0 + m2)
-    edge_moved(x, y, u, v, h, d, G, m0, m1, m0 * m0 + m1 * m1, n1, J[1])
-    edge_moved(x, y, u, v, h, d, G, m1, m2, n1, m1 * m1 + m2 * m2, J[2])
+    edge_moved(grid, p, h, d, G, (m0, m1), (m0 * m0 + m1 * m1, n1), J[1])
+    edge_moved(grid, p, h, d, G, (m1, m2), (n1, m1 * m1 + m2 * m2), J[2])
     edge_formed(x, y, u, v, h, d, G, m0, m1, J[5])
-    edge_turned(x, y, u, v, h, d, G, m0, m1, m2, J[6])
+    edge_turned(grid, p, h, d, G, J[6])
     edge_formed(y, x, v, u, h, d, G, m2, m1, J[7])
     scaled(J[3], p[3], m)
 

@@ -73,7 +73,7 @@ from armsight.measure.spots.kernels.detection.scan import (
 from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.fitting.leastsquares import add_light_to_patch
 from armsight.measure.spots.kernels.fitting.model_selection import refit, select_model, write_spots
-from armsight.measure.spots.kernels.fitting.patch import make_patch, patch_box, shape_of
+from armsight.measure.spots.kernels.fitting.patch import make_patch, new_patch, shape_of
 from armsight.measure.spots.kernels.fitting.processed import is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.fitting.round_gaussian import (
     COV,
@@ -93,7 +93,7 @@ from armsight.measure.spots.kernels.fitting.round_gaussian import (
     new_work,
 )
 from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, ring_prior, slope_prior
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels.picture import Picture, copy_to
 
 GAIN_DOUBT = 0.5
 """Standard deviations by which the estimated gain is lowered."""
@@ -152,10 +152,10 @@ def background_of(comp, survey, w, h):
 
 
 @inner_kernel
-def is_hot_near(comp, hot, n_hot):
+def is_hot_near(comp, hot):
     """Tell whether a hot pixel may lie in the component's window."""
     reach = 1.5 * fit_margin(comp)
-    for k in range(n_hot):
+    for k in range(hot.shape[0]):
         x = hot[k, 0]
         y = hot[k, 1]
         if comp[X_MIN] - reach < x < comp[X_MAX] + reach and comp[Y_MIN] - reach < y < comp[Y_MAX] + reach:
@@ -192,12 +192,11 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
     """
     h, w = image.shape
-    flip = np.uint8(options[O_FLIP])
-    saturation = int(options[O_SATURATION])
+    picture = Picture(image, np.uint8(options[O_FLIP]), int(options[O_SATURATION]), mask)
     only = int(options[O_MODEL])
     n = comps.shape[0]
     hot = np.empty((2 * n, 2), np.int64)
-    n_hot = hot_pixels(comps, state, hot)
+    hot = hot[: hot_pixels(comps, state, hot)]
     mark_crowded(comps, state)
     start = np.empty(5)
     prior = np.empty(4)
@@ -216,9 +215,9 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
         for k in range(4):
             fits[i, MOST_PARAMETERS + k] = prior[k]
         if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and comp[SLOPE] < 0.0:
-            round_start(comp, background_of(comp, survey, w, h), saturation, start)
-            clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
-            fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, work, result)
+            round_start(comp, background_of(comp, survey, w, h), picture.saturation, start)
+            clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot)
+            fine = fit_round(picture, hot, clipped, start, prior, work, result)
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
                 write_round(result, i, rows[i, 0])
                 store_fit(result, fits[i])
@@ -237,31 +236,26 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
 def measure_others(image, mask, options, comps, state, survey, fits, rows):
     """Fit the areas left PENDING with the models that their shape suggests, and refine the crowded ones."""
     h, w = image.shape
-    flip = np.uint8(options[O_FLIP])
-    saturation = int(options[O_SATURATION])
+    picture = Picture(image, np.uint8(options[O_FLIP]), int(options[O_SATURATION]), mask)
     only = int(options[O_MODEL])
     n = comps.shape[0]
     hot = np.empty((2 * n, 2), np.int64)
-    n_hot = hot_pixels(comps, state, hot)
+    hot = hot[: hot_pixels(comps, state, hot)]
     noise = survey[2 * GRID, NOISE]
-    box = np.empty(4, np.int64)
     outline = np.empty(9)
     for i in range(n):
         if state[i, STATUS] != PENDING:
             continue
         comp = comps[i]
-        patch_box(comp, h, w, box)
-        shape = (box[3] - box[2], box[1] - box[0])
-        values = np.empty(shape)
-        use = np.empty(shape, np.uint8)
-        make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(0), box, values, use)
+        patch = new_patch(comp, h, w)
+        make_patch(picture, comps, state, i, hot, np.int64(0), patch)
         background = background_of(comp, survey, w, h)
-        kind, size, rss, run = select_model(comp, background, box, values, use, noise, only, fits[i])
+        kind, size, rss, run = select_model(comp, background, patch, noise, only, fits[i])
         state[i, KIND] = kind
         state[i, SIZE] = size
         state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
         if size > 0:
-            lights = write_spots(kind, size, fits[i], values, use, box, rss, rows[i], i)
+            lights = write_spots(kind, size, fits[i], patch, rss, rows[i], i)
             state[i, LIGHTS] = lights
             if lights > 0:
                 state[i, STATUS] = check_fit(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
@@ -270,11 +264,11 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
         if single and (
             is_off_centroid(comp, rows[i, 0])
-            or not robust_covariance(kind, size, fits[i], values, use, box, comp, noise, rows[i, 0])
+            or not robust_covariance(kind, size, fits[i], patch, comp, noise, rows[i, 0])
         ):
             state[i, STATUS] = FAILED
         if state[i, STATUS] != ACCEPTED and comp[SLOPE] >= 0.0:
-            shape_of(values, use, comp, box, comp[LEVEL], background, outline)
+            shape_of(patch, comp, comp[LEVEL], background, outline)
             write_centroid(comp, outline, rows[i, 0], i)
             state[i, SIZE] = 0
             state[i, LIGHTS] = 1
@@ -282,7 +276,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
     for _ in range(CROWD_SWEEPS):
         for i in range(n):
             if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
-                refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows)
+                refine(picture, comps, state, i, hot, noise, fits, rows)
 
 
 @inner_kernel
@@ -311,27 +305,23 @@ def write_centroid(comp, outline, row, source):
 
 
 @inner_kernel
-def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows):
+def refine(picture, comps, state, i, hot, noise, fits, rows):
     """Refit a crowded component with its neighbours' light subtracted, in place."""
-    box = np.empty(4, np.int64)
-    patch_box(comps[i], image.shape[0], image.shape[1], box)
-    shape = (box[3] - box[2], box[1] - box[0])
-    values = np.empty(shape)
-    use = np.empty(shape, np.uint8)
-    make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(1), box, values, use)
+    patch = new_patch(comps[i], picture.grey.shape[0], picture.grey.shape[1])
+    make_patch(picture, comps, state, i, hot, np.int64(1), patch)
     for j in range(comps.shape[0]):
         known = j != i and state[j, STATUS] == ACCEPTED and state[j, SIZE] > 0
         if known and boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + fit_margin(comps[j])):
-            add_light_to_patch(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
+            add_light_to_patch(state[j, KIND], fits[j], state[j, SIZE], patch, -1.0)
     p = np.empty(FIT)
     copy_to(fits[i], p)
     kind = state[i, KIND]
     size = state[i, SIZE]
-    rss, _ = refit(kind, size, values, use, box[0], box[2], use.size, p, np.empty(shape))
+    rss, _ = refit(kind, size, patch, patch.use.size, p, np.empty(patch.use.shape))
     if rss < 0.0:
         return
     trial = np.empty((MOST_LIGHTS, SPOT))
-    lights = write_spots(kind, size, p, values, use, box, rss, trial, i)
+    lights = write_spots(kind, size, p, patch, rss, trial, i)
     if lights == state[i, LIGHTS] and check_fit(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
         copy_to(p, fits[i])
         for k in range(lights):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from armsight._numba import inner_kernel
 from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
 from armsight.measure.spots.kernels.detection.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 from armsight.measure.spots.kernels.fitting.light_models import CLIPPED_PIXEL
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels.picture import copy_to
 
 DEEP = 2.0
 """Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of
@@ -18,6 +19,26 @@ it."""
 SHALLOW = 0.04
 """The same as a share of the higher light's height: ripples that sharpening and compression leave are below it."""
 MOST_MAXIMA = 32
+
+
+class Patch(NamedTuple):
+    """The pixels about an area: values (ny, nx) of those in box (x0, x1, y0, y1; ends excluded).
+
+    use (ny, nx): 0 for pixels that do not count, CLIPPED_PIXEL for lower bounds, else 1.
+    """
+
+    box: Any
+    values: Any
+    use: Any
+
+
+@inner_kernel
+def new_patch(comp, h, w):
+    """Return the patch of a component in an image of this size, not filled yet."""
+    box = np.empty(4, np.int64)
+    patch_box(comp, h, w, box)
+    shape = (box[3] - box[2], box[1] - box[0])
+    return Patch(box, np.empty(shape), np.empty(shape, np.uint8))
 
 
 @inner_kernel
@@ -32,8 +53,10 @@ def patch_box(comp, h, w, box):
 
 
 @inner_kernel
-def fill_patch(image, flip, saturation, mask, box, values, use):
-    """Fill values and use (ny, nx) from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
+def fill_patch(picture, patch):
+    """Fill values and use from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
+    image, flip, saturation, mask = picture
+    box, values, use = patch
     for j in range(values.shape[0]):
         for i in range(values.shape[1]):
             grey = np.uint8(image[box[2] + j, box[0] + i] ^ flip)
@@ -43,8 +66,9 @@ def fill_patch(image, flip, saturation, mask, box, values, use):
 
 
 @inner_kernel
-def exclude_other_area(own, other, box, use):
+def exclude_other_area(own, other, patch):
     """Set use to 0 where a pixel belongs to another component rather than to this one."""
+    box, use = patch.box, patch.use
     ox = 0.5 * (own[X_MIN] + own[X_MAX])
     oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
     ow = 0.5 * (own[X_MAX] - own[X_MIN]) + 2.0
@@ -74,11 +98,12 @@ def used(use):
 
 
 @inner_kernel
-def shape_of(values, use, comp, box, level, background, shape):
+def shape_of(patch, comp, level, background, shape):
     """Fill shape (9,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
 
     8: how many pixels are above half height.
     """
+    box, values = patch.box, patch.values
     half = background + 0.5 * (comp[PEAK] - background)
     s = np.zeros(6)
     a = np.zeros(6)
@@ -133,22 +158,25 @@ def smoothed(values, use, j, i):
 
 
 @inner_kernel
-def valley(values, use, x0, y0, a, b):
+def valley(patch, a, b):
     """Return the lowest smoothed value on the straight line between two peaks (x, y, height)."""
+    x0, y0 = patch.box[0], patch.box[2]
     steps = int(max(abs(a[0] - b[0]), abs(a[1] - b[1]))) + 1
     low = 1e9
     for k in range(steps + 1):
         x = a[0] + (b[0] - a[0]) * k / steps
         y = a[1] + (b[1] - a[1]) * k / steps
-        v = smoothed(values, use, int(y + 0.5) - y0, int(x + 0.5) - x0)
+        v = smoothed(patch.values, patch.use, int(y + 0.5) - y0, int(x + 0.5) - x0)
         if v >= 0.0:
             low = min(low, v)
     return low
 
 
 @inner_kernel
-def find_peaks(values, use, level, noise, x0, y0, peaks):
+def find_peaks(patch, level, noise, peaks):
     """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
+    box, values, use = patch
+    x0, y0 = box[0], box[2]
     found = np.empty((MOST_MAXIMA, 3))
     means = np.empty(values.shape)
     for j in range(values.shape[0]):
@@ -180,7 +208,7 @@ def find_peaks(values, use, level, noise, x0, y0, peaks):
     for k in range(n):
         parted = count < peaks.shape[0]
         for m in range(count):
-            if valley(values, use, x0, y0, found[k], peaks[m]) > found[k, 2] - depth:
+            if valley(patch, found[k], peaks[m]) > found[k, 2] - depth:
                 parted = False
         if parted:
             copy_to(found[k], peaks[count])
@@ -197,10 +225,11 @@ def principal(xx, xy, yy):
 
 
 @inner_kernel
-def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtract, box, values, use):
+def make_patch(picture, comps, state, i, hot, subtract, patch):
     """Fill the patch of component i: pixels of hot pixels and of neighbours left out (all, or those not subtracted)."""
-    fill_patch(image, flip, saturation, mask, box, values, use)
-    for k in range(n_hot):
+    fill_patch(picture, patch)
+    box, use = patch.box, patch.use
+    for k in range(hot.shape[0]):
         x = hot[k, 0] - box[0]
         y = hot[k, 1] - box[2]
         if 0 <= x < use.shape[1] and 0 <= y < use.shape[0]:
@@ -210,4 +239,4 @@ def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtr
         if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
             continue
         if boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + 2.0):
-            exclude_other_area(comps[i], comps[j], box, use)
+            exclude_other_area(comps[i], comps[j], patch)

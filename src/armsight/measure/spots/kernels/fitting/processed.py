@@ -98,16 +98,17 @@ def is_off_centroid(comp, row):
 
 
 @inner_kernel
-def robust_covariance(kind, n, p, values, use, box, comp, noise, row):
+def robust_covariance(kind, n, p, patch, comp, noise, row):
     """Replace the covariance of a spot's row by the sandwich of its antisymmetric residuals; False where these are too
     few."""
+    box, values, use = patch
     radius = sqrt(comp[AREA] / pi)
     away2 = centroid_distance2(comp, row)
     residuals = np.empty(values.shape)
     antisymmetric = np.empty(values.shape)
     influence = np.empty((2, values.shape[0], values.shape[1]))
     out = np.empty(3)
-    J, _, _ = evaluate_patch(kind, p, n, values, use, box[0], box[2], residuals)
+    J, _, _ = evaluate_patch(kind, p, n, patch, residuals)
     _, pixels = antisymmetric_part(residuals, use, row[S_U] - box[0], row[S_V] - box[2], antisymmetric)
     count = used(use)
     if not pixels > n + 4 or not centre_influence(kind, n, p, J, use, influence):
