@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import fast_kernel
+from armsight._numba import fast_kernel, inner_fast_kernel
 
 TOOL = 4
 """Entries of the table of depths for the tool: speed, turning, and the accelerations of both. Each joint has three
@@ -55,9 +55,8 @@ def depths(motion, dt, limits, outside, out):
     b,), whose limit is broken already: there only the places count, or there was no way back.
     """
     T, J, q, qd, qdd = motion
-    base, offset, joints, most, boxes, margin = limits
+    base, offset, joints, most, _, _ = limits
     m, n = q.shape
-    walls = TOOL + 3 * n
     points = np.empty((m, 2, 3))
     twist = np.zeros(6)
     out[:] = -np.inf
@@ -96,22 +95,31 @@ def depths(motion, dt, limits, outside, out):
             for r in range(3):
                 square += (points[i, p, r] - points[i - 1, p, r]) ** 2
             stride = max(stride, square)
+    # at every moment the tool is no further than that from one of the two places it goes between
     way = 0.5 * np.sqrt(stride)
-    for i in range(m):
+    wall_depths(points, way, limits, outside, out[TOOL + 3 * n :])
+
+
+@inner_fast_kernel
+def wall_depths(points, way, limits, outside, out):
+    """Raise out (2 FACES + 2 b,) to the depths of points (m, 2, 3) in faces and boxes; way m: see depths."""
+    _, _, _, _, boxes, margin = limits
+    for i in range(points.shape[0]):
         for p in range(2):
             for r in range(3):
                 for side in range(2):
                     entry = FACES * p + 2 * r + side
                     inside = points[i, p, r] - boxes[0, r] if side == 0 else boxes[0, 3 + r] - points[i, p, r]
                     keep = margin if outside[entry] else margin + way
-                    out[walls + entry] = max(out[walls + entry], keep - inside)
+                    out[entry] = max(out[entry], keep - inside)
             for b in range(1, len(boxes)):
                 entry = 2 * FACES + 2 * (b - 1) + p
+                # how deep in a box: the least of the distances from its six faces
                 inside = np.inf
                 for r in range(3):
                     inside = min(inside, points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r])
                 keep = margin if outside[entry] else margin + way
-                out[walls + entry] = max(out[walls + entry], keep + inside)
+                out[entry] = max(out[entry], keep + inside)
 
 
 @fast_kernel

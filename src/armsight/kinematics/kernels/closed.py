@@ -104,6 +104,7 @@ def _elbow(a2, link, x, y, out):
     Q = x * x + y * y
     far = (a2 + link) * (a2 + link)
     near = (a2 - link) * (a2 - link)
+    # the sine by a product: 1 - c3^2 would cancel where the arm is stretched or folded (MATH 2.2)
     product = (far - Q) * (Q - near)
     scale = 2.0 * a2 * link
     c3 = (Q - a2 * a2 - link * link) / scale
@@ -126,6 +127,7 @@ def _offset_wrist(family, W, near, shoulder, k, solutions, work):
     sa4, sa5 = family[4], family[5]
     xx, xy, xz, yx, yy, yz = W[0], W[1], W[2], W[3], W[4], W[5]
     zx, zy, zz = W[6], W[7], W[8]
+    # sin 5 cos 6 and sin 5 sin 6 of MATH 2.2; the plane arm's sum of angles, phi, follows from them
     g = k23 * sa4 * sa1  # axis 2 is sa1 (S1, -C1, 0)
     x6 = g * (S1 * xx - C1 * xy)  # sin5 cos6
     y6 = -g * (S1 * yx - C1 * yy)  # sin5 sin6
@@ -198,6 +200,7 @@ def _spherical_wrist(family, W, near, shoulder, k, solutions, work):
         x3x, x3y, x3z = cp * C1, cp * S1, sp * sa1
         y3x, y3y = s23 * sa1 * S1, -s23 * sa1 * C1
         z3x, z3y, z3z = s23 * sp * C1, s23 * sp * S1, -s23 * cp * sa1
+        # axis 6 in the axes of link 3: cos 4 sin 5, sin 4 sin 5 and cos 5 but for signs
         m02 = x3x * W[6] + x3y * W[7] + x3z * W[8]
         m12 = y3x * W[6] + y3y * W[7]
         m22 = z3x * W[6] + z3y * W[7] + z3z * W[8]

@@ -31,6 +31,7 @@ def _undetermined(X, S, centre):
         for j in range(3):
             s2 += (X[i] - centre[i]) * S[i, j] * (X[j] - centre[j])
         n2 += (X[i] - centre[i]) ** 2
+    # v'S v = |v|^2 sigma^2 of v from the camera to the point: sigma <= share |v|, without a root
     return not s2 <= DEPTH_DEVIATION * DEPTH_DEVIATION * n2 * n2
 
 
@@ -69,6 +70,7 @@ def triangulate_linear_point(rig, uv, cov, X, S):
     for s in range(2):
         if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy[s], J[s]):
             return NO_RAY
+        # rows weighted by depth, not in px: a start (Hartley and Zisserman 2004, section 12.2)
         for c in range(2):
             for j in range(3):
                 A[2 * s + c, j] = R[s, c, j] - xy[s, c] * R[s, 2, j]
@@ -94,6 +96,7 @@ def triangulate_linear_point(rig, uv, cov, X, S):
         z = R[s, 2, 0] * X[0] + R[s, 2, 1] * X[1] + R[s, 2, 2] * X[2] + t[s, 2]
         behind |= not z > 0.0
         for i in range(3):
+            # a row's error changes by -z with its x, so that d X / d x = z P a, P = (A'A)^-1
             mx = P[i, 0] * A[2 * s, 0] + P[i, 1] * A[2 * s, 1] + P[i, 2] * A[2 * s, 2]
             my = P[i, 0] * A[2 * s + 1, 0] + P[i, 1] * A[2 * s + 1, 1] + P[i, 2] * A[2 * s + 1, 2]
             for c in range(2):

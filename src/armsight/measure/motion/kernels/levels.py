@@ -32,6 +32,7 @@ LOST_WEIGHT = 1e-4
 @inner_kernel
 def mixed(w, m, stick):
     """Return the probability of level m before the next view: levels change to a neighbour now and then."""
+    # beyond the first and the last level there is none: what would go there stays
     last = w.shape[0] - 1
     lower = w[m - 1] if m > 0 else w[m]
     upper = w[m + 1] if m < last else w[m]
@@ -52,12 +53,14 @@ def weigh(xs, Cs, w, log, stick):
     total = 0.0
     best = 0
     for m in range(K):
+        # over the likeliest: the likelihoods themselves would be 0; below e^-300 a level could not come back
         v[m] = mixed(w, m, stick) * np.exp(max(log[m] - top, -300.0))
         total += v[m]
         if v[m] > v[best]:
             best = m
     for m in range(K):
         w[m] = v[m] / total
+        # a filter of little jerk that a knock has left behind would never see the target again
         if w[m] < LOST_WEIGHT:
             xs[m] = xs[best]
             Cs[m] = Cs[best]
@@ -181,6 +184,7 @@ def levels_of_all(logs, fresh, stick, post):
             e[m] = mixed(w, m, stick)
         tempered(logs[i], e, w)
         post[i] = w
+    # backwards: how likely each level makes all later views of its stretch (Rabiner 1989, section III)
     back = np.ones(K)
     for i in range(n - 1, -1, -1):
         total = 0.0
@@ -241,6 +245,7 @@ def left_out(xs, Cs, views, spots, rig, X, logs):
                 r[2 * j + c] = uv[a + j, c] - here[c]
         if not seen:
             continue
+        # the smoothed state follows these spots, too: what is left of them has less than their own covariance
         multiply(H, Cs[i], G)
         multiply_t(G, H, S)
         for j in range(m):
@@ -248,6 +253,7 @@ def left_out(xs, Cs, views, spots, rig, X, logs):
                 S[j, c] = -S[j, c]
         for j in range(b - a):
             for c in range(2):
+                # LEFT more: a view that alone tells the pose leaves nothing over, and S would have no inverse
                 for d in range(2):
                     S[2 * j + c, 2 * j + d] += (1.0 + LEFT) * cov[a + j, c, d]
         if not invert_spd(S, inverse):

@@ -219,6 +219,7 @@ def smooth(filtered, predicted):
         for i in range(N):
             for j in range(N):
                 inverse[i, j] *= s[i] * s[j]
+        # K = C F' Cp^-1: how much of what later views changed in the next state goes back to this one
         multiply(F, Cs[k], E)
         transposed(E, G)
         multiply(G, inverse, K)

@@ -67,6 +67,7 @@ def observe(x, camera, X, tau, uv, H):
         y[i] = E[i, 0] * r[0] + E[i, 1] * r[1] + E[i, 2] * r[2]
     place = np.empty(3)
     for i in range(3):
+        # constant acceleration over tau, as in state_at; jerk is but noise
         place[i] = x[P + i] + tau * x[V + i] + 0.5 * tau * tau * x[A + i] + y[i]
     J = np.empty((2, 3))
     if not see_point(k, Rc, tc, place, uv, J):
@@ -111,6 +112,7 @@ def update(x, C, camera, view, residual):
     e = np.empty(m)
     d = np.zeros(N)
     px = np.empty(2)
+    # the state itself moves once all has been solved
     z = x.copy()
     chi2 = -1.0
     logdet = 0.0
@@ -241,6 +243,7 @@ def update_pose(x, C, x_seen, cov):
     step = np.empty(N)
     for i in range(N):
         for j in range(6):
+            # a pose is the first six errors of a state, H = (1 0): C H' is their columns
             G[i, j] = C[i, j]
     multiply(G, inverse, K)
     for i in range(N):
@@ -271,6 +274,7 @@ def log_determinant(S):
             for q in range(j):
                 s -= L[i, q] * L[j, q]
             if i == j:
+                # a pivot that rounding makes 0 must not make the log likelihood infinite
                 L[i, i] = sqrt(max(s, 1e-300))
                 total += 2.0 * np.log(L[i, i])
             else:

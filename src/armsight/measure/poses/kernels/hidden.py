@@ -71,6 +71,7 @@ def radii(mine, other, out):
     """Fill out (3,), logarithms: how much narrower and how much wider a light is than the other, each in the direction
     in which it is so most, and how much larger."""
     det = other[XX] * other[YY] - other[XY] ** 2
+    # eigenvalues of other^-1 mine, squares of the ratios of radii where they are extreme, by trace and determinant
     half = 0.5 * (other[YY] * mine[XX] - 2.0 * other[XY] * mine[XY] + other[XX] * mine[YY]) / det
     ratio = (mine[XX] * mine[YY] - mine[XY] ** 2) / det
     root = sqrt(max(half * half - ratio, 0.0))
@@ -116,6 +117,7 @@ def doubt_light(mine, mean, sigma, narrower, wider, row):
     xx = mean[XX] - mine[XX]
     xy = mean[XY] - mine[XY]
     yy = mean[YY] - mine[YY]
+    # principal directions of what the second moments fall short by: where it was cut off, and square to that
     angle = 0.5 * atan2(2.0 * xy, xx - yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     half = 0.5 * (xx + yy)
@@ -256,6 +258,7 @@ def outlines_of(image, flip, camera, P, lean, spots, outlines, sigma, work):
             continue
         outline(image, flip, uv[i, 0], uv[i, 1], size[i], work, outlines[i])
         if outlines[i, AREA] > 0.0:
+            # area and moments go with the inverse square of the distance, but for the part that blur makes, which stays
             share = max(1.0 - BLUR_PX2 * pi / outlines[i, AREA], 0.0)
             nearer = exp(2.0 * share * log(depth / first))
             for m in range(MOMENTS):
@@ -282,6 +285,7 @@ def compare_views(rig, p, outlines, side, mean, d, found):
     far = R[other, 2, 0] * p[0] + R[other, 2, 1] * p[1] + R[other, 2, 2] * p[2] + t[other, 2]
     A = np.empty((2, 2))  # from px of the other view to px of this one
     for j in range(2):
+        # 1 px of the other view is far / f m along its axis j, in a plane that faces it, and is seen from here
         x = R[side, 0, 0] * R[other, j, 0] + R[side, 0, 1] * R[other, j, 1] + R[side, 0, 2] * R[other, j, 2]
         y = R[side, 1, 0] * R[other, j, 0] + R[side, 1, 1] * R[other, j, 1] + R[side, 1, 2] * R[other, j, 2]
         deep = R[side, 2, 0] * R[other, j, 0] + R[side, 2, 1] * R[other, j, 1] + R[side, 2, 2] * R[other, j, 2]

@@ -99,6 +99,7 @@ def has_contrast(image, flip, x0, y0, radius, top, contrast):
         if 0 <= x < w and 0 <= y < h:
             n += 1
             below += np.uint8(image[y, x] ^ flip) <= most
+    # the entry of the sorted ring that blob_at takes is below most if and only if more samples than its number are
     return n >= FEWEST_SAMPLES and below > min(int(BACKGROUND_SHARE * n), n - 1)
 
 
@@ -126,6 +127,7 @@ def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
         top -= 1
         y = stack[top] // w
         x = stack[top] - y * w
+        # beyond it the neighbours below would be read outside of the image
         if x < 1 or y < 1 or x > w - 2 or y > h - 2:
             return 2
         if (x - x0) ** 2 + (y - y0) ** 2 > reach2:
@@ -179,12 +181,14 @@ def roundness(labels, stamp, row):
                 yy += (y - y0) ** 2
     sx /= n
     sy /= n
+    # a pixel has a second moment of its own: one row of pixels is not without width
     xx = xx / n - sx * sx + 1.0 / 12.0
     xy = xy / n - sx * sy
     yy = yy / n - sy * sy + 1.0 / 12.0
     mean = 0.5 * (xx + yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     low = max(mean - root, 1e-3)
+    # an ellipse of half axes a, b has second moments a^2 / 4, b^2 / 4 and the area pi a b = 4 pi sqrt(det)
     fill = n / (4.0 * pi * sqrt(low * (mean + root)))
     axes = sqrt(low / (mean + root))
     return fill * axes if axes > LEAST_AXES and fill > LEAST_FILL else 0.0
@@ -201,6 +205,7 @@ def brightest_near(image, flip, x0, y0, r):
     bx = x0
     by = y0
     for y in range(max(y0 - r, 0), min(y0 + r + 1, h)):
+        # a first pass in vector code: most rows hold nothing as bright as what was found
         top = np.uint8(0)
         row = np.uint64(y)
         for i in range(wide):
@@ -228,6 +233,7 @@ def find_duplicate(table, n, row):
     for k in range(n):
         dx = table[k, SUM_X] / table[k, WEIGHT] - x
         dy = table[k, SUM_Y] / table[k, WEIGHT] - y
+        # half of the radius, squared, of a disc of the larger one's area
         if dx * dx + dy * dy < max(table[k, AREA], row[AREA]) * (0.25 / pi):
             return k
     return -1
@@ -285,6 +291,7 @@ def grow_blobs(picture, peaks, limits, table, work):
             break
         looked += 1
         x, y, top = brightest_near(image, flip, peaks[k, 0], peaks[k, 1], peaks[k, 2])
+        # a pixel of a blob that was kept: the same light, found on another level
         if taken[abs(marks[y, x])] or (mask.size > 0 and mask[y, x] == 0):
             continue
         row[AREA] = 0.0
@@ -310,6 +317,7 @@ def is_peak(image, flip, x, y, grey):
     for b in range(max(y - PEAK_PX, 0), min(y + PEAK_PX + 1, h)):
         for a in range(max(x - PEAK_PX, 0), min(x + PEAK_PX + 1, w)):
             other = np.uint8(image[b, a] ^ flip)
+            # of equal ones the first in reading order alone is a peak
             if other > grey or (other == grey and (b < y or (b == y and a < x))):
                 return False
     return True
@@ -362,6 +370,7 @@ def blob_near(picture, u, v, box, limits, row):
         y = at[k, 1]
         top = int(np.uint8(picture.grey[y, x] ^ picture.flip))
         scale = np.int64(2)
+        # from small to large: the light before what it stands in
         while scale <= max(0.5 * limits.max_radius, 2.0):
             stamp += 1
             if reach < REACH * RING * scale:  # marks of what such a blob may cover about its peak

@@ -83,6 +83,7 @@ SURVEY = 2 * GRID + 1
 def survey_image(image, flip, mask, survey, thresholds):
     """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
     noise, processed = estimate_background(image, flip, mask, survey)
+    # noise that a camera has taken away is no measure of what else it does to the levels
     margin = max(SIGNIFICANT * sqrt(noise), LEAST_MARGIN)
     low, high = threshold_map(survey, margin, thresholds)
     for i in range(GRID):
@@ -107,6 +108,7 @@ def count_rising_edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, m
         for i in range(min(BLOCK, flat.size - first) - 1):
             here = np.uint8(flat[at + np.uint64(i)] ^ flip) > level
             after = np.uint8(flat[at + np.uint64(i + 1)] ^ flip) > level
+            # nearly each rise begins a run: counted in vector code before anything is labelled
             rises += after and not here
         count += rises
         if count > most:
@@ -125,6 +127,7 @@ def label_components(picture, thresholds, mapped, blocks, n_blocks, likely, most
         n = connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, parent, table)
         if n >= 0 or runs_most >= most:
             return table, n
+        # labelled once more, with room for eight times as many
         runs_most *= 8
 
 
@@ -133,6 +136,7 @@ def classify_areas(comps, state, options, w, h, window, margin):
     """Fill STATUS of all areas: what is refused before any fit."""
     for i in range(comps.shape[0]):
         what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+        # a neighbour that nobody asked for: known, so that fits leave out its pixels, but not measured
         if state[i, OWNER] < 0 and what != HOT and what != SMALL:
             what = OTHER
         state[i, STATUS] = what
@@ -155,6 +159,7 @@ def ring_background(image, flip, comps, survey, w, h):
         x = int(0.5 * (comps[k, X_MIN] + comps[k, X_MAX]))
         y = int(0.5 * (comps[k, Y_MIN] + comps[k, Y_MAX]))
         n = ring_level(image, flip, x, y, half + RING_GAP, ring)
+        # quartiles on an even background are apart by noise alone, which is taken off
         step = ring[(3 * n) // 4] - ring[n // 4] - RING_NOISE * sqrt(survey[2 * GRID, NOISE]) if n > 4 else 0.0
         comps[k, SLOPE] = max(step, 0.0) / (half + RING_GAP)
 
@@ -187,7 +192,9 @@ def locate(image, mask, options):
         low = high if options[O_THRESHOLD] < 0.0 else options[O_THRESHOLD]
     for i in range(GRID):
         for j in range(GRID):
+            # they are compared as bytes
             thresholds[i, j] = min(thresholds[i, j], 255.0) if mapped else low
+    # no level exceeds a threshold at the clipping level: everything would be missed in silence
     if low >= min(saturation, 255):
         survey[2 * GRID, NUMBER] = survey[GRID // 2, GRID // 2]
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, NOTHING_ABOVE
@@ -236,6 +243,7 @@ def nearest(comps, n, u, v, window, options, w, h, margin):
             continue
         dx = comps[i, SUM_X] / comps[i, WEIGHT] - u
         dy = comps[i, SUM_Y] / comps[i, WEIGHT] - v
+        # px^2, further than anything in a window: what can be measured comes before what cannot
         away = dx * dx + dy * dy + (0.0 if what == ACCEPTED else 1e6)
         if away < least:
             least = away
@@ -278,6 +286,7 @@ def crowded_window(table, count, box):
     if count < 0 or count > MOST_SEEN:
         return True
     for j in range(count):
+        # from edge to edge, or large and cut off: a wall or a lamp, no light of a target
         wide = table[j, X_MAX] - table[j, X_MIN] + 1.0 >= box[1] - box[0]
         high = table[j, Y_MAX] - table[j, Y_MIN] + 1.0 >= box[3] - box[2]
         edge = table[j, X_MIN] <= box[0] or table[j, X_MAX] >= box[1] - 1

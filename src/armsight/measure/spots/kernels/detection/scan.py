@@ -56,6 +56,7 @@ def sample_line(image, flip, y, x, n, parts):
             total += float(np.uint8(image[row, first + np.uint64(i)] ^ flip))
         parts[k] = total / m
     first = np.uint64(x)
+    # steps from pixel to pixel: a slope of the background hardly counts in them, as it would in deviations
     steps = 0.0
     products = 0.0
     for i in range(m * GROUPS - 2):
@@ -107,8 +108,10 @@ def estimate_background(image, flip, mask, levels):
             for j in range(GRID):
                 levels[i, j] = median
         return 0.0, False
+    # medians over the tiles: edges and lights in less than half of them do not count
     insertion_sort(noise, known)
     insertion_sort(ratio, known)
+    # steps of white noise share a pixel with the next one: correlation -1/2, which processing changes
     middle = ratio[known // 2]
     return noise[known // 2], noise[known // 2] < LEAST_NOISE or abs(middle + 0.5) > WHITE
 
@@ -165,6 +168,7 @@ def threshold_map(levels, margin, thresholds):
         for j in range(GRID):
             lowest = min(lowest, levels[i, j])
             highest = max(highest, levels[i, j])
+    # level all over: one threshold, and with it the faster scan
     if lowest >= 0.0 and highest - lowest < LEVEL_RANGE:
         for i in range(GRID):
             for j in range(GRID):
@@ -191,6 +195,7 @@ def threshold_map(levels, margin, thresholds):
             thresholds[i, j] = value
     for i in range(GRID):
         for j in range(GRID):
+            # masked all around, nothing known: the highest, which lets nothing false through
             if thresholds[i, j] < 0.0:
                 thresholds[i, j] = highest
     return lowest, highest
@@ -220,6 +225,7 @@ def bright_blocks(flat, flip, threshold, hits):
                 if brightest(flat, flip, b * BLOCK, BLOCK) > t:
                     hits[n] = b
                     n += 1
+    # what is left behind the last whole stretch is looked at without a test
     for b in range(whole * per, (flat.size + BLOCK - 1) // BLOCK):
         hits[n] = b
         n += 1
@@ -230,6 +236,7 @@ def bright_blocks(flat, flip, threshold, hits):
 def block_threshold(thresholds, i, h, w):
     """Return the higher one of the thresholds at the first and the last pixel of the block from flat index i."""
     j = min(i + BLOCK - 1, h * w - 1)
+    # a block may go over the edge of a tile, or of a row: what exceeds the higher threshold exceeds both
     a = thresholds[(i // w) * GRID // h, (i % w) * GRID // w]
     return max(a, thresholds[(j // w) * GRID // h, (j % w) * GRID // w])
 
@@ -277,6 +284,7 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
 def find_root(parent, i):
     """Return the root of run i, shortening the path."""
     while parent[i] != i:
+        # path halving (Tarjan and van Leeuwen 1984)
         parent[i] = parent[parent[i]]
         i = parent[i]
     return i
@@ -317,6 +325,7 @@ def add_run(picture, y, start, stop, level, k, table):
 def join_touching_runs(runs, parent, first, last, k):
     """Join run k with the runs first..last-1 of the row above that touch it (diagonals count)."""
     q = first
+    # what ends before this run touches no later one of its row either: first moves on with it
     while q < last and runs[q, 2] < runs[k, 1] - 1:
         q += 1
     first = q
@@ -347,6 +356,7 @@ def merge_runs(parent, n, table):
             table[r, Y_MIN] = min(table[r, Y_MIN], table[i, Y_MIN])
             table[r, Y_MAX] = max(table[r, Y_MAX], table[i, Y_MAX])
     for i in range(n):
+        # roots are the lowest numbers of their areas: moving them to the front overwrites nothing that is needed
         if parent[i] == i:
             for c in range(COLUMNS):
                 table[count, c] = table[i, c]

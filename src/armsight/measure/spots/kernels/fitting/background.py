@@ -56,6 +56,7 @@ def background_variance(residuals, use, u, v, radius, noise):
         for i in range(1, residuals.shape[1] - 1):
             if (j - v) ** 2 + (i - u) ** 2 < (BACKGROUND_FROM * radius) ** 2:
                 continue
+            # means of nine pixels: unevenness of a light's size moves a centre, that of single pixels averages out
             mean = 0.0
             whole = True
             for b in range(j - 1, j + 2):
@@ -93,6 +94,7 @@ def background_centre_variance(image, flip, comp, row, noise):
     if n < FEWEST_BOXES:
         return 0.0
     insertion_sort(boxes, n)
+    # quantiles 1/6 and 5/6 of a normal distribution are 0.97 standard deviations from its mean
     spread = 0.5 * (boxes[(5 * n) // 6] - boxes[n // 6])
     background = max(spread * spread - RING_NOISE * noise, 0.0)
     radius = min(half, 1.0 + HALF_SHARE * half)

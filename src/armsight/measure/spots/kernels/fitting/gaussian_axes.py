@@ -17,8 +17,10 @@ P = 5
 def profile(centre, q, start, n, f):
     """Fill f (3, n): profile, its derivative by the centre and by 1/q, at pixels start..start+n-1."""
     if q < NARROW:
+        # q holds the pixel's own variance, which integrating over it brings anew
         s2 = max(q - PIXEL_VARIANCE, 0.01)
         s = sqrt(s2)
+        # as much light as the sampled profile of the same height: both sum up to sqrt(2 pi q)
         scale = sqrt(q) / s
         z = start - 0.5 - centre
         lower = exp(-0.5 * z * z / s2)
@@ -48,6 +50,7 @@ def profile(centre, q, start, n, f):
         f[1, i] = e * d * w
         f[2, i] = -0.5 * e * d * d
         d += 1.0
+        # exp(-(d + 1)^2 w / 2) from the one before, by two products in place of an exponential
         e *= ratio
         ratio *= shrink
 
@@ -84,6 +87,7 @@ def gram(f, n, power, g):
 @inner_kernel
 def assemble(gx, gy, a, H):
     """Fill H (5, 5) = sum of J'J from the axes' sums gx, gy (4, 4) and the height a."""
+    # the model is a product along the axes: sums over the window are products of sums along them
     H[0, 0] = a * a * gx[2, 2] * gy[1, 1]
     H[0, 1] = a * a * gx[1, 2] * gy[1, 2]
     H[0, 2] = a * gx[1, 2] * gy[1, 1]

@@ -157,6 +157,7 @@ def fit_model(kind, p, n, patch, count, residuals):
     evaluate(kind, p, n, patch, special, grid, J, m, best)
     extra = 0.0
     rss = normal_equations(J, best, n, H, g)
+    # at the start, which the priors are about, they add nothing to the squares
     add_prior(kind, p, start, n, H, g)
     damping = 1e-3
     for _ in range(STEPS):
@@ -164,6 +165,7 @@ def fit_model(kind, p, n, patch, count, residuals):
             return -1.0
         for i in range(n):
             trial[i] = p[i] + step[i]
+        # what is not feasible counts as worse
         new = rss + 1.0
         new_extra = 0.0
         if is_feasible(kind, trial, n):
@@ -171,6 +173,7 @@ def fit_model(kind, p, n, patch, count, residuals):
             new = normal_equations(J, r, n, H2, g2)
             new_extra = add_prior(kind, trial, start, n, H2, g2)
             new += new_extra
+        # written so that NaN is no improvement
         if not new <= rss:
             damping *= 10.0
             if damping > 1e6:
@@ -184,6 +187,7 @@ def fit_model(kind, p, n, patch, count, residuals):
         copy_to(g2, g)
         for i in range(n):
             copy_to(H2[i], H[i])
+        # the small gain of a damped step says nothing of the minimum
         if gain < CLOSE * rss / count and damping <= 1e-3:
             return rss - extra
         damping = max(0.1 * damping, 1e-9)
@@ -217,6 +221,7 @@ def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
     out3[0] = dot(J[0], m)
     out3[1] = dot(work, m)
     out3[2] = dot(m, m)
+    # J[0], by the background, is 1 in pixels that count and 0 in others
     dx = grid.work[1]
     dy = grid.work[2]
     for i in range(m.shape[0]):

@@ -109,6 +109,7 @@ def joint_light(p, n, grid, J, m):
         m[i] = 0.0
         J[1, i] = 0.0
     w = p[1]
+    # separable: nx + ny exponentials in place of nx ny
     ex = np.empty(grid.nx)
     ey = np.empty(grid.ny)
     for k in range(2, n, 3):
@@ -198,10 +199,13 @@ def streak_light(p, grid, J, m):
     to_b = grid.work[7]
     streak_axes(grid, p, c, s_, z, a, b)
     normal(z, across, fa)
+    # the density times sqrt(2 pi): a profile of height 1
     scaled(across, ROOT_2PI, across)
     normal(a, fa, along)
     normal(b, fb, to_b)
+    # along = sqrt(2 pi) s / (2 h) (Phi(a) - Phi(b)): for h -> 0 a round Gaussian of the same height
     streak_ends(fa, along, fb, to_b, a, b, ROOT_2PI * s / (2.0 * h))
+    # u moves along by c and across by -s, v along by s and across by c
     streak_moved(across, z, along, fa, p[3], s, c, -s_, J[1])
     streak_moved(across, z, along, fa, p[3], s, s_, c, J[2])
     for i in range(m.shape[0]):
@@ -216,6 +220,7 @@ def streak_light(p, grid, J, m):
 def edge_form(x, y, u, v, m0, m1, m2, Q, G):
     """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
     k = CORE_VARIANCE
+    # entries of M^2: g^2 = x'M^2x / x'Mx is the squared slope of sqrt(S)
     n0 = m0 * m0 + m1 * m1
     n1 = m1 * (m0 + m2)
     n2 = m1 * m1 + m2 * m2
@@ -353,17 +358,20 @@ def light_and_slopes(kind, p, n, grid, J, m):
 def is_feasible(kind, p, n):
     """Tell whether parameters may be evaluated at all."""
     if kind == JOINT:
+        # p[1] is one over the variance
         return p[1] > MOST_BLUR**-2 and p[1] < LEAST_BLUR**-2
     if not (LEAST_BLUR < p[4] < MOST_BLUR):
         return False
     if kind == STREAK:
         return 0.05 < p[6] < 60.0
+    # positive definite, and with a trace of M below 16 no half axis below a quarter of a px
     return p[5] > 0.0 and p[5] * p[7] - p[6] * p[6] > 1e-9 and p[5] + p[7] < 16.0
 
 
 @inner_kernel
 def prior_weight(kind, i, height):
     """Return the weight of parameter i's prior: weak, only there for what clipping hides (the height, the blur)."""
+    # weights are beside squares in grey levels, of pixels of this noise
     variance = max(PIXEL_VARIANCE, (PRIOR_NOISE * height) ** 2)
     if kind == JOINT:
         return variance / (PRIOR_HEIGHT * height) ** 2 if i > 1 and (i - 2) % 3 == 2 else 0.0

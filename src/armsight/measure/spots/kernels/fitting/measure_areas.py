@@ -144,16 +144,19 @@ def store_fit(result, p):
 @inner_kernel
 def background_of(comp, survey, w, h):
     """Return the background level beside a component: its ring's where it has one, else that of its tile."""
+    # its own ring is nearer than what the survey sampled of the tile
     if comp[SLOPE] >= 0.0:
         return comp[BACKGROUND]
     i = int(comp[SUM_Y] / comp[WEIGHT]) * GRID // h
     j = int(comp[SUM_X] / comp[WEIGHT]) * GRID // w
+    # an area lies above its background; below a threshold given by hand the survey's may be higher
     return min(survey[GRID + i, j], comp[LEVEL])
 
 
 @inner_kernel
 def is_hot_near(comp, hot):
     """Tell whether a hot pixel may lie in the component's window."""
+    # the fit moves and widens its window while it runs
     reach = 1.5 * fit_margin(comp)
     for k in range(hot.shape[0]):
         x = hot[k, 0]
@@ -214,8 +217,11 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
             slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
         for k in range(4):
             fits[i, MOST_PARAMETERS + k] = prior[k]
+        # lights before a room are all left to measure_others, whose covariance is of the residuals as they are
+        # (processed)
         if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and comp[SLOPE] < 0.0:
             round_start(comp, background_of(comp, survey, w, h), picture.saturation, start)
+            # mostly false, which spares looking for such pixels
             clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot)
             fine = fit_round(picture, hot, clipped, start, prior, work, result)
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
@@ -253,12 +259,14 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         kind, size, rss, run = select_model(comp, background, patch, noise, only, fits[i])
         state[i, KIND] = kind
         state[i, SIZE] = size
+        # why it is refused if no model fits
         state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
         if size > 0:
             lights = write_spots(kind, size, fits[i], patch, rss, rows[i], i)
             state[i, LIGHTS] = lights
             if lights > 0:
                 state[i, STATUS] = check_fit(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
+            # residuals still hang together: more lights than were told apart, and each centre is pulled by the rest
             if lights > 1 and run > 2.0 * MISFIT:
                 state[i, STATUS] = UNRESOLVED
         single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
@@ -273,6 +281,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
             state[i, SIZE] = 0
             state[i, LIGHTS] = 1
             state[i, STATUS] = ACCEPTED
+    # as Gauss and Seidel: each with its neighbours' latest light taken off
     for _ in range(CROWD_SWEEPS):
         for i in range(n):
             if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
@@ -292,6 +301,7 @@ def write_centroid(comp, outline, row, source):
     row[S_V] = comp[SUM_Y] / comp[WEIGHT]
     change = comp[SLOPE] / max(comp[PEAK] - comp[BACKGROUND], 1.0) * radius
     variance = (CENTROID_PX + CENTROID_SHARE * radius) ** 2 + (CENTROID_CHANGE * radius * change) ** 2
+    # an ellipse's area is 4 pi sqrt(det) of its second moments: how much larger it is than the pixels', squared
     moments2 = 16.0 * pi * pi * (outline[5] * outline[7] - outline[6] ** 2) / max(outline[8], 1.0) ** 2
     variance += (CENTROID_SHAPE * radius) ** 2 * max(moments2 - 1.0, 0.0)
     row[S_CH] = variance
@@ -322,6 +332,7 @@ def refine(picture, comps, state, i, hot, noise, fits, rows):
         return
     trial = np.empty((MOST_LIGHTS, SPOT))
     lights = write_spots(kind, size, p, patch, rss, trial, i)
+    # else the fit that there is stays
     if lights == state[i, LIGHTS] and check_fit(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
         copy_to(p, fits[i])
         for k in range(lights):
@@ -345,6 +356,7 @@ def shot_gain(spots, n):
         signal = row[S_SIGNAL]
         if row[S_SQUARE] <= 0.0 or dof < 1.0:
             continue
+        # slope of r^2 over m about the means of both; r^2 of normal noise varies by 2 a^2
         square = row[S_SQUARE] - signal * signal / dof
         a = row[S_RSS] / dof
         top += row[S_FOURTH] - a * signal
@@ -364,6 +376,7 @@ def noise_of(row, g):
     """
     a = (row[S_RSS] - g * row[S_SIGNAL]) / max(row[S_DOF], 1.0)
     if row[S_SIGNAL] > 0.0 and row[S_SQUARE] > 0.0:
+        # residuals squared, weighted by the light: what lies where nothing is clipped at black
         lit = row[S_FOURTH] / row[S_SIGNAL]
         if row[S_B] < 2.0 * sqrt(lit):
             a = max(a, lit - g * row[S_SQUARE] / row[S_SIGNAL])

@@ -79,11 +79,14 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
             p[2 + 3 * k] = peaks[k, 0]
             p[3 + 3 * k] = peaks[k, 1]
             p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
+        # the area of a Gaussian above a level L is 2 pi q ln(A / L), see round_start
         p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[AREA]
         return 2 + 3 * lights
     if kind == JOINT:
+        # the second moments are of what is above the threshold: less than the light's own
         q = 1.3 * (0.5 * (large + small) if lights == 1 else small) + 0.1
         p[1] = 1.0 / q
+        # two lights of +-apart: the second moment along is the one across and apart^2
         apart = sqrt(max(large - small, 0.2 * small)) if lights == 2 else 0.0
         for k in range(lights):
             sign = 2.0 * k - 1.0
@@ -97,10 +100,12 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
     if kind == STREAK:
         p[4] = sqrt(1.3 * small)
         p[5] = angle
+        # a segment of half length h has the second moment h^2 / 3
         p[6] = sqrt(3.0 * max(large - small, 0.3 * small))
         p[3] = height * 2.0 * p[6] / (ROOT_2PI * p[4] * erf(p[6] / (ROOT_2 * p[4])))
         return 7
     p[4] = 0.8
+    # a flat ellipse x'Mx <= 1 has the second moments M^-1 / 4
     det = 4.0 * max(shape[5] * shape[7] - shape[6] ** 2, 0.05)
     p[5] = shape[7] / det
     p[6] = -shape[6] / det
@@ -119,6 +124,7 @@ def residual_autocorrelation(residuals):
             r = residuals[j, i]
             left = residuals[j, i - 1] if i > 0 else 0.0
             above = residuals[j - 1, i] if j > 0 else 0.0
+            # of independent residuals the sum has the sum of the products' squares as its variance
             products += r * (left + above)
             spread += r * r * (left * left + above * above)
     return products, products / sqrt(spread) if spread > 0.0 else 0.0
@@ -159,6 +165,7 @@ def drop_worst(residuals, use, rss, noise):
                 worst = residuals[j, i] ** 2
                 a = j
                 b = i
+    # or less than six standard deviations: noise has a largest pixel, too
     if worst < DOMINANT * rss or worst < 36.0 * max(noise, PIXEL_VARIANCE):
         return False
     use[a, b] = 0
@@ -245,6 +252,7 @@ def select_model(comp, background, patch, noise, only, best):
         n, rss, run = start_and_fit(
             np.int64(JOINT), np.int64(1), comp, shape, background, peaks, patch, count, p, residuals
         )
+        # hot pixels within the light, one after the other: every model would follow them
         for _ in range(3):
             if rss > 0.0 and drop_worst(residuals, patch.use, rss, noise):
                 count -= 1

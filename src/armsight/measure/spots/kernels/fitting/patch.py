@@ -81,6 +81,7 @@ def exclude_other_area(own, other, patch):
         y = box[2] + j
         for i in range(use.shape[1]):
             x = box[0] + i
+            # in half axes of their bounds: a border between two areas whatever their sizes
             mine = ((x - ox) / ow) ** 2 + ((y - oy) / oh) ** 2
             theirs = ((x - nx) / nw) ** 2 + ((y - ny) / nh) ** 2
             if theirs < mine:
@@ -137,6 +138,7 @@ def shape_of(patch, comp, level, background, shape):
         if k == 0:
             shape[0] = cx
             shape[1] = cy
+        # not below 0.1, about a pixel's own: a single column has a width
         shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
         shape[3 + 3 * k] = m[4] / total - cx * cy
         shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
@@ -167,6 +169,7 @@ def valley(patch, a, b):
         x = a[0] + (b[0] - a[0]) * k / steps
         y = a[1] + (b[1] - a[1]) * k / steps
         v = smoothed(patch.values, patch.use, int(y + 0.5) - y0, int(x + 0.5) - x0)
+        # where pixels are left out nothing is known, and nothing parts the two
         if v >= 0.0:
             low = min(low, v)
     return low
@@ -192,6 +195,7 @@ def find_peaks(patch, level, noise, peaks):
             for a in range(-1, 2):
                 for b in range(-1, 2):
                     other = means[j + a, i + b]
+                    # of equal ones the first in reading order alone is a maximum
                     if other > v or (other == v and (a < 0 or (a == 0 and b < 0))):
                         top = False
             if top:
@@ -219,6 +223,7 @@ def find_peaks(patch, level, noise, peaks):
 @inner_kernel
 def principal(xx, xy, yy):
     """Return the larger and the smaller second moment, and the angle of the larger."""
+    # eigenvalues and direction of [[xx, xy], [xy, yy]]
     mean = 0.5 * (xx + yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
@@ -236,6 +241,7 @@ def make_patch(picture, comps, state, i, hot, subtract, patch):
             use[y, x] = 0
     for j in range(comps.shape[0]):
         status = state[j, STATUS]
+        # the light of a neighbour that was measured is taken off instead
         if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
             continue
         if boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + 2.0):

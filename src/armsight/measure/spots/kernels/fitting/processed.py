@@ -57,6 +57,7 @@ def centre_influence(kind, n, p, J, use, influence):
         H[i, i] += prior_weight(kind, i, p[4] if kind == JOINT else p[3])
     if not invert_spd(H, C):
         return False
+    # d parameters = C J d values, one step of Gauss and Newton from the minimum; the centre's rows of it
     first = 2 if kind == JOINT else 1
     for a in range(2):
         of_pixel = influence[a].reshape(-1)
@@ -120,11 +121,13 @@ def robust_covariance(kind, n, p, patch, comp, noise, row):
     edge = (EDGE_VARIANCE + EDGE_VARIANCE_CLIPPED * clipped * clipped) * (1.0 + (TINY_PX / radius) ** 2) / radius
     floor = SPREAD_SHARE * away2 + edge + background_influence * background_influence * background
     for k in range(3):
+        # freedom that the fit took is given back (HC1 of MacKinnon and White 1985)
         row[S_CH + k] = out[k] * count / (count - n) + (0.0 if k == 1 else floor)
         row[S_CG + k] = 0.0
     row[S_FOURTH] = 0.0
     row[S_SQUARE] = 0.0
     row[S_SIGNAL] = 0.0
+    # the covariance is complete: what it is multiplied with later, RSS / DOF, is 1
     row[S_DOF] = 1.0
     row[S_RSS] = 1.0
     return True

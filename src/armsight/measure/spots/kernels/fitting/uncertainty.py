@@ -36,6 +36,7 @@ def slope_prior(levels, y, x, w, h, noise, prior):
             if a < 0.0 or b < 0.0 or d < 0.0:
                 continue
             three[known] = (d - a) / ((hi - lo) * size)
+            # the second difference: how far the slope changes from tile to tile
             if k == o and hi - lo == 2:
                 bend = abs(d - 2.0 * b + a) / size
             known += 1
@@ -104,6 +105,7 @@ def uncertainty(H, G, tilt, prior, noise, signal, out):
     C = np.empty((n, n))
     if not invert_spd(H, C):
         return np.nan
+    # trace of H^-1 G, the light of each pixel times its leverage: what the fit takes of the signal
     trace = 0.0
     for i in range(n):
         for j in range(n):
@@ -116,6 +118,7 @@ def uncertainty(H, G, tilt, prior, noise, signal, out):
             CG[1, j] += C[1, i] * G[i, j]
             CB[j, 0] += C[j, i] * tilt[i, 0]
             CB[j, 1] += C[j, i] * tilt[i, 1]
+    # the slope's two parameters beside the others: the Schur complement of H in the larger matrix, and their prior
     kx = noise / (prior[2] * prior[2])
     ky = noise / (prior[3] * prior[3])
     xx = tilt[n, 0] + kx
@@ -136,6 +139,7 @@ def uncertainty(H, G, tilt, prior, noise, signal, out):
     for a in range(2):
         out[6 + a] = -(CB[a, 0] * slope_x + CB[a, 1] * slope_y)
         for b in range(a, 2):
+            # the centre with the slope unknown: C + CB S^-1 CB', S the complement (xx, xy, yy)
             out[k] = C[a, b]
             out[k] += (CB[a, 0] * CB[b, 0] * yy - (CB[a, 0] * CB[b, 1] + CB[a, 1] * CB[b, 0]) * xy) / det
             out[k] += CB[a, 1] * CB[b, 1] * xx / det
