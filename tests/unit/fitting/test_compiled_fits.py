@@ -17,10 +17,11 @@ from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
 from armsight.measure.poses.kernels import pose as pose_kernels
-from armsight.measure.spots.kernels.fitting.leastsquares import fit_model
-from armsight.measure.spots.kernels.fitting.light_models import STREAK, grid_of, light_and_slopes
-from armsight.measure.spots.kernels.fitting.patch import Patch
-from armsight.measure.spots.kernels.fitting.round_gaussian import (
+from armsight.measure.spots.kernels.leastsquares import fit_model
+from armsight.measure.spots.kernels.light_models import STREAK, grid_of, light_and_slopes
+from armsight.measure.spots.kernels.patch import Patch
+from armsight.measure.spots.kernels.picture import Picture
+from armsight.measure.spots.kernels.round_gaussian import (
     COV,
     DOF,
     RESULT,
@@ -33,7 +34,6 @@ from armsight.measure.spots.kernels.fitting.round_gaussian import (
     fit_round,
     new_work,
 )
-from armsight.measure.spots.kernels.picture import Picture
 from armsight.optics import Camera, PackedRig, parallel_rig, triangulate
 
 Array = NDArray[np.float64]

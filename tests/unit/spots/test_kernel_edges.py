@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from armsight.measure.poses.kernels.correspondence import Best, _keep
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.picture import Picture
+from armsight.measure.spots.kernels.round_gaussian import MOST, REACH, set_box
+from armsight.measure.spots.kernels.scan import (
     AREA,
     BLOCK,
     COLUMNS,
@@ -25,8 +27,6 @@ from armsight.measure.spots.kernels.detection.scan import (
     join_touching_runs,
     threshold_map,
 )
-from armsight.measure.spots.kernels.fitting.round_gaussian import MOST, REACH, set_box
-from armsight.measure.spots.kernels.picture import Picture
 
 Image = NDArray[np.uint8]
 NO_MASK = np.empty((0, 0), np.uint8)

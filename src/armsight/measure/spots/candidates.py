@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, LARGE, MANY, SMALL, STATE, STATUS, UNUSED
-from armsight.measure.spots.kernels.detection.blobs import grow_blobs
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.area import ACCEPTED, HOT, LARGE, MANY, SMALL, STATE, STATUS, UNUSED
+from armsight.measure.spots.kernels.blobs import grow_blobs
+from armsight.measure.spots.kernels.scan import (
     AREA,
     COLUMNS,
     LEVEL,

@@ -32,9 +32,9 @@ from armsight.measure.spots.grey import (
     searchable,
     track_grey,
 )
-from armsight.measure.spots.kernels.detection.area import ACCEPTED, OWNER, STATUS, UNUSED
-from armsight.measure.spots.kernels.detection.blobs import grow_blobs
-from armsight.measure.spots.kernels.detection.colour import (
+from armsight.measure.spots.kernels.area import ACCEPTED, OWNER, STATUS, UNUSED
+from armsight.measure.spots.kernels.blobs import grow_blobs
+from armsight.measure.spots.kernels.colour import (
     BRIGHT,
     CLIPPED_FROM,
     LEAST_SATURATION,
@@ -53,8 +53,8 @@ from armsight.measure.spots.kernels.detection.colour import (
     measure_colour,
     white_pixels,
 )
-from armsight.measure.spots.kernels.detection.locate import FULL, locate
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.locate import FULL, locate
+from armsight.measure.spots.kernels.scan import (
     COLUMNS,
     LEVEL,
     PEAK,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.candidates import Candidates, Index, blobs, fresh_state, is_dark, is_quiet, only
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels.area import (
     BORDER,
     FAILED,
     FIT,
@@ -24,11 +24,11 @@ from armsight.measure.spots.kernels.detection.area import (
     UNRESOLVED,
     UNUSED,
 )
-from armsight.measure.spots.kernels.detection.colour import whiten_clipped
-from armsight.measure.spots.kernels.detection.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
-from armsight.measure.spots.kernels.detection.scan import SUM_X, SUM_Y, WEIGHT
-from armsight.measure.spots.kernels.fitting.background import add_background_variance
-from armsight.measure.spots.kernels.fitting.measure_areas import measure_others, measure_round, pack_results
+from armsight.measure.spots.kernels.background import add_background_variance
+from armsight.measure.spots.kernels.colour import whiten_clipped
+from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
+from armsight.measure.spots.kernels.measure_areas import measure_others, measure_round, pack_results
+from armsight.measure.spots.kernels.scan import SUM_X, SUM_Y, WEIGHT
 from armsight.records import Spots, trusted
 
 Image = NDArray[np.uint8]

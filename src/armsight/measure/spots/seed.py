@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.candidates import Candidates, fresh_state
 from armsight.measure.spots.grey import Array, Image, searchable, whole_frame
-from armsight.measure.spots.kernels.detection.scan import AREA, COLUMNS, PEAK, SUM_X, SUM_Y, WEIGHT
-from armsight.measure.spots.kernels.detection.seed import shapes
+from armsight.measure.spots.kernels.scan import AREA, COLUMNS, PEAK, SUM_X, SUM_Y, WEIGHT
+from armsight.measure.spots.kernels.seed import shapes
 from armsight.records import Spots
 
 ARMS = (4, 2)

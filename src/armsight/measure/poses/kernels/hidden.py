@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.area import O_FLIP
+from armsight.measure.spots.kernels.area import O_FLIP
 from armsight.measure.spots.kernels.outline import AREA, EDGE_X, EDGE_Y, MOMENTS, OUTLINE, RING, XX, XY, YY, outline
 from armsight.optics.kernels.camera import CameraK, RigK
 

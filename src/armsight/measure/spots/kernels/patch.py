@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
-from armsight.measure.spots.kernels.detection.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
-from armsight.measure.spots.kernels.fitting.light_models import CLIPPED_PIXEL
+from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
+from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL
 from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 
 DEEP = 2.0
 """Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of

@@ -6,7 +6,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import solve_damped
-from armsight.measure.spots.kernels.fitting.light_models import (
+from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
     add_prior,

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
+from armsight.measure.spots.kernels.scan import (
     AREA,
     BACKGROUND,
     CLIPPED,
@@ -24,7 +25,6 @@ from armsight.measure.spots.kernels.detection.scan import (
     Y_MAX,
     Y_MIN,
 )
-from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
 
 RING = 4.5
 """Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     CROWDED,
     LIGHTS,
@@ -20,10 +20,10 @@ from armsight.measure.spots.kernels.detection.area import (
     S_V,
     STATUS,
 )
-from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, RING_X, RING_Y
-from armsight.measure.spots.kernels.detection.locate import NOISE
-from armsight.measure.spots.kernels.detection.scan import GRID, SLOPE, X_MAX, X_MIN, Y_MAX, Y_MIN
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
+from armsight.measure.spots.kernels.locate import NOISE
 from armsight.measure.spots.kernels.picture import insertion_sort
+from armsight.measure.spots.kernels.scan import GRID, SLOPE, X_MAX, X_MIN, Y_MAX, Y_MIN
 
 BACKGROUND_INFLUENCE = 0.9
 """Shift of a centre in radii at half height, over the background's standard deviation round the light as a share of its

@@ -14,7 +14,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel
 from armsight.fitting.kernels import invert_spd
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels.area import (
     S_CG,
     S_CH,
     S_DOF,
@@ -25,12 +25,12 @@ from armsight.measure.spots.kernels.detection.area import (
     S_U,
     S_V,
 )
-from armsight.measure.spots.kernels.detection.scan import AREA, BACKGROUND, CLIPPED, PEAK, SUM_X, SUM_Y, WEIGHT
-from armsight.measure.spots.kernels.fitting.background import BACKGROUND_INFLUENCE, background_variance
-from armsight.measure.spots.kernels.fitting.leastsquares import evaluate_patch, gram, unused
-from armsight.measure.spots.kernels.fitting.light_models import JOINT, add_scaled, prior_weight
-from armsight.measure.spots.kernels.fitting.model_selection import antisymmetric_part
-from armsight.measure.spots.kernels.fitting.patch import used
+from armsight.measure.spots.kernels.background import BACKGROUND_INFLUENCE, background_variance
+from armsight.measure.spots.kernels.leastsquares import evaluate_patch, gram, unused
+from armsight.measure.spots.kernels.light_models import JOINT, add_scaled, prior_weight
+from armsight.measure.spots.kernels.model_selection import antisymmetric_part
+from armsight.measure.spots.kernels.patch import used
+from armsight.measure.spots.kernels.scan import AREA, BACKGROUND, CLIPPED, PEAK, SUM_X, SUM_Y, WEIGHT
 
 OFF_CENTROID_PX = 0.3
 OFF_CENTROID_SHARE = 0.35

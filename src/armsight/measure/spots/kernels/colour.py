@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.scan import brightest
+from armsight.measure.spots.kernels.scan import brightest
 
 # a colour as the kernels see it: hue from, to (degrees, wrapping), least saturation (0..1), least value (0..255)
 HUE_FROM, HUE_TO, LEAST_SATURATION, LEAST_VALUE = range(4)

@@ -8,7 +8,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel
 from armsight.fitting.kernels import invert_spd
-from armsight.measure.spots.kernels.detection.scan import GRID
+from armsight.measure.spots.kernels.scan import GRID
 
 
 @inner_kernel

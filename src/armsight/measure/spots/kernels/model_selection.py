@@ -8,7 +8,7 @@ from math import erf, exp, log, pi, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels.area import (
     AS_ELLIPSE,
     AS_GAUSSIAN,
     AS_JOINT,
@@ -32,7 +32,12 @@ from armsight.measure.spots.kernels.detection.area import (
     S_U,
     S_V,
 )
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
+from armsight.measure.spots.kernels.leastsquares import evaluate_patch, fit_model, gram, weighted_information
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
+from armsight.measure.spots.kernels.patch import find_peaks, principal, shape_of, used
+from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.scan import (
     AREA,
     CLIPPED,
     LEVEL,
@@ -40,12 +45,7 @@ from armsight.measure.spots.kernels.detection.scan import (
     SLOPE,
     WEIGHT,
 )
-from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.fitting.leastsquares import evaluate_patch, fit_model, gram, weighted_information
-from armsight.measure.spots.kernels.fitting.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
-from armsight.measure.spots.kernels.fitting.patch import find_peaks, principal, shape_of, used
-from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, remaining_square, uncertainty, variance_inflation
-from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.uncertainty import MISFIT, remaining_square, uncertainty, variance_inflation
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""

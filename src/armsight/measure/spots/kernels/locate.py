@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     BEYOND,
     HOT,
@@ -24,8 +24,9 @@ from armsight.measure.spots.kernels.detection.area import (
     boxes_overlap,
     classify,
 )
-from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
+from armsight.measure.spots.kernels.picture import Picture, copy_to
+from armsight.measure.spots.kernels.scan import (
     AREA,
     BACKGROUND,
     BLOCK,
@@ -48,7 +49,6 @@ from armsight.measure.spots.kernels.detection.scan import (
     estimate_background,
     threshold_map,
 )
-from armsight.measure.spots.kernels.picture import Picture, copy_to
 
 SIGNIFICANT = 5.0
 """Threshold above the background in standard deviations of the noise: one false pixel in three frames of 1280 x 720."""

@@ -7,7 +7,8 @@ from math import exp, log, pi, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.detection.scan import (
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
+from armsight.measure.spots.kernels.scan import (
     AREA,
     CLIPPED,
     LEVEL,
@@ -20,7 +21,6 @@ from armsight.measure.spots.kernels.detection.scan import (
     Y_MAX,
     Y_MIN,
 )
-from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
 
 # order of the numbers in `options` (see settings.SpotSettings)
 O_THRESHOLD, O_FLIP, O_SATURATION, O_MIN_PIXELS, O_MAX_RADIUS, O_MAX_SPOTS, O_MODEL, O_GAIN = range(8)

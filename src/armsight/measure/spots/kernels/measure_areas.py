@@ -7,7 +7,7 @@ from math import pi, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     AS_CENTROID,
     AS_GAUSSIAN,
@@ -53,29 +53,14 @@ from armsight.measure.spots.kernels.detection.area import (
     hot_pixels,
     round_start,
 )
-from armsight.measure.spots.kernels.detection.locate import NOISE
-from armsight.measure.spots.kernels.detection.scan import (
-    AREA,
-    BACKGROUND,
-    CLIPPED,
-    GRID,
-    LEVEL,
-    PEAK,
-    SLOPE,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
-from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.fitting.leastsquares import add_light_to_patch
-from armsight.measure.spots.kernels.fitting.model_selection import refit, select_model, write_spots
-from armsight.measure.spots.kernels.fitting.patch import make_patch, new_patch, shape_of
-from armsight.measure.spots.kernels.fitting.processed import is_off_centroid, robust_covariance
-from armsight.measure.spots.kernels.fitting.round_gaussian import (
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
+from armsight.measure.spots.kernels.leastsquares import add_light_to_patch
+from armsight.measure.spots.kernels.locate import NOISE
+from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
+from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
+from armsight.measure.spots.kernels.picture import Picture, copy_to
+from armsight.measure.spots.kernels.processed import is_off_centroid, robust_covariance
+from armsight.measure.spots.kernels.round_gaussian import (
     COV,
     DOF,
     FOURTH,
@@ -92,8 +77,23 @@ from armsight.measure.spots.kernels.fitting.round_gaussian import (
     fit_round,
     new_work,
 )
-from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, ring_prior, slope_prior
-from armsight.measure.spots.kernels.picture import Picture, copy_to
+from armsight.measure.spots.kernels.scan import (
+    AREA,
+    BACKGROUND,
+    CLIPPED,
+    GRID,
+    LEVEL,
+    PEAK,
+    SLOPE,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+)
+from armsight.measure.spots.kernels.uncertainty import MISFIT, ring_prior, slope_prior
 
 GAIN_DOUBT = 0.5
 """Standard deviations by which the estimated gain is lowered."""
