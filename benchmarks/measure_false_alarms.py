@@ -27,9 +27,8 @@ from armsight.app.measure.run import run as measure_run
 from armsight.app.schemas.measure import ConsistencyOutput
 from armsight.app.simulate.cells import CellPairs, load_cell
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pipeline import Setup, measure_spots, warm_up
 from armsight.optics import Rig
 from armsight.records import Silent, Spots, spot_target

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from armsight.app.schemas.measure import ConsistencyOutput, Estimated, OtherCause
+from armsight.measure.consistency.check import advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency, Finding
-from armsight.measure.consistency.explain import advice, sentence
 
 LISTED = 4
 """Causes that are told in all."""

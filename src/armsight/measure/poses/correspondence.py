@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Unseen
-from armsight.measure.poses.arrangements import Scope, search_arrangements
-from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import SLACK_PX, Pairs
-from armsight.measure.poses.target_model import TargetModel
+from armsight.measure.poses.outcome import Assignment, Match, Prediction
+from armsight.measure.poses.pairs import Pairs, Scope, search_arrangements
+from armsight.measure.poses.setup import SLACK_PX, TargetModel
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Spots
 

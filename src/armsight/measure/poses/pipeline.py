@@ -11,11 +11,11 @@ from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
 from armsight.measure.poses.from_spots import lost_moment, measure_among, measure_spots
-from armsight.measure.poses.hidden import solve_seen
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
+from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots

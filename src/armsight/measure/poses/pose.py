@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import pose_ambiguity, rig_covariance
-from armsight.measure.poses.pairs import SLACK_PX
+from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
 

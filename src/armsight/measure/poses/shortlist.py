@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.arrangements import Scope, search_arrangements
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import PAIR_GATE, Pairs
+from armsight.measure.poses.pairs import PAIR_GATE, Pairs, Scope, search_arrangements
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots import Candidates
 from armsight.optics import SIDES

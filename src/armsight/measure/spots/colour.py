@@ -10,24 +10,22 @@ from numpy.typing import NDArray
 
 from armsight.errors import BadImage
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.candidates import (
+from armsight.measure.spots.grey import (
     CONTRAST,
     MOST,
     MOST_GROWN,
+    Array,
     Candidates,
+    Image,
     Index,
+    checked_mask,
     fresh_state,
     is_dark,
     is_quiet,
-    only,
-    pyramid_peaks,
-)
-from armsight.measure.spots.grey import (
-    Array,
-    Image,
-    checked_mask,
     measured,
     not_an_image,
+    only,
+    pyramid_peaks,
     record,
     searchable,
     track_grey,

@@ -16,8 +16,14 @@ from armsight._numba import inner_kernel, kernel
 from armsight.geometry.kernels import copy_1, copy_2
 from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, kabsch, pose_normal, refine_pose, weights
 from armsight.optics.kernels.camera import RigK
-from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
-from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
+from armsight.optics.kernels.triangulation import (
+    BEHIND,
+    FOUND,
+    epipolar_residual,
+    quadratic_form_2,
+    rays_in_rig,
+    triangulate_linear_point,
+)
 
 MAX_PAIRS = 1024
 MANY_PAIRS = 8192  # of coarse centres

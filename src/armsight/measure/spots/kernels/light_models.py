@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
-from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.normal_table import normal
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
 FAR = 5.0

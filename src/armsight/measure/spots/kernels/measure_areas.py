@@ -54,7 +54,7 @@ from armsight.measure.spots.kernels.area import (
     round_start,
 )
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.leastsquares import add_light_to_patch
+from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch, ring_prior, slope_prior
 from armsight.measure.spots.kernels.locate import NOISE
 from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
@@ -93,7 +93,6 @@ from armsight.measure.spots.kernels.scan import (
     Y_MAX,
     Y_MIN,
 )
-from armsight.measure.spots.kernels.uncertainty import MISFIT, ring_prior, slope_prior
 
 GAIN_DOUBT = 0.5
 """Standard deviations by which the estimated gain is lowered."""

@@ -33,19 +33,27 @@ from armsight.measure.spots.kernels.area import (
     S_V,
 )
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.leastsquares import evaluate_patch, fit_model, gram, weighted_information
-from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
-from armsight.measure.spots.kernels.patch import find_peaks, principal, shape_of, used
-from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.scan import (
-    AREA,
-    CLIPPED,
-    LEVEL,
-    PEAK,
-    SLOPE,
-    WEIGHT,
+from armsight.measure.spots.kernels.leastsquares import (
+    MISFIT,
+    evaluate_patch,
+    fit_model,
+    gram,
+    remaining_square,
+    uncertainty,
+    variance_inflation,
+    weighted_information,
 )
-from armsight.measure.spots.kernels.uncertainty import MISFIT, remaining_square, uncertainty, variance_inflation
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
+from armsight.measure.spots.kernels.patch import (
+    antisymmetric_part,
+    find_peaks,
+    principal,
+    residual_autocorrelation,
+    shape_of,
+    used,
+)
+from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.scan import AREA, CLIPPED, LEVEL, PEAK, SLOPE, WEIGHT
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
@@ -111,46 +119,6 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
     p[6] = -shape[6] / det
     p[7] = shape[5] / det
     return 8
-
-
-@inner_kernel
-def residual_autocorrelation(residuals):
-    """Return the sum of products of neighbouring residuals, and that over its own standard deviation
-    (round_gaussian.residual_sums)."""
-    products = 0.0
-    spread = 0.0
-    for j in range(residuals.shape[0]):
-        for i in range(residuals.shape[1]):
-            r = residuals[j, i]
-            left = residuals[j, i - 1] if i > 0 else 0.0
-            above = residuals[j - 1, i] if j > 0 else 0.0
-            # of independent residuals the sum has the sum of the products' squares as its variance
-            products += r * (left + above)
-            spread += r * r * (left * left + above * above)
-    return products, products / sqrt(spread) if spread > 0.0 else 0.0
-
-
-@inner_kernel
-def antisymmetric_part(residuals, use, u, v, antisymmetric):
-    """Fill antisymmetric with the part of the residuals that changes sign under reflection at (u, v), times root 2.
-
-    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. Returns
-    the sum of its squares and how many pixels it has. u and v count from the patch's first pixel.
-    """
-    turn_x = int(np.round(2.0 * u))
-    turn_y = int(np.round(2.0 * v))
-    squares = 0.0
-    count = 0
-    for j in range(residuals.shape[0]):
-        for i in range(residuals.shape[1]):
-            antisymmetric[j, i] = 0.0
-            a = turn_y - j
-            b = turn_x - i
-            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
-                antisymmetric[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
-                squares += antisymmetric[j, i] ** 2
-                count += 1
-    return squares, count
 
 
 @inner_kernel

@@ -1,4 +1,4 @@
-"""The pixels around one bright area as the slower fits want them: values, which of them to use, and their moments."""
+"""The pixels around one bright area as the slower fits want them: values, which of them to use, moments, residuals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
-from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL
+from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, ROOT_2
 from armsight.measure.spots.kernels.picture import copy_to
 from armsight.measure.spots.kernels.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 
@@ -246,3 +246,43 @@ def make_patch(picture, comps, state, i, hot, subtract, patch):
             continue
         if boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + 2.0):
             exclude_other_area(comps[i], comps[j], patch)
+
+
+@inner_kernel
+def residual_autocorrelation(residuals):
+    """Return the sum of products of neighbouring residuals, and that over its own standard deviation
+    (round_gaussian.residual_sums)."""
+    products = 0.0
+    spread = 0.0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            r = residuals[j, i]
+            left = residuals[j, i - 1] if i > 0 else 0.0
+            above = residuals[j - 1, i] if j > 0 else 0.0
+            # of independent residuals the sum has the sum of the products' squares as its variance
+            products += r * (left + above)
+            spread += r * r * (left * left + above * above)
+    return products, products / sqrt(spread) if spread > 0.0 else 0.0
+
+
+@inner_kernel
+def antisymmetric_part(residuals, use, u, v, antisymmetric):
+    """Fill antisymmetric with the part of the residuals that changes sign under reflection at (u, v), times root 2.
+
+    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. Returns
+    the sum of its squares and how many pixels it has. u and v count from the patch's first pixel.
+    """
+    turn_x = int(np.round(2.0 * u))
+    turn_y = int(np.round(2.0 * v))
+    squares = 0.0
+    count = 0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            antisymmetric[j, i] = 0.0
+            a = turn_y - j
+            b = turn_x - i
+            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
+                antisymmetric[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
+                squares += antisymmetric[j, i] ** 2
+                count += 1
+    return squares, count

@@ -19,8 +19,8 @@ import numpy as np
 from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
+from armsight.measure.spots.kernels.leastsquares import remaining_square, uncertainty, variance_inflation
 from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.uncertainty import remaining_square, uncertainty, variance_inflation
 
 MOST = 129
 """Largest side of a window in px."""
