@@ -99,7 +99,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "files": {
         "measure/spots/kernels/scan.py": "thresholds and connected components of one pass over an image",
-        "measure/spots/kernels/measure_areas.py": "all that is done to one list of areas, in its order",
         "sim/rooms/kernels.py": "rays and light of one scene, which is one tuple of arrays for all of them",
     },
 }

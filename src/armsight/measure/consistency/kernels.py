@@ -63,7 +63,9 @@ def frame_evidence(rig, target, T, cov, residual, velocity, N, b, S, C):
                 return -1.0
             place_slopes(J, T, E)
             copy_2(D, row)
-            row[:, PARAMETERS : PARAMETERS + m] = 0.0
+            for i in range(2):
+                for j in range(m):
+                    row[i, PARAMETERS + j] = 0.0
             add_by_basis(E, basis[light], row[:, PARAMETERS:])
             for i in range(2):
                 v = velocity[light]

@@ -21,7 +21,7 @@ from armsight.measure.spots.grey import (
     track_grey,
     whole_frame,
 )
-from armsight.measure.spots.kernels.scan import AREA, COLUMNS, PEAK, SUM_X, SUM_Y, WEIGHT
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.seed import shapes
 from armsight.records import Spots
 from armsight.records.target import RED
@@ -106,11 +106,11 @@ def seeded_candidates(image: Image, settings: SpotSettings) -> Candidates:
     Shapes that are too large or cut by the border are of a room: one or two spots beside them are no sure lights.
     """
     spots = find_seeded(image, settings)
-    areas = np.zeros((len(spots), COLUMNS))
-    areas[:, WEIGHT] = 1.0
-    areas[:, [SUM_X, SUM_Y]] = spots.uv_px
-    areas[:, PEAK] = spots.peak
-    areas[:, AREA] = np.pi * spots.size_px**2
+    areas = np.zeros((len(spots), col.COLUMNS))
+    areas[:, col.WEIGHT] = 1.0
+    areas[:, [col.SUM_X, col.SUM_Y]] = spots.uv_px
+    areas[:, col.PEAK] = spots.peak
+    areas[:, col.AREA] = np.pi * spots.size_px**2
     shapes_refused = sum(why in (CUT, TOO_LARGE) for _, _, why in spots.rejected)
     return Candidates(
         areas=areas,

@@ -11,42 +11,25 @@ from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.settings import SpotSettings
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     BORDER,
     FAILED,
-    FIT,
     HOT,
     LARGE,
     MANY,
-    MOST_LIGHTS,
     SATURATED,
     SMALL,
-    SPOT,
-    STATE,
-    STATUS,
     UNLIKE,
     UNRESOLVED,
     UNUSED,
 )
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
-from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
+from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_others, measure_round, pack_results
 from armsight.measure.spots.kernels.processed import add_background_variance
-from armsight.measure.spots.kernels.scan import (
-    AREA,
-    COLUMNS,
-    LEVEL,
-    PEAK,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
 from armsight.records import Spots, trusted
 
 Image = NDArray[np.uint8]
@@ -88,10 +71,10 @@ def grey_candidates(image: Image, settings: SpotSettings, faint: bool) -> Candid
     if room:
         if outcome == FULL:
             refused = too_large(areas, state)
-        areas, complete = blobs(grey, settings, float(survey[-1, NOISE]), faint)
+        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), faint)
         state = fresh_state(len(areas))
     if not len(areas) and outcome != FULL:
-        refused = (whole_frame(grey, _too_bright(outcome, float(survey[-1, NUMBER]))),)
+        refused = (whole_frame(grey, _too_bright(outcome, float(survey[-1, col.NUMBER]))),)
 
     def fit(chosen: Index, others: int) -> Spots:
         own = state.copy() if quiet else only(state, chosen, others)
@@ -103,9 +86,13 @@ def grey_candidates(image: Image, settings: SpotSettings, faint: bool) -> Candid
 
 def too_large(areas: Array, state: NDArray[np.int64]) -> Rejected:
     """Return the areas above the threshold that are larger than a light, or cut by the image's border."""
-    large = areas[np.isin(state[:, STATUS], (LARGE, BORDER))]
-    why = state[np.isin(state[:, STATUS], (LARGE, BORDER)), STATUS]
-    return rejections(np.column_stack([large[:, [SUM_X, SUM_Y]] / large[:, [WEIGHT]], why])) if len(large) else ()
+    large = areas[np.isin(state[:, col.STATUS], (LARGE, BORDER))]
+    why = state[np.isin(state[:, col.STATUS], (LARGE, BORDER)), col.STATUS]
+    return (
+        rejections(np.column_stack([large[:, [col.SUM_X, col.SUM_Y]] / large[:, [col.WEIGHT]], why]))
+        if len(large)
+        else ()
+    )
 
 
 def _too_bright(outcome: int, number: float) -> str:
@@ -132,7 +119,7 @@ def measured(
 ) -> tuple[tuple[Array, ...], Array]:
     """Return the spots' columns and the refusals of the located areas."""
     n = len(areas)
-    fits, rows = np.empty((n, FIT)), np.empty((n, MOST_LIGHTS, SPOT))
+    fits, rows = np.empty((n, col.FIT)), np.empty((n, col.MOST_LIGHTS, col.SPOT))
     if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
         measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
     add_background_variance(grey, settings.options, areas, state, survey, rows)
@@ -253,7 +240,7 @@ class Candidates:
 
     def positions(self, most: int = MOST) -> Index:
         """Return the positions of the candidates, at most so many, of greatest contrast first."""
-        at = np.flatnonzero(self.state[:, STATUS] == ACCEPTED)
+        at = np.flatnonzero(self.state[:, col.STATUS] == ACCEPTED)
         return at[np.argsort(-self.contrast[at], kind="stable")[:most]]
 
     def measure(self, chosen: Index) -> Spots:
@@ -267,22 +254,22 @@ class Candidates:
     @property
     def uv_px(self) -> Array:
         """Coarse centres (n, 2)."""
-        return np.asarray(self.areas[:, [SUM_X, SUM_Y]] / self.areas[:, [WEIGHT]])
+        return np.asarray(self.areas[:, [col.SUM_X, col.SUM_Y]] / self.areas[:, [col.WEIGHT]])
 
     @property
     def contrast(self) -> Array:
         """Height in grey levels above the level that parts each area from what is round it, (n,)."""
-        return np.asarray(self.areas[:, PEAK] - self.areas[:, LEVEL])
+        return np.asarray(self.areas[:, col.PEAK] - self.areas[:, col.LEVEL])
 
     @property
     def peak(self) -> Array:
         """Highest grey level of each area, (n,)."""
-        return np.asarray(self.areas[:, PEAK])
+        return np.asarray(self.areas[:, col.PEAK])
 
     @property
     def radius_px(self) -> Array:
         """Radius of a disc of the same area, (n,)."""
-        return np.sqrt(self.areas[:, AREA] / np.pi)
+        return np.sqrt(self.areas[:, col.AREA] / np.pi)
 
     @property
     def sigma_px(self) -> Array:
@@ -298,7 +285,7 @@ def blobs(grey: Image, settings: SpotSettings, noise: float, faint: bool) -> tup
     contrast = max(FAINT_SIGMA * float(np.sqrt(noise)), LEAST_CONTRAST) if faint else CONTRAST
     seen = np.asarray(cv2.bitwise_not(grey), dtype=np.uint8) if settings.inverted else grey
     peaks = pyramid_peaks(seen, contrast, settings.max_radius_px)
-    table = np.empty((MOST, COLUMNS))
+    table = np.empty((MOST, col.COLUMNS))
     n, looked, _ = grow_blobs(
         (grey, np.uint8(255 if settings.inverted else 0), settings.saturation, settings.mask_bytes),
         peaks,
@@ -347,16 +334,16 @@ def _halved(grey: Image) -> Image:
 
 def is_quiet(state: NDArray[np.int64], most: int) -> bool:
     """Tell whether the areas above the threshold are few (`most` or fewer), and none of them is too large."""
-    status = state[:, STATUS]
+    status = state[:, col.STATUS]
     areas = int(np.count_nonzero((status != HOT) & (status != SMALL)))
     return areas <= min(QUIET, most) and not np.any(status == LARGE)
 
 
 def is_dark(areas: Array, state: NDArray[np.int64], settings: SpotSettings) -> bool:
     """Tell whether what lies above the threshold is lights, be they many: nothing large, at the border neither."""
-    status = state[:, STATUS]
+    status = state[:, col.STATUS]
     bright = (status != HOT) & (status != SMALL)
-    extent = np.maximum(areas[:, X_MAX] - areas[:, X_MIN], areas[:, Y_MAX] - areas[:, Y_MIN])
+    extent = np.maximum(areas[:, col.X_MAX] - areas[:, col.X_MIN], areas[:, col.Y_MAX] - areas[:, col.Y_MIN])
     return bool(np.count_nonzero(bright) <= MANY_LIGHTS and not np.any(extent[bright] > 2.0 * settings.max_radius_px))
 
 
@@ -368,14 +355,14 @@ MANY_LIGHTS = 128
 
 def fresh_state(n: int) -> NDArray[np.int64]:
     """Return the state (n, STATE) of areas that are all candidates."""
-    state = np.zeros((n, STATE), np.int64)
-    state[:, STATUS] = ACCEPTED
+    state = np.zeros((n, col.STATE), np.int64)
+    state[:, col.STATUS] = ACCEPTED
     return state
 
 
 def only(state: NDArray[np.int64], chosen: Index, others: int) -> NDArray[np.int64]:
     """Return the state in which of all candidates the chosen ones alone are to be measured; others: their status."""
     own = state.copy()
-    own[own[:, STATUS] == ACCEPTED, STATUS] = others
-    own[chosen, STATUS] = ACCEPTED
+    own[own[:, col.STATUS] == ACCEPTED, col.STATUS] = others
+    own[chosen, col.STATUS] = ACCEPTED
     return own

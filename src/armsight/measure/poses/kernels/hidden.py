@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.area import O_FLIP
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.outline import AREA, EDGE_X, EDGE_Y, MOMENTS, OUTLINE, RING, XX, XY, YY, outline
 from armsight.optics.kernels.camera import CameraK, RigK
 
@@ -343,7 +343,7 @@ def compare_lights(images, options, rig, P, T, lean, left, right, out):
     """
     rig, left, right = RigK(*rig), SpotsK(*left), SpotsK(*right)
     n = P.shape[0]
-    flip = np.uint8(options[O_FLIP])
+    flip = np.uint8(options[col.O_FLIP])
     outlines = np.empty((2, n, OUTLINE))
     mean = np.empty((2, n, OUTLINE))
     found = np.empty((2, n, 3))

@@ -13,8 +13,8 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, copy_3, cross, dot, rotate_left, sandwich
-from armsight.measure.poses.kernels.light_image import see_light
 from armsight.optics.kernels.camera import CameraK, RigK, see_point
+from armsight.optics.kernels.light_image import see_light
 from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_ml_point
 
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5

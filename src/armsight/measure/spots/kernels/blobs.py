@@ -8,23 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
-from armsight.measure.spots.kernels.scan import (
-    AREA,
-    BACKGROUND,
-    CLIPPED,
-    COLUMNS,
-    LEVEL,
-    PEAK,
-    SLOPE,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
 
 RING = 4.5
 """Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""
@@ -113,12 +98,12 @@ def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
     image, flip, saturation, mask = picture
     marks, left, top_row, stack = labels
     h, w = image.shape
-    for c in range(COLUMNS):
+    for c in range(col.COLUMNS):
         row[c] = 0.0
-    row[X_MIN] = x0
-    row[X_MAX] = x0
-    row[Y_MIN] = y0
-    row[Y_MAX] = y0
+    row[col.X_MIN] = x0
+    row[col.X_MAX] = x0
+    row[col.Y_MIN] = y0
+    row[col.Y_MAX] = y0
     stack[0] = y0 * w + x0
     marks[y0 - top_row, x0 - left] = stamp
     top = 1
@@ -134,16 +119,16 @@ def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
             return 1
         grey = float(np.uint8(image[y, x] ^ flip))
         v = grey - level
-        row[AREA] += 1.0
-        row[WEIGHT] += v
-        row[SUM_X] += v * (x - x0)
-        row[SUM_Y] += v * (y - y0)
-        row[PEAK] = max(row[PEAK], grey)
-        row[CLIPPED] += 1.0 if grey >= saturation else 0.0
-        row[X_MIN] = min(row[X_MIN], x)
-        row[X_MAX] = max(row[X_MAX], x)
-        row[Y_MIN] = min(row[Y_MIN], y)
-        row[Y_MAX] = max(row[Y_MAX], y)
+        row[col.AREA] += 1.0
+        row[col.WEIGHT] += v
+        row[col.SUM_X] += v * (x - x0)
+        row[col.SUM_Y] += v * (y - y0)
+        row[col.PEAK] = max(row[col.PEAK], grey)
+        row[col.CLIPPED] += 1.0 if grey >= saturation else 0.0
+        row[col.X_MIN] = min(row[col.X_MIN], x)
+        row[col.X_MAX] = max(row[col.X_MAX], x)
+        row[col.Y_MIN] = min(row[col.Y_MIN], y)
+        row[col.Y_MAX] = max(row[col.Y_MAX], y)
         for d in range(4):
             a = x + (1 if d == 0 else -1 if d == 1 else 0)
             b = y + (1 if d == 2 else -1 if d == 3 else 0)
@@ -153,9 +138,9 @@ def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
                 marks[b - top_row, a - left] = stamp
                 stack[top] = b * w + a
                 top += 1
-    row[SUM_X] += row[WEIGHT] * x0
-    row[SUM_Y] += row[WEIGHT] * y0
-    row[LEVEL] = level
+    row[col.SUM_X] += row[col.WEIGHT] * x0
+    row[col.SUM_Y] += row[col.WEIGHT] * y0
+    row[col.LEVEL] = level
     return 0
 
 
@@ -168,10 +153,10 @@ def roundness(labels, stamp, row):
     xx = 0.0
     xy = 0.0
     yy = 0.0
-    x0 = int(row[X_MIN])
-    y0 = int(row[Y_MIN])
-    for y in range(y0, int(row[Y_MAX]) + 1):
-        for x in range(x0, int(row[X_MAX]) + 1):
+    x0 = int(row[col.X_MIN])
+    y0 = int(row[col.Y_MIN])
+    for y in range(y0, int(row[col.Y_MAX]) + 1):
+        for x in range(x0, int(row[col.X_MAX]) + 1):
             if labels.marks[y - labels.top, x - labels.left] == stamp:
                 n += 1.0
                 sx += x - x0
@@ -228,13 +213,13 @@ def brightest_near(image, flip, x0, y0, r):
 @inner_kernel
 def find_duplicate(table, n, row):
     """Return which of the n blobs has its centre within half the larger one's radius of row's; -1 for none."""
-    x = row[SUM_X] / row[WEIGHT]
-    y = row[SUM_Y] / row[WEIGHT]
+    x = row[col.SUM_X] / row[col.WEIGHT]
+    y = row[col.SUM_Y] / row[col.WEIGHT]
     for k in range(n):
-        dx = table[k, SUM_X] / table[k, WEIGHT] - x
-        dy = table[k, SUM_Y] / table[k, WEIGHT] - y
+        dx = table[k, col.SUM_X] / table[k, col.WEIGHT] - x
+        dy = table[k, col.SUM_Y] / table[k, col.WEIGHT] - y
         # half of the radius, squared, of a disc of the larger one's area
-        if dx * dx + dy * dy < max(table[k, AREA], row[AREA]) * (0.25 / pi):
+        if dx * dx + dy * dy < max(table[k, col.AREA], row[col.AREA]) * (0.25 / pi):
             return k
     return -1
 
@@ -252,15 +237,15 @@ def blob_at(picture, x, y, top, radius, limits, stamp, labels, ring, row):
     level = int(0.5 * (top + background))
     reach = min(REACH * radius, 2.0 * limits.max_radius)
     code = grow_region(picture, x, y, level, reach, stamp, labels, row)
-    if code == 0 and row[AREA] < limits.min_pixels:
+    if code == 0 and row[col.AREA] < limits.min_pixels:
         level = int(TINY * top + (1.0 - TINY) * background)
         # the first cut's marks stay: with a stamp of its own the second one does not take them for its pixels
         code = grow_region(picture, x, y, level, reach, -stamp, labels, row)
         stamp = -stamp
-    if code != 0 or row[AREA] < limits.min_pixels:
+    if code != 0 or row[col.AREA] < limits.min_pixels:
         return 0.0
-    row[BACKGROUND] = background
-    row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
+    row[col.BACKGROUND] = background
+    row[col.SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
     return roundness(labels, stamp, row)
 
 
@@ -282,7 +267,7 @@ def grow_blobs(picture, peaks, limits, table, work):
         widest = max(widest, REACH * RING * peaks[k, 2])
     labels = Labels(marks, np.int64(0), np.int64(0), np.empty(int((2.0 * widest + 4.0) ** 2), np.int64))
     ring = np.empty(RING_SAMPLES)
-    row = np.empty(COLUMNS)
+    row = np.empty(col.COLUMNS)
     n = np.int64(0)
     spent = np.int64(0)
     looked = np.int64(0)
@@ -294,10 +279,10 @@ def grow_blobs(picture, peaks, limits, table, work):
         # a pixel of a blob that was kept: the same light, found on another level
         if taken[abs(marks[y, x])] or (mask.size > 0 and mask[y, x] == 0):
             continue
-        row[AREA] = 0.0
+        row[col.AREA] = 0.0
         fine = blob_at(picture, x, y, top, RING * peaks[k, 2], limits, k + 1, labels, ring, row)
-        spent += int(row[AREA])
-        if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
+        spent += int(row[col.AREA])
+        if fine == 0.0 or max(row[col.X_MAX] - row[col.X_MIN], row[col.Y_MAX] - row[col.Y_MIN]) > 2.0 * max_radius:
             continue
         taken[k + 1] = 1
         same = find_duplicate(table, n, row)

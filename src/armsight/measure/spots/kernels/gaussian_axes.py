@@ -115,7 +115,7 @@ def assemble(gx, gy, a, H):
 
 @inner_kernel
 def tilt_sums(fx, fy, nx, ny, x0, y0, p, sums, tilt):
-    """Fill rows 0..6 of tilt (8, 2) for a window (see uncertainty). sums (4, 4): work.
+    """Fill rows 0..6 of tilt (8, 2) for a window (see leastsquares.uncertainty). sums (4, 4): work.
 
     Rows of sums: X, X', X" and 1 summed over columns; the same times dx; the same along y.
     """

@@ -11,6 +11,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
@@ -20,7 +21,6 @@ from armsight.measure.spots.kernels.light_models import (
     light_and_slopes,
 )
 from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.scan import GRID
 
 STEPS = 40
 CLOSE = 3e-3
@@ -214,7 +214,7 @@ def evaluate_patch(kind, p, n, patch, residuals):
 def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
     """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
 
-    tilt (n + 3, 2): see uncertainty.uncertainty, about (u, v).
+    tilt (n + 3, 2): see leastsquares.uncertainty, about (u, v).
     """
     work = grid.work[0]
     for a in range(n):
@@ -261,18 +261,18 @@ def slope_prior(levels, y, x, w, h, noise, prior):
     The middle one of three rows' (columns') central differences; its standard deviation is their spread plus the step's
     unevenness plus the sample's own noise.
     """
-    i = y * GRID // h
-    j = x * GRID // w
+    i = y * col.GRID // h
+    j = x * col.GRID // w
     three = np.empty(3)
     for axis in range(2):
-        size = (w if axis == 0 else h) / GRID
+        size = (w if axis == 0 else h) / col.GRID
         c = j if axis == 0 else i
         o = i if axis == 0 else j
         lo = max(c - 1, 0)
-        hi = min(c + 1, GRID - 1)
+        hi = min(c + 1, col.GRID - 1)
         known = 0
         bend = 0.0
-        for k in range(max(o - 1, 0), min(o + 2, GRID)):
+        for k in range(max(o - 1, 0), min(o + 2, col.GRID)):
             a = levels[k, lo] if axis == 0 else levels[lo, k]
             b = levels[k, c] if axis == 0 else levels[c, k]
             d = levels[k, hi] if axis == 0 else levels[hi, k]

@@ -7,45 +7,17 @@ from math import pi, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     AS_CENTROID,
     AS_GAUSSIAN,
-    CROWDED,
     FAILED,
-    FIT,
     HOT,
-    KIND,
-    LIGHTS,
-    MOST_LIGHTS,
-    MOST_PARAMETERS,
-    O_FLIP,
-    O_GAIN,
-    O_MODEL,
-    O_SATURATION,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
-    OWNER,
-    S_B,
-    S_CG,
-    S_CH,
-    S_DOF,
-    S_FLOOR,
-    S_FOURTH,
-    S_MODEL,
-    S_OF,
-    S_PEAK,
-    S_RSS,
-    S_SIGNAL,
-    S_SIZE,
-    S_SQUARE,
-    S_U,
-    S_V,
     SATURATED,
-    SIZE,
     SMALL,
-    SPOT,
-    STATUS,
     UNRESOLVED,
     boxes_overlap,
     check_fit,
@@ -55,7 +27,6 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch, ring_prior, slope_prior
-from armsight.measure.spots.kernels.locate import NOISE
 from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
 from armsight.measure.spots.kernels.picture import Picture, copy_to
@@ -77,22 +48,6 @@ from armsight.measure.spots.kernels.round_gaussian import (
     fit_round,
     new_work,
 )
-from armsight.measure.spots.kernels.scan import (
-    AREA,
-    BACKGROUND,
-    CLIPPED,
-    GRID,
-    LEVEL,
-    PEAK,
-    SLOPE,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
 
 GAIN_DOUBT = 0.5
 """Standard deviations by which the estimated gain is lowered."""
@@ -113,21 +68,21 @@ CROWD_SWEEPS = 2
 @inner_kernel
 def write_round(result, source, row):
     """Write the result of a round fit into a spot's row."""
-    row[S_U] = result[U]
-    row[S_V] = result[V]
+    row[col.S_U] = result[U]
+    row[col.S_V] = result[V]
     for k in range(6):
-        row[S_CH + k] = result[COV + k]
-    row[S_PEAK] = result[A]
-    row[S_SIZE] = sqrt(max(result[Q] - PIXEL_VARIANCE, 0.01))
-    row[S_MODEL] = AS_GAUSSIAN
-    row[S_DOF] = result[DOF]
-    row[S_RSS] = result[RSS]
-    row[S_SIGNAL] = result[SIGNAL]
-    row[S_FOURTH] = result[FOURTH]
-    row[S_SQUARE] = result[SQUARE]
-    row[S_B] = result[B]
-    row[S_OF] = source
-    row[S_FLOOR] = 0.0
+        row[col.S_CH + k] = result[COV + k]
+    row[col.S_PEAK] = result[A]
+    row[col.S_SIZE] = sqrt(max(result[Q] - PIXEL_VARIANCE, 0.01))
+    row[col.S_MODEL] = AS_GAUSSIAN
+    row[col.S_DOF] = result[DOF]
+    row[col.S_RSS] = result[RSS]
+    row[col.S_SIGNAL] = result[SIGNAL]
+    row[col.S_FOURTH] = result[FOURTH]
+    row[col.S_SQUARE] = result[SQUARE]
+    row[col.S_B] = result[B]
+    row[col.S_OF] = source
+    row[col.S_FLOOR] = 0.0
 
 
 @inner_kernel
@@ -144,12 +99,12 @@ def store_fit(result, p):
 def background_of(comp, survey, w, h):
     """Return the background level beside a component: its ring's where it has one, else that of its tile."""
     # its own ring is nearer than what the survey sampled of the tile
-    if comp[SLOPE] >= 0.0:
-        return comp[BACKGROUND]
-    i = int(comp[SUM_Y] / comp[WEIGHT]) * GRID // h
-    j = int(comp[SUM_X] / comp[WEIGHT]) * GRID // w
+    if comp[col.SLOPE] >= 0.0:
+        return comp[col.BACKGROUND]
+    i = int(comp[col.SUM_Y] / comp[col.WEIGHT]) * col.GRID // h
+    j = int(comp[col.SUM_X] / comp[col.WEIGHT]) * col.GRID // w
     # an area lies above its background; below a threshold given by hand the survey's may be higher
-    return min(survey[GRID + i, j], comp[LEVEL])
+    return min(survey[col.GRID + i, j], comp[col.LEVEL])
 
 
 @inner_kernel
@@ -160,7 +115,10 @@ def is_hot_near(comp, hot):
     for k in range(hot.shape[0]):
         x = hot[k, 0]
         y = hot[k, 1]
-        if comp[X_MIN] - reach < x < comp[X_MAX] + reach and comp[Y_MIN] - reach < y < comp[Y_MAX] + reach:
+        if (
+            comp[col.X_MIN] - reach < x < comp[col.X_MAX] + reach
+            and comp[col.Y_MIN] - reach < y < comp[col.Y_MAX] + reach
+        ):
             return True
     return False
 
@@ -172,18 +130,18 @@ def mark_crowded(comps, state):
     relevant = np.empty(n, np.int64)
     count = 0
     for i in range(n):
-        state[i, CROWDED] = 0
-        if state[i, STATUS] != HOT and state[i, STATUS] != SMALL:
+        state[i, col.CROWDED] = 0
+        if state[i, col.STATUS] != HOT and state[i, col.STATUS] != SMALL:
             relevant[count] = i
             count += 1
     for a in range(count):
         i = relevant[a]
-        if state[i, STATUS] != ACCEPTED:
+        if state[i, col.STATUS] != ACCEPTED:
             continue
         reach = fit_margin(comps[i])
         for b in range(count):
             if b != a and boxes_overlap(comps[i], comps[relevant[b]], reach):
-                state[i, CROWDED] = 1
+                state[i, col.CROWDED] = 1
                 break
 
 
@@ -194,8 +152,8 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
     """
     h, w = image.shape
-    picture = Picture(image, np.uint8(options[O_FLIP]), int(options[O_SATURATION]), mask)
-    only = int(options[O_MODEL])
+    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
+    only = int(options[col.O_MODEL])
     n = comps.shape[0]
     hot = np.empty((2 * n, 2), np.int64)
     hot = hot[: hot_pixels(comps, state, hot)]
@@ -204,35 +162,43 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     prior = np.empty(4)
     result = np.empty(RESULT)
     work = new_work()
-    noise = survey[2 * GRID, NOISE]
+    noise = survey[2 * col.GRID, col.NOISE]
     pending = 0
     for i in range(n):
-        if state[i, STATUS] != ACCEPTED:
+        if state[i, col.STATUS] != ACCEPTED:
             continue
         comp = comps[i]
-        if comp[SLOPE] >= 0.0:
-            ring_prior(comp[SLOPE], prior)
+        if comp[col.SLOPE] >= 0.0:
+            ring_prior(comp[col.SLOPE], prior)
         else:
-            slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
+            slope_prior(
+                survey,
+                int(comp[col.SUM_Y] / comp[col.WEIGHT]),
+                int(comp[col.SUM_X] / comp[col.WEIGHT]),
+                w,
+                h,
+                noise,
+                prior,
+            )
         for k in range(4):
-            fits[i, MOST_PARAMETERS + k] = prior[k]
+            fits[i, col.MOST_PARAMETERS + k] = prior[k]
         # lights before a room are all left to measure_others, whose covariance is of the residuals as they are
         # (processed)
-        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and comp[SLOPE] < 0.0:
+        if state[i, col.CROWDED] == 0 and only != ONLY_ELLIPSE and comp[col.SLOPE] < 0.0:
             round_start(comp, background_of(comp, survey, w, h), picture.saturation, start)
             # mostly false, which spares looking for such pixels
-            clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot)
+            clipped = comp[col.CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot)
             fine = fit_round(picture, hot, clipped, start, prior, work, result)
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
                 write_round(result, i, rows[i, 0])
                 store_fit(result, fits[i])
-                state[i, SIZE] = 5
-                state[i, KIND] = 0
-                state[i, LIGHTS] = 1
-                if check_fit(comp, rows[i], state[i, LIGHTS], comp[CLIPPED] > 0.0, noise) == ACCEPTED:
+                state[i, col.SIZE] = 5
+                state[i, col.KIND] = 0
+                state[i, col.LIGHTS] = 1
+                if check_fit(comp, rows[i], state[i, col.LIGHTS], comp[col.CLIPPED] > 0.0, noise) == ACCEPTED:
                     continue
-        state[i, STATUS] = PENDING
-        state[i, SIZE] = 0
+        state[i, col.STATUS] = PENDING
+        state[i, col.SIZE] = 0
         pending += 1
     return pending
 
@@ -241,49 +207,49 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
 def measure_others(image, mask, options, comps, state, survey, fits, rows):
     """Fit the areas left PENDING with the models that their shape suggests, and refine the crowded ones."""
     h, w = image.shape
-    picture = Picture(image, np.uint8(options[O_FLIP]), int(options[O_SATURATION]), mask)
-    only = int(options[O_MODEL])
+    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
+    only = int(options[col.O_MODEL])
     n = comps.shape[0]
     hot = np.empty((2 * n, 2), np.int64)
     hot = hot[: hot_pixels(comps, state, hot)]
-    noise = survey[2 * GRID, NOISE]
+    noise = survey[2 * col.GRID, col.NOISE]
     outline = np.empty(9)
     for i in range(n):
-        if state[i, STATUS] != PENDING:
+        if state[i, col.STATUS] != PENDING:
             continue
         comp = comps[i]
         patch = new_patch(comp, h, w)
         make_patch(picture, comps, state, i, hot, np.int64(0), patch)
         background = background_of(comp, survey, w, h)
         kind, size, rss, run = select_model(comp, background, patch, noise, only, fits[i])
-        state[i, KIND] = kind
-        state[i, SIZE] = size
+        state[i, col.KIND] = kind
+        state[i, col.SIZE] = size
         # why it is refused if no model fits
-        state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
+        state[i, col.STATUS] = SATURATED if comp[col.CLIPPED] > 0.5 * comp[col.AREA] else FAILED
         if size > 0:
             lights = write_spots(kind, size, fits[i], patch, rss, rows[i], i)
-            state[i, LIGHTS] = lights
+            state[i, col.LIGHTS] = lights
             if lights > 0:
-                state[i, STATUS] = check_fit(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
+                state[i, col.STATUS] = check_fit(comp, rows[i], lights, comp[col.CLIPPED] > 0.0, noise)
             # residuals still hang together: more lights than were told apart, and each centre is pulled by the rest
             if lights > 1 and run > 2.0 * MISFIT:
-                state[i, STATUS] = UNRESOLVED
-        single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
+                state[i, col.STATUS] = UNRESOLVED
+        single = state[i, col.STATUS] == ACCEPTED and state[i, col.LIGHTS] == 1 and comp[col.SLOPE] >= 0.0
         if single and (
             is_off_centroid(comp, rows[i, 0])
             or not robust_covariance(kind, size, fits[i], patch, comp, noise, rows[i, 0])
         ):
-            state[i, STATUS] = FAILED
-        if state[i, STATUS] != ACCEPTED and comp[SLOPE] >= 0.0:
-            shape_of(patch, comp, comp[LEVEL], background, outline)
+            state[i, col.STATUS] = FAILED
+        if state[i, col.STATUS] != ACCEPTED and comp[col.SLOPE] >= 0.0:
+            shape_of(patch, comp, comp[col.LEVEL], background, outline)
             write_centroid(comp, outline, rows[i, 0], i)
-            state[i, SIZE] = 0
-            state[i, LIGHTS] = 1
-            state[i, STATUS] = ACCEPTED
+            state[i, col.SIZE] = 0
+            state[i, col.LIGHTS] = 1
+            state[i, col.STATUS] = ACCEPTED
     # as Gauss and Seidel: each with its neighbours' latest light taken off
     for _ in range(CROWD_SWEEPS):
         for i in range(n):
-            if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
+            if state[i, col.STATUS] == ACCEPTED and state[i, col.CROWDED] == 1 and state[i, col.SIZE] > 0:
                 refine(picture, comps, state, i, hot, noise, fits, rows)
 
 
@@ -293,24 +259,24 @@ def write_centroid(comp, outline, row, source):
 
     An ellipse has the least second moments of all shapes of its area: what is above them is of something beside it.
     """
-    radius = sqrt(comp[AREA] / pi)
+    radius = sqrt(comp[col.AREA] / pi)
     for k in range(row.shape[0]):
         row[k] = 0.0
-    row[S_U] = comp[SUM_X] / comp[WEIGHT]
-    row[S_V] = comp[SUM_Y] / comp[WEIGHT]
-    change = comp[SLOPE] / max(comp[PEAK] - comp[BACKGROUND], 1.0) * radius
+    row[col.S_U] = comp[col.SUM_X] / comp[col.WEIGHT]
+    row[col.S_V] = comp[col.SUM_Y] / comp[col.WEIGHT]
+    change = comp[col.SLOPE] / max(comp[col.PEAK] - comp[col.BACKGROUND], 1.0) * radius
     variance = (CENTROID_PX + CENTROID_SHARE * radius) ** 2 + (CENTROID_CHANGE * radius * change) ** 2
     # an ellipse's area is 4 pi sqrt(det) of its second moments: how much larger it is than the pixels', squared
     moments2 = 16.0 * pi * pi * (outline[5] * outline[7] - outline[6] ** 2) / max(outline[8], 1.0) ** 2
     variance += (CENTROID_SHAPE * radius) ** 2 * max(moments2 - 1.0, 0.0)
-    row[S_CH] = variance
-    row[S_CH + 2] = variance
-    row[S_PEAK] = comp[PEAK] - comp[BACKGROUND]
-    row[S_SIZE] = radius
-    row[S_MODEL] = AS_CENTROID
-    row[S_DOF] = 1.0
-    row[S_RSS] = 1.0
-    row[S_OF] = source
+    row[col.S_CH] = variance
+    row[col.S_CH + 2] = variance
+    row[col.S_PEAK] = comp[col.PEAK] - comp[col.BACKGROUND]
+    row[col.S_SIZE] = radius
+    row[col.S_MODEL] = AS_CENTROID
+    row[col.S_DOF] = 1.0
+    row[col.S_RSS] = 1.0
+    row[col.S_OF] = source
 
 
 @inner_kernel
@@ -319,20 +285,23 @@ def refine(picture, comps, state, i, hot, noise, fits, rows):
     patch = new_patch(comps[i], picture.grey.shape[0], picture.grey.shape[1])
     make_patch(picture, comps, state, i, hot, np.int64(1), patch)
     for j in range(comps.shape[0]):
-        known = j != i and state[j, STATUS] == ACCEPTED and state[j, SIZE] > 0
+        known = j != i and state[j, col.STATUS] == ACCEPTED and state[j, col.SIZE] > 0
         if known and boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + fit_margin(comps[j])):
-            add_light_to_patch(state[j, KIND], fits[j], state[j, SIZE], patch, -1.0)
-    p = np.empty(FIT)
+            add_light_to_patch(state[j, col.KIND], fits[j], state[j, col.SIZE], patch, -1.0)
+    p = np.empty(col.FIT)
     copy_to(fits[i], p)
-    kind = state[i, KIND]
-    size = state[i, SIZE]
+    kind = state[i, col.KIND]
+    size = state[i, col.SIZE]
     rss, _ = refit(kind, size, patch, patch.use.size, p, np.empty(patch.use.shape))
     if rss < 0.0:
         return
-    trial = np.empty((MOST_LIGHTS, SPOT))
+    trial = np.empty((col.MOST_LIGHTS, col.SPOT))
     lights = write_spots(kind, size, p, patch, rss, trial, i)
     # else the fit that there is stays
-    if lights == state[i, LIGHTS] and check_fit(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
+    if (
+        lights == state[i, col.LIGHTS]
+        and check_fit(comps[i], trial, lights, comps[i, col.CLIPPED] > 0.0, noise) == ACCEPTED
+    ):
         copy_to(p, fits[i])
         for k in range(lights):
             copy_to(trial[k], rows[i, k])
@@ -351,14 +320,14 @@ def shot_gain(spots, n):
     spread = 0.0
     for k in range(n):
         row = spots[k]
-        dof = row[S_DOF]
-        signal = row[S_SIGNAL]
-        if row[S_SQUARE] <= 0.0 or dof < 1.0:
+        dof = row[col.S_DOF]
+        signal = row[col.S_SIGNAL]
+        if row[col.S_SQUARE] <= 0.0 or dof < 1.0:
             continue
         # slope of r^2 over m about the means of both; r^2 of normal noise varies by 2 a^2
-        square = row[S_SQUARE] - signal * signal / dof
-        a = row[S_RSS] / dof
-        top += row[S_FOURTH] - a * signal
+        square = row[col.S_SQUARE] - signal * signal / dof
+        a = row[col.S_RSS] / dof
+        top += row[col.S_FOURTH] - a * signal
         bottom += square
         spread += 2.0 * a * a * square
     if bottom <= 0.0:
@@ -373,12 +342,12 @@ def noise_of(row, g):
     Where the background lies within the noise of black, half of its pixels are clipped and tell too little; there the
     residuals are weighted with the light.
     """
-    a = (row[S_RSS] - g * row[S_SIGNAL]) / max(row[S_DOF], 1.0)
-    if row[S_SIGNAL] > 0.0 and row[S_SQUARE] > 0.0:
+    a = (row[col.S_RSS] - g * row[col.S_SIGNAL]) / max(row[col.S_DOF], 1.0)
+    if row[col.S_SIGNAL] > 0.0 and row[col.S_SQUARE] > 0.0:
         # residuals squared, weighted by the light: what lies where nothing is clipped at black
-        lit = row[S_FOURTH] / row[S_SIGNAL]
-        if row[S_B] < 2.0 * sqrt(lit):
-            a = max(a, lit - g * row[S_SQUARE] / row[S_SIGNAL])
+        lit = row[col.S_FOURTH] / row[col.S_SIGNAL]
+        if row[col.S_B] < 2.0 * sqrt(lit):
+            a = max(a, lit - g * row[col.S_SQUARE] / row[col.S_SIGNAL])
     return max(a, PIXEL_VARIANCE)
 
 
@@ -388,21 +357,21 @@ def pack_results(options, comps, state, rows):
 
     A spot's owner is that of its area; refused are u, v and the number of the reason.
     """
-    spots = np.empty((comps.shape[0] * MOST_LIGHTS, SPOT))
+    spots = np.empty((comps.shape[0] * col.MOST_LIGHTS, col.SPOT))
     refused = np.empty((comps.shape[0], 3))
     n = np.int64(0)
     m = 0
     for i in range(comps.shape[0]):
-        if state[i, STATUS] == ACCEPTED:
-            for k in range(state[i, LIGHTS]):
+        if state[i, col.STATUS] == ACCEPTED:
+            for k in range(state[i, col.LIGHTS]):
                 copy_to(rows[i, k], spots[n])
                 n += 1
-        elif state[i, OWNER] >= 0:
-            refused[m, 0] = comps[i, SUM_X] / comps[i, WEIGHT]
-            refused[m, 1] = comps[i, SUM_Y] / comps[i, WEIGHT]
-            refused[m, 2] = state[i, STATUS]
+        elif state[i, col.OWNER] >= 0:
+            refused[m, 0] = comps[i, col.SUM_X] / comps[i, col.WEIGHT]
+            refused[m, 1] = comps[i, col.SUM_Y] / comps[i, col.WEIGHT]
+            refused[m, 2] = state[i, col.STATUS]
             m += 1
-    g = options[O_GAIN] if options[O_GAIN] >= 0.0 else shot_gain(spots, n)
+    g = options[col.O_GAIN] if options[col.O_GAIN] >= 0.0 else shot_gain(spots, n)
     uv = np.empty((n, 2))
     covariance = np.empty((n, 2, 2))
     peak = np.empty(n)
@@ -412,14 +381,14 @@ def pack_results(options, comps, state, rows):
     for k in range(n):
         row = spots[k]
         a = noise_of(row, g)
-        uv[k, 0] = row[S_U]
-        uv[k, 1] = row[S_V]
-        covariance[k, 0, 0] = a * row[S_CH] + g * row[S_CG] + row[S_FLOOR]
-        covariance[k, 0, 1] = a * row[S_CH + 1] + g * row[S_CG + 1]
+        uv[k, 0] = row[col.S_U]
+        uv[k, 1] = row[col.S_V]
+        covariance[k, 0, 0] = a * row[col.S_CH] + g * row[col.S_CG] + row[col.S_FLOOR]
+        covariance[k, 0, 1] = a * row[col.S_CH + 1] + g * row[col.S_CG + 1]
         covariance[k, 1, 0] = covariance[k, 0, 1]
-        covariance[k, 1, 1] = a * row[S_CH + 2] + g * row[S_CG + 2] + row[S_FLOOR]
-        peak[k] = row[S_PEAK]
-        size[k] = row[S_SIZE]
-        model[k] = int(row[S_MODEL])
-        owner[k] = state[int(row[S_OF]), OWNER]
+        covariance[k, 1, 1] = a * row[col.S_CH + 2] + g * row[col.S_CG + 2] + row[col.S_FLOOR]
+        peak[k] = row[col.S_PEAK]
+        size[k] = row[col.S_SIZE]
+        model[k] = int(row[col.S_MODEL])
+        owner[k] = state[int(row[col.S_OF]), col.OWNER]
     return uv, covariance, peak, size, model, owner, refused[:m].copy()

@@ -8,29 +8,14 @@ from math import erf, exp, log, pi, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     AS_ELLIPSE,
     AS_GAUSSIAN,
     AS_JOINT,
     AS_STREAK,
-    MOST_LIGHTS,
-    MOST_PARAMETERS,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
-    S_B,
-    S_CH,
-    S_DOF,
-    S_FLOOR,
-    S_FOURTH,
-    S_MODEL,
-    S_OF,
-    S_PEAK,
-    S_RSS,
-    S_SIGNAL,
-    S_SIZE,
-    S_SQUARE,
-    S_U,
-    S_V,
 )
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import (
@@ -53,7 +38,6 @@ from armsight.measure.spots.kernels.patch import (
     used,
 )
 from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.scan import AREA, CLIPPED, LEVEL, PEAK, SLOPE, WEIGHT
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
@@ -79,16 +63,16 @@ DOMINANT = 0.2
 def start_model(kind, lights, comp, shape, background, peaks, p):
     """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
     large, small, angle = principal(shape[2], shape[3], shape[4])
-    height = max(comp[PEAK] - background, 1.0)
+    height = max(comp[col.PEAK] - background, 1.0)
     p[0] = background
     if kind == JOINT and lights > 2:
-        low = max(comp[LEVEL] + 0.5 - background, 0.5)
+        low = max(comp[col.LEVEL] + 0.5 - background, 0.5)
         for k in range(lights):
             p[2 + 3 * k] = peaks[k, 0]
             p[3 + 3 * k] = peaks[k, 1]
             p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
         # the area of a Gaussian above a level L is 2 pi q ln(A / L), see round_start
-        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[AREA]
+        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[col.AREA]
         return 2 + 3 * lights
     if kind == JOINT:
         # the second moments are of what is above the threshold: less than the light's own
@@ -173,8 +157,8 @@ def order_of_trial(comp, shape, n_peaks, only, order):
         order[0] = ELLIPSE
         return 1
     large, small, _ = principal(shape[2], shape[3], shape[4])
-    height = max(comp[PEAK] - comp[LEVEL], 1.0)
-    flat = comp[WEIGHT] / (comp[AREA] * height) > FLAT
+    height = max(comp[col.PEAK] - comp[col.LEVEL], 1.0)
+    flat = comp[col.WEIGHT] / (comp[col.AREA] * height) > FLAT
     elongated = large > ELONGATED * small
     if flat or not elongated:
         order[0] = ELLIPSE
@@ -209,12 +193,12 @@ def select_model(comp, background, patch, noise, only, best):
     """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
     count = used(patch.use)
     shape = np.empty(9)
-    shape_of(patch, comp, comp[LEVEL], background, shape)
-    p = np.zeros(MOST_PARAMETERS)
-    more = np.zeros(MOST_PARAMETERS)
+    shape_of(patch, comp, comp[col.LEVEL], background, shape)
+    p = np.zeros(col.MOST_PARAMETERS)
+    more = np.zeros(col.MOST_PARAMETERS)
     residuals = np.zeros(patch.values.shape)
     kind, n_best, rss_best, score, run_best = JOINT, 0, -1.0, 1e300, 0.0
-    peaks = np.empty((MOST_LIGHTS, 3))
+    peaks = np.empty((col.MOST_LIGHTS, 3))
     n_peaks = np.int64(0)
     if only != ONLY_ELLIPSE:
         n, rss, run = start_and_fit(
@@ -228,12 +212,12 @@ def select_model(comp, background, patch, noise, only, best):
         if rss >= 0.0:
             n_best, rss_best, score, run_best = n, rss, bic(rss, count, n), run
             copy_to(p, best)
-            if run < MISFIT and not (comp[SLOPE] >= 0.0 and comp[CLIPPED] > FLAT_CLIPPED):
+            if run < MISFIT and not (comp[col.SLOPE] >= 0.0 and comp[col.CLIPPED] > FLAT_CLIPPED):
                 return kind, n_best, rss_best, run_best
-    n_peaks = find_peaks(patch, comp[LEVEL], noise, peaks)
+    n_peaks = find_peaks(patch, comp[col.LEVEL], noise, peaks)
     order = np.empty(3, np.int64)
     trials = order_of_trial(comp, shape, n_peaks, only, order)
-    room = comp[SLOPE] >= 0.0
+    room = comp[col.SLOPE] >= 0.0
     crowd = not (room and count > WIDE_PATCH)
     for k in range(trials):
         trial = order[k]
@@ -244,7 +228,7 @@ def select_model(comp, background, patch, noise, only, best):
         if rss < 0.0:
             continue
         new = bic(rss, count, n)
-        while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * MOST_LIGHTS:
+        while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * col.MOST_LIGHTS:
             copy_to(p, more)
             n_more = add_light(residuals, patch.box[0], patch.box[2], more, n)
             rss_more, run_more = refit(np.int64(JOINT), n_more, patch, count, more, residuals)
@@ -296,22 +280,22 @@ def write_spots(kind, n, p, patch, rss, rows, source):
             copy_to(tilt[order[i]], tilt2[i])
         row = rows[k]
         work = np.zeros(8)
-        left = uncertainty(H2, G2, tilt2, p[MOST_PARAMETERS:], noise, sums[0], work)
+        left = uncertainty(H2, G2, tilt2, p[col.MOST_PARAMETERS :], noise, sums[0], work)
         if left != left:
             return 0
-        row[S_U] = p[first] + work[6]
-        row[S_V] = p[first + 1] + work[7]
+        row[col.S_U] = p[first] + work[6]
+        row[col.S_V] = p[first + 1] + work[7]
         for i in range(6):
-            row[S_CH + i] = wider * work[i]
-        row[S_DOF] = count - n
-        row[S_RSS] = rss
-        row[S_SIGNAL] = left
-        row[S_FOURTH] = sums[1]
+            row[col.S_CH + i] = wider * work[i]
+        row[col.S_DOF] = count - n
+        row[col.S_RSS] = rss
+        row[col.S_SIGNAL] = left
+        row[col.S_FOURTH] = sums[1]
         # the lights of one patch share its pixels: one of them is enough to tell the gain (measure_areas.shot_gain)
-        row[S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
-        row[S_B] = p[0]
-        row[S_OF] = source
-        row[S_FLOOR] = 0.0
+        row[col.S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
+        row[col.S_B] = p[0]
+        row[col.S_OF] = source
+        row[col.S_FLOOR] = 0.0
         write_look(kind, p, first, lights, row)
     return lights
 
@@ -353,15 +337,15 @@ def centre_first(first, n, order):
 def write_look(kind, p, first, lights, row):
     """Write height, size and model of a light, whose centre is p[first:], into its row."""
     if kind == JOINT:
-        row[S_PEAK] = p[first + 2]
-        row[S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))
-        row[S_MODEL] = AS_GAUSSIAN if lights == 1 else AS_JOINT
+        row[col.S_PEAK] = p[first + 2]
+        row[col.S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))
+        row[col.S_MODEL] = AS_GAUSSIAN if lights == 1 else AS_JOINT
     elif kind == STREAK:
         # the light in its middle, half a length from both ends: Phi(h / s) - Phi(-h / s) = erf(h / (s sqrt 2))
-        row[S_PEAK] = p[3] * erf(p[6] / (ROOT_2 * p[4])) * ROOT_2PI * p[4] / (2.0 * p[6])
-        row[S_SIZE] = sqrt(max(p[4] * p[4] - PIXEL_VARIANCE, 0.01))
-        row[S_MODEL] = AS_STREAK
+        row[col.S_PEAK] = p[3] * erf(p[6] / (ROOT_2 * p[4])) * ROOT_2PI * p[4] / (2.0 * p[6])
+        row[col.S_SIZE] = sqrt(max(p[4] * p[4] - PIXEL_VARIANCE, 0.01))
+        row[col.S_MODEL] = AS_STREAK
     else:
-        row[S_PEAK] = p[3]
-        row[S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25  # root of the axes' product: det M = 1 / (a b)^2
-        row[S_MODEL] = AS_ELLIPSE
+        row[col.S_PEAK] = p[3]
+        row[col.S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25  # root of the axes' product: det M = 1 / (a b)^2
+        row[col.S_MODEL] = AS_ELLIPSE

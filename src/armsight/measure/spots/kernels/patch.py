@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, boxes_overlap, fit_margin
 from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, ROOT_2
 from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 
 DEEP = 2.0
 """Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of
@@ -44,12 +44,12 @@ def new_patch(comp, h, w):
 @inner_kernel
 def patch_box(comp, h, w, box):
     """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its tails and some background."""
-    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
+    half = 0.5 * max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN])
     margin = int(min(max(0.5 * half + 2.0, 4.0), 9.0))
-    box[0] = max(int(comp[X_MIN]) - margin, 0)
-    box[1] = min(int(comp[X_MAX]) + margin + 1, w)
-    box[2] = max(int(comp[Y_MIN]) - margin, 0)
-    box[3] = min(int(comp[Y_MAX]) + margin + 1, h)
+    box[0] = max(int(comp[col.X_MIN]) - margin, 0)
+    box[1] = min(int(comp[col.X_MAX]) + margin + 1, w)
+    box[2] = max(int(comp[col.Y_MIN]) - margin, 0)
+    box[3] = min(int(comp[col.Y_MAX]) + margin + 1, h)
 
 
 @inner_kernel
@@ -69,14 +69,14 @@ def fill_patch(picture, patch):
 def exclude_other_area(own, other, patch):
     """Set use to 0 where a pixel belongs to another component rather than to this one."""
     box, use = patch.box, patch.use
-    ox = 0.5 * (own[X_MIN] + own[X_MAX])
-    oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
-    ow = 0.5 * (own[X_MAX] - own[X_MIN]) + 2.0
-    oh = 0.5 * (own[Y_MAX] - own[Y_MIN]) + 2.0
-    nx = 0.5 * (other[X_MIN] + other[X_MAX])
-    ny = 0.5 * (other[Y_MIN] + other[Y_MAX])
-    nw = 0.5 * (other[X_MAX] - other[X_MIN]) + 2.0
-    nh = 0.5 * (other[Y_MAX] - other[Y_MIN]) + 2.0
+    ox = 0.5 * (own[col.X_MIN] + own[col.X_MAX])
+    oy = 0.5 * (own[col.Y_MIN] + own[col.Y_MAX])
+    ow = 0.5 * (own[col.X_MAX] - own[col.X_MIN]) + 2.0
+    oh = 0.5 * (own[col.Y_MAX] - own[col.Y_MIN]) + 2.0
+    nx = 0.5 * (other[col.X_MIN] + other[col.X_MAX])
+    ny = 0.5 * (other[col.Y_MIN] + other[col.Y_MAX])
+    nw = 0.5 * (other[col.X_MAX] - other[col.X_MIN]) + 2.0
+    nh = 0.5 * (other[col.Y_MAX] - other[col.Y_MIN]) + 2.0
     for j in range(use.shape[0]):
         y = box[2] + j
         for i in range(use.shape[1]):
@@ -105,17 +105,17 @@ def shape_of(patch, comp, level, background, shape):
     8: how many pixels are above half height.
     """
     box, values = patch.box, patch.values
-    half = background + 0.5 * (comp[PEAK] - background)
+    half = background + 0.5 * (comp[col.PEAK] - background)
     s = np.zeros(6)
     a = np.zeros(6)
     for j in range(values.shape[0]):
         y = float(box[2] + j)
-        if y < comp[Y_MIN] or y > comp[Y_MAX]:
+        if y < comp[col.Y_MIN] or y > comp[col.Y_MAX]:
             continue
         for i in range(values.shape[1]):
             x = float(box[0] + i)
             v = values[j, i] - level
-            if v <= 0.0 or x < comp[X_MIN] or x > comp[X_MAX]:
+            if v <= 0.0 or x < comp[col.X_MIN] or x > comp[col.X_MAX]:
                 continue
             s[0] += v
             s[1] += v * x
@@ -240,7 +240,7 @@ def make_patch(picture, comps, state, i, hot, subtract, patch):
         if 0 <= x < use.shape[1] and 0 <= y < use.shape[0]:
             use[y, x] = 0
     for j in range(comps.shape[0]):
-        status = state[j, STATUS]
+        status = state[j, col.STATUS]
         # the light of a neighbour that was measured is taken off instead
         if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
             continue

@@ -18,45 +18,13 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
-from armsight.measure.spots.kernels.area import (
-    ACCEPTED,
-    CROWDED,
-    LIGHTS,
-    O_FLIP,
-    S_CG,
-    S_CH,
-    S_DOF,
-    S_FLOOR,
-    S_FOURTH,
-    S_PEAK,
-    S_RSS,
-    S_SIGNAL,
-    S_SQUARE,
-    S_U,
-    S_V,
-    STATUS,
-)
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.area import ACCEPTED
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
 from armsight.measure.spots.kernels.leastsquares import evaluate_patch, gram, unused
 from armsight.measure.spots.kernels.light_models import JOINT, add_scaled, prior_weight
-from armsight.measure.spots.kernels.locate import NOISE
 from armsight.measure.spots.kernels.patch import antisymmetric_part, used
 from armsight.measure.spots.kernels.picture import insertion_sort
-from armsight.measure.spots.kernels.scan import (
-    AREA,
-    BACKGROUND,
-    CLIPPED,
-    GRID,
-    PEAK,
-    SLOPE,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
 
 OFF_CENTROID_PX = 0.3
 OFF_CENTROID_SHARE = 0.35
@@ -113,15 +81,15 @@ def sandwich(antisymmetric, influence, out):
 @inner_kernel
 def centroid_distance2(comp, row):
     """Return the squared distance (px^2) of a spot's centre from the centroid of its area."""
-    dx = row[S_U] - comp[SUM_X] / comp[WEIGHT]
-    dy = row[S_V] - comp[SUM_Y] / comp[WEIGHT]
+    dx = row[col.S_U] - comp[col.SUM_X] / comp[col.WEIGHT]
+    dy = row[col.S_V] - comp[col.SUM_Y] / comp[col.WEIGHT]
     return dx * dx + dy * dy
 
 
 @inner_kernel
 def is_off_centroid(comp, row):
     """Tell whether a fit has followed something else than its area."""
-    return not centroid_distance2(comp, row) < (OFF_CENTROID_PX + OFF_CENTROID_SHARE * sqrt(comp[AREA] / pi)) ** 2
+    return not centroid_distance2(comp, row) < (OFF_CENTROID_PX + OFF_CENTROID_SHARE * sqrt(comp[col.AREA] / pi)) ** 2
 
 
 @inner_kernel
@@ -129,33 +97,33 @@ def robust_covariance(kind, n, p, patch, comp, noise, row):
     """Replace the covariance of a spot's row by the sandwich of its antisymmetric residuals; False where these are too
     few."""
     box, values, use = patch
-    radius = sqrt(comp[AREA] / pi)
+    radius = sqrt(comp[col.AREA] / pi)
     away2 = centroid_distance2(comp, row)
     residuals = np.empty(values.shape)
     antisymmetric = np.empty(values.shape)
     influence = np.empty((2, values.shape[0], values.shape[1]))
     out = np.empty(3)
     J, _, _ = evaluate_patch(kind, p, n, patch, residuals)
-    _, pixels = antisymmetric_part(residuals, use, row[S_U] - box[0], row[S_V] - box[2], antisymmetric)
+    _, pixels = antisymmetric_part(residuals, use, row[col.S_U] - box[0], row[col.S_V] - box[2], antisymmetric)
     count = used(use)
     if not pixels > n + 4 or not centre_influence(kind, n, p, J, use, influence):
         return False
     sandwich(antisymmetric, influence, out)
-    clipped = comp[CLIPPED] / comp[AREA]
-    background = background_variance(residuals, use, row[S_U] - box[0], row[S_V] - box[2], radius, noise)
-    background_influence = BACKGROUND_INFLUENCE * radius / max(comp[PEAK] - comp[BACKGROUND], 1.0)
+    clipped = comp[col.CLIPPED] / comp[col.AREA]
+    background = background_variance(residuals, use, row[col.S_U] - box[0], row[col.S_V] - box[2], radius, noise)
+    background_influence = BACKGROUND_INFLUENCE * radius / max(comp[col.PEAK] - comp[col.BACKGROUND], 1.0)
     edge = (EDGE_VARIANCE + EDGE_VARIANCE_CLIPPED * clipped * clipped) * (1.0 + (TINY_PX / radius) ** 2) / radius
     floor = SPREAD_SHARE * away2 + edge + background_influence * background_influence * background
     for k in range(3):
         # freedom that the fit took is given back (HC1 of MacKinnon and White 1985)
-        row[S_CH + k] = out[k] * count / (count - n) + (0.0 if k == 1 else floor)
-        row[S_CG + k] = 0.0
-    row[S_FOURTH] = 0.0
-    row[S_SQUARE] = 0.0
-    row[S_SIGNAL] = 0.0
+        row[col.S_CH + k] = out[k] * count / (count - n) + (0.0 if k == 1 else floor)
+        row[col.S_CG + k] = 0.0
+    row[col.S_FOURTH] = 0.0
+    row[col.S_SQUARE] = 0.0
+    row[col.S_SIGNAL] = 0.0
     # the covariance is complete: what it is multiplied with later, RSS / DOF, is 1
-    row[S_DOF] = 1.0
-    row[S_RSS] = 1.0
+    row[col.S_DOF] = 1.0
+    row[col.S_RSS] = 1.0
     return True
 
 
@@ -213,12 +181,12 @@ def background_centre_variance(image, flip, comp, row, noise):
     comp: an area above a threshold. The middle two thirds of the ring are taken, so that hot pixels do not count.
     """
     h, w = image.shape
-    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
+    half = 0.5 * max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN])
     boxes = np.empty(RING_SAMPLES)
     n = np.int64(0)
     for k in range(RING_SAMPLES):
-        x = int(row[S_U] + (BACKGROUND_SHARE * half + BACKGROUND_GAP) * RING_X[k] + 0.5)
-        y = int(row[S_V] + (BACKGROUND_SHARE * half + BACKGROUND_GAP) * RING_Y[k] + 0.5)
+        x = int(row[col.S_U] + (BACKGROUND_SHARE * half + BACKGROUND_GAP) * RING_X[k] + 0.5)
+        y = int(row[col.S_V] + (BACKGROUND_SHARE * half + BACKGROUND_GAP) * RING_Y[k] + 0.5)
         if 1 <= x < w - 1 and 1 <= y < h - 1:
             boxes[n] = 0.0
             for b in range(y - 1, y + 2):
@@ -232,14 +200,16 @@ def background_centre_variance(image, flip, comp, row, noise):
     spread = 0.5 * (boxes[(5 * n) // 6] - boxes[n // 6])
     background = max(spread * spread - RING_NOISE * noise, 0.0)
     radius = min(half, 1.0 + HALF_SHARE * half)
-    return background * (BACKGROUND_INFLUENCE * radius / max(row[S_PEAK], 1.0)) ** 2
+    return background * (BACKGROUND_INFLUENCE * radius / max(row[col.S_PEAK], 1.0)) ** 2
 
 
 @kernel
 def add_background_variance(image, options, comps, state, survey, rows):
     """Fill S_FLOOR of the lights that stand alone above a threshold: for a background that is not even round them."""
-    flip = np.uint8(options[O_FLIP])
+    flip = np.uint8(options[col.O_FLIP])
     for i in range(comps.shape[0]):
-        alone = state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 0 and state[i, LIGHTS] == 1
-        if alone and comps[i, SLOPE] < 0.0:
-            rows[i, 0, S_FLOOR] = background_centre_variance(image, flip, comps[i], rows[i, 0], survey[2 * GRID, NOISE])
+        alone = state[i, col.STATUS] == ACCEPTED and state[i, col.CROWDED] == 0 and state[i, col.LIGHTS] == 1
+        if alone and comps[i, col.SLOPE] < 0.0:
+            rows[i, 0, col.S_FLOOR] = background_centre_variance(
+                image, flip, comps[i], rows[i, 0], survey[2 * col.GRID, col.NOISE]
+            )
