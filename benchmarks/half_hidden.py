@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from armsight.errors import ArmsightError
-from armsight.measure.poses import hidden
+from armsight.measure.poses import solving
 from armsight.measure.poses.outcome import Track
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.optics import Rig
@@ -300,12 +300,12 @@ def case(seed: int) -> tuple[list[Composite], list[Composite], Hidden]:
 @contextmanager
 def blind() -> Iterator[None]:
     """Nothing looks at outlines within."""
-    look = hidden.compare
-    hidden.compare = lambda *_: (hidden.kernels.NO_DOUBT, np.zeros((0, 0, 0)))
+    look = solving.compare
+    solving.compare = lambda *_: (solving.outlines.NO_DOUBT, np.zeros((0, 0, 0)))
     try:
         yield
     finally:
-        hidden.compare = look
+        solving.compare = look
 
 
 class Shown(Protocol):

@@ -26,9 +26,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.measure.run import run as measure_run
 from armsight.app.simulate.cells import CellPairs, load_cell
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pipeline import Setup, measure_spots, warm_up
 from armsight.measure.results import ConsistencyOutput
 from armsight.optics import Rig

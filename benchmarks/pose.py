@@ -240,7 +240,7 @@ def time(repeats: int) -> None:
             "two frames -> pose with covariance, tracked": tracked,
             "match and pose of spots found": lambda: measure_spots(setup, 0.0, seen.left_seen, seen.right_seen),
             "compiled: points, maximum likelihood, covariance": lambda: kernels.solve_named(
-                packed.k, packed.R, packed.t, uv, cov, 0.06, setup.model.xyz_m, flat, normal, *room
+                packed.arrays, (uv, cov), 0.06, (setup.model.xyz_m, flat, normal), *room
             ),
             "peer: OpenCV triangulation + Kabsch (matched, no covariance)": lambda: peer(
                 seen.left.uv_px, seen.right.uv_px, model, P

@@ -46,11 +46,44 @@ def test_what_is_planted_beyond_a_limit_is_seen(structure: ModuleType, tmp_path:
     assert any(one.startswith(told) for one in over(structure, tmp_path, {}))
 
 
-def test_kernels_are_listed_too(structure: ModuleType, tmp_path: Path) -> None:
+KERNELS = {
+    "a long kernel": ("def planted() -> int:\n" + "    x = 1  # why\n" * 60 + "    return x\n", ":planted: 62 lines"),
+    "many arguments": (WIDE.replace("a8: int", "a8: int, a9: int, a10: int"), ":planted: 11 arguments"),
+}
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_kernels_have_limits_of_their_own(structure: ModuleType, tmp_path: Path, name: str) -> None:
+    text, told = KERNELS[name]
     (tmp_path / "kernels").mkdir()
-    (tmp_path / "kernels" / "planted.py").write_text(LONG)
-    assert over(structure, tmp_path, {}) == ["kernels/planted.py:planted: 47 lines"]
-    assert over(structure, tmp_path, {"long kernels": {"*": "compiled"}}) == []
+    place = tmp_path / "kernels" / "planted.py"
+    for allowed in (LONG, WIDE):
+        place.write_text(allowed)
+        assert over(structure, tmp_path, {}) == []
+    place.write_text(text)
+    assert over(structure, tmp_path, {}) == [f"kernels/planted.py{told}"]
+
+
+@pytest.mark.parametrize("place", ["measure/kernels/planted.py", "control/guard/kernels.py"])
+def test_arithmetic_without_reasons_is_seen(structure: ModuleType, tmp_path: Path, place: str) -> None:
+    code = '"""# Told, and no comment."""\n' + "X = 1\n" * 40
+    path = tmp_path / place
+    path.parent.mkdir(parents=True)
+    path.write_text(code + "# why\n")
+    name = place if path.stem == "kernels" else str(Path(place).parent)
+    assert over(structure, tmp_path, {}) == [f"{name}: 2.5"]
+    path.write_text(code + "# why\n# and its source\n")
+    assert over(structure, tmp_path, {}) == []
+
+
+def test_comments_of_the_other_arithmetic_are_told(structure: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "calibrate").mkdir()
+    (tmp_path / "calibrate" / "planted.py").write_text("X = 1  # why\n" + "X = 1\n" * 49)
+    (told,) = [figure for figure in structure.figures(tmp_path, {}) if figure.what.endswith("per 100 lines of code")][
+        :1
+    ]
+    assert told.items == [("calibrate", "2.0")]
+    assert told.unlisted() == []
 
 
 def test_an_exception_that_nothing_needs_is_seen(structure: ModuleType, tmp_path: Path) -> None:

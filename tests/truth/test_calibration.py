@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
-from armsight.measure.consistency.check import RunCheck
-from armsight.measure.consistency.explain import advice, sentence
+from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.pipeline import Setup
 from armsight.records import BoardView, TargetKind, board_target

@@ -11,7 +11,7 @@ import pytest
 
 from armsight.errors import BadImage
 from armsight.measure.boards import find_board
-from armsight.measure.boards.dots import round_dots
+from armsight.measure.boards.lattice import round_dots
 from armsight.records import Target, TargetKind, board_target
 from armsight.records.board import symmetries
 

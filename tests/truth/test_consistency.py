@@ -13,10 +13,9 @@ from scipy.stats import chi2 as chi2_law
 from armsight.app.measure.outputs import consistency_output
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.causes import causes_of
-from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.consistency.evidence import target_basis
-from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pipeline import Measured, Setup, measure_spots
 from armsight.measure.poses.pose import misfit_factor
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig

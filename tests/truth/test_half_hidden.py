@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from armsight.errors import Unseen
-from armsight.measure.poses import hidden
+from armsight.measure.poses import solving
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.optics import Camera, converged_rig
 from armsight.records import Frame, PoseStatus, spot_target
@@ -104,9 +104,9 @@ def test_a_light_that_an_edge_covers_for_the_most_part_in_both_views_is_left_out
 
 def test_without_the_look_at_outlines_the_same_pictures_give_a_wrong_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     def blind(view: np.ndarray, *_: object) -> int:
-        return int(hidden.kernels.NO_DOUBT)
+        return int(solving.outlines.NO_DOUBT)
 
-    monkeypatch.setattr(hidden.kernels, "compare_lights", blind)
+    monkeypatch.setattr(solving.outlines, "compare_lights", blind)
     found = measured(FOUND)
     assert found.pose.status is not PoseStatus.LOST and mahalanobis2(found) > WITHIN
 
@@ -127,7 +127,7 @@ def test_what_both_views_lack_a_little_makes_the_pose_more_uncertain(
 ) -> None:
     cut = {light: (angle, share * RADIUS_PX)}
     assert mahalanobis2(measured((cut, cut))) < WITHIN
-    monkeypatch.setattr(hidden.kernels, "compare_lights", lambda *_: int(hidden.kernels.NO_DOUBT))
+    monkeypatch.setattr(solving.outlines, "compare_lights", lambda *_: int(solving.outlines.NO_DOUBT))
     assert mahalanobis2(measured((cut, cut))) > WITHIN
 
 
@@ -142,10 +142,10 @@ def test_a_light_taken_together_with_what_touches_it_is_left_out_however_little_
     cov, size = np.array(found.right.covariance_px2), np.array(found.right.size_px)
     cov[0], size[0] = 0.57**2 * np.eye(2), 13.0
     right = replace(found.right, uv_px=at, covariance_px2=cov, size_px=size)
-    solved = hidden.solve_spots(SETUP, 0.0, found.names, found.left, found.right)
+    solved = solving.solve_spots(SETUP, 0.0, found.names, found.left, found.right)
     frames = tuple(Frame(image=image, t_s=0.0, sequence=0, source="drawn") for image in images)
-    _, out = hidden.compare(SETUP, solved, found.left, right, frames)
-    assert out[:, :, hidden.kernels.ODD].any(axis=0).tolist() == [True, False, False]
+    _, out = solving.compare(SETUP, solved, found.left, right, frames)
+    assert out[:, :, solving.outlines.ODD].any(axis=0).tolist() == [True, False, False]
 
 
 def test_a_light_that_an_edge_reaches_on_a_track_is_left_out_and_the_track_goes_on() -> None:
@@ -172,9 +172,9 @@ def test_only_lights_of_the_target_that_touch_each_other_are_not_compared() -> N
     joint = replace(found, model=("joint", "joint", found.model[2]))
     beside = replace(joint, uv_px=found.uv_px[[0, 0, 2]] + [[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]])
     size = found.size_px.tolist()
-    assert hidden.sizes(joint, overlaid=False).tolist() == size
-    assert hidden.sizes(beside, overlaid=False).tolist() == [0.0, 0.0, size[2]]
-    assert hidden.sizes(joint, overlaid=True).tolist() == [0.0, 0.0, size[2]]
+    assert solving.sizes(joint, overlaid=False).tolist() == size
+    assert solving.sizes(beside, overlaid=False).tolist() == [0.0, 0.0, size[2]]
+    assert solving.sizes(joint, overlaid=True).tolist() == [0.0, 0.0, size[2]]
 
 
 @pytest.mark.parametrize("light", [0, 1])
@@ -230,7 +230,7 @@ def test_a_beacon_is_placed_as_surely_as_its_outlines_allow(
 ) -> None:
     within = float(chi2.isf(1e-3, 3))
     assert beacon(cuts, shade=shade)[0] < within
-    monkeypatch.setattr(hidden.kernels, "compare_lights", lambda *_: int(hidden.kernels.NO_DOUBT))
+    monkeypatch.setattr(solving.outlines, "compare_lights", lambda *_: int(solving.outlines.NO_DOUBT))
     assert beacon(cuts, shade=shade)[0] > within
 
 

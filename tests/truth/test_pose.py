@@ -14,6 +14,7 @@ from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.pipeline import Measured, Setup, measure_spots
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, Camera, Rig, converged_rig, triangulate_closed
+from armsight.optics.kernels.camera import RigK
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, PoseStatus, Spots, Target, spot_target, unmeasured_target
 
@@ -138,9 +139,8 @@ def test_derivative_of_the_pose_residuals() -> None:
     def residual(step: np.ndarray, H: np.ndarray, g: np.ndarray) -> np.ndarray:
         R = (Rotation.from_rotvec(step[3:]) * T.rotation).as_matrix()
         out = np.empty((3, 2, 2))
-        kernels.pose_normal(
-            packed.k, packed.R, packed.t, X, radius, normal, uv, W, R, np.asarray(T.translation) + step[:3], H, g, out
-        )
+        rig, lights, seen = RigK(*packed.arrays), kernels.Lights(X, radius, normal), kernels.Observations(uv, W)
+        kernels.pose_normal(rig, lights, seen, R, np.asarray(T.translation) + step[:3], H, g, out)
         return out.ravel()
 
     H, g = np.empty((6, 6)), np.empty(6)
@@ -288,7 +288,7 @@ def test_derivatives_of_pixels_by_the_rig(side: int) -> None:
     """All 26 against differences: signs matter where the calibration's parameters depend on each other."""
     packed, point = Setup(RIG, spot_target(TRIANGLE)).packed, np.array([0.05, 0.03, 0.6])
     uv, J, D, expected = np.empty(2), np.empty((2, 3)), np.empty((2, 26)), np.empty((2, 26))
-    rig_covariance.pixel_slopes(packed.k, packed.R, packed.t, point, side, uv, J, D)
+    rig_covariance.pixel_slopes(RigK(*packed.arrays), point, side, uv, J, D)
     for i, name in enumerate(RIG_PARAMETERS):
         step = np.zeros(26)
         step[i] = 1e-3 if name[-2:] in ("fx", "fy", "cx", "cy", "ew") else 1e-6

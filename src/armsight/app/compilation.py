@@ -49,7 +49,7 @@ def spots() -> None:
 def poses() -> None:
     """Compile what comes after the spots: pairs, names, poses and the check of a run."""
     from armsight.optics import Camera, PackedRig, epipolar_distance, parallel_rig, triangulate, triangulate_closed
-    from armsight.optics.epipolar import epipolar_chi2
+    from armsight.optics.triangulate import epipolar_chi2
 
     compile_beside()
     _far_away()
@@ -190,7 +190,7 @@ def identify() -> None:
 
 def motion() -> None:
     """Compile the filter of a moving target, its smoother, and the check of a run of single views."""
-    from armsight.measure.consistency.moving import check_motion
+    from armsight.measure.consistency.check import check_motion
     from armsight.measure.motion.estimate import MotionFilter, Start, smooth
     from armsight.measure.motion.states import View
     from armsight.measure.poses.setup import Setup

@@ -26,6 +26,7 @@ def rotation_from_rotvec(w, R):
     """Fill R (3, 3) with Exp of the rotation vector w (3,) in radians (Rodrigues)."""
     t2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
     t = sqrt(t2)
+    # series of sin t / t and (1 - cos t) / t^2, whose closed forms cancel there; what follows is below 1e-26
     if t < 1e-6:
         a = 1.0 - t2 / 6.0
         b = 0.5 - t2 / 24.0
@@ -63,7 +64,9 @@ def rotvec_of(R, w):
         q[k] = R[k, i] + R[i, k]
         q[3] = R[k, j] - R[j, k]
     s = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    # by both parts: the arc cosine of the real one alone loses half of the digits at small angles
     angle = 2.0 * atan2(s, abs(q[3]))
+    # q and -q are one rotation: that with a real part of 0 and more has the shorter rotation vector
     f = (angle / s if s > 0.0 else 0.0) * (1.0 if q[3] >= 0.0 else -1.0)
     for m in range(3):
         w[m] = f * q[m]

@@ -244,7 +244,7 @@ def _closed(
     if not family.exact:
         Q[count], code[count] = q_seed, -1
         count = _refine(arm, T, Q, code, count + 1, tolerance)
-    count = settle(arm.chain, T, count, q_seed, LIMIT_SLACK, tolerance.m, tolerance.rad, Q, code, errors, inside)
+    count = settle(arm.chain, T, count, q_seed, (LIMIT_SLACK, tolerance.m, tolerance.rad), Q, code, errors, inside)
     Q.setflags(write=False)
     found: list[Solution] = []
     for q, bits, (m, rad, _) in zip(Q[:count], code.tolist(), errors.tolist(), strict=False):

@@ -1,4 +1,7 @@
-"""Frames of two cameras that no wire joins -> named views of a target: each frame by itself, at its own time."""
+"""Frames of two cameras that no wire joins -> named views of a target: each frame by itself, at its own time.
+
+And what repeats from pose to pose: the uncertainty of rig and target, carried to a moving target's pose.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
 from armsight.measure.motion.kernels import state as kernels
 from armsight.measure.motion.kernels.views import observe
 from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import track_spots
@@ -226,9 +230,7 @@ def expect(setup: Setup, state: MotionState, side: int, timing: CameraTiming, he
     uv, H, tau = np.empty((m, 2)), np.empty((2 * m, kernels.N)), np.zeros(m)
     for _ in range(2 if timing.rolling else 1):
         for i in range(m):
-            if not observe(
-                state.x, packed.k[side], packed.R[side], packed.t[side], X[i], tau[i], uv[i], H[2 * i : 2 * i + 2]
-            ):
+            if not observe(state.x, packed.camera(side), X[i], tau[i], uv[i], H[2 * i : 2 * i + 2]):
                 return None
         tau = timing.line_time(uv[:, 1], height)
     return Expected(uv_px=uv, H=H, S=H @ state.C @ H.T, tau_s=tau)
@@ -277,3 +279,43 @@ def _reversed(timing: CameraTiming) -> CameraTiming:
 def _mirrored(view: View) -> View:
     """Return a view as it is where time runs backwards."""
     return replace(view, t_s=-view.t_s, tau_s=-view.tau_s)
+
+
+SIDES = 2
+
+
+def systematic_covariance(setup: Setup, state: MotionState) -> Array | None:
+    """Return the covariance (6, 6) that rig and target leave in a pose; None where both are exact.
+
+    All lights count as seen in both views, all spots as equally good.
+    """
+    if not setup.covariance.size:
+        return None
+    slopes = _slopes(setup, state)
+    if slopes is None:
+        return None
+    C = np.linalg.inv(np.einsum("sica,sicb->ab", slopes, slopes))
+    X, packed = setup.model.xyz_m, setup.packed
+    unit, out = np.tile(np.eye(2), (len(X), SIDES, 1, 1)), np.zeros((6, 6))
+    rig_covariance.carry_to_pose(
+        packed.arrays,
+        unit,
+        X,
+        state.T_rig_target,
+        setup.covariance,
+        C,
+        np.zeros((len(X), SIDES, 2)),
+        out,
+    )
+    return out if out.any() else None
+
+
+def _slopes(setup: Setup, state: MotionState) -> Array | None:
+    """Return d pixel / d pose [side, light, 2, 6]; None where a light is behind a camera."""
+    packed, X = setup.packed, setup.model.xyz_m
+    H, uv = np.zeros((SIDES, len(X), 2, kernels.N)), np.empty(2)
+    for side in range(SIDES):
+        for i, place in enumerate(X):
+            if not observe(state.x, packed.camera(side), place, 0.0, uv, H[side, i]):
+                return None
+    return H[..., :6]

@@ -172,7 +172,7 @@ def _deviations(rig: Rig, packed: PackedRig, points: Array, sigma_px: float) -> 
     if packed.covariance.size:
         A = np.empty((len(points), 3, rig_covariance.PARAMETERS))
         both = np.tile(cov, (len(points), 2, 1, 1))
-        rig_covariance.point_slopes(packed.k, packed.R, packed.t, both, points, spots, A)
+        rig_covariance.point_slopes(packed.arrays, both, points, spots, A)
         of_rig = A @ packed.covariance @ A.transpose(0, 2, 1)
     parts = (spots, of_rig, spots + of_rig)
     return np.array([np.sqrt(max(float(np.linalg.eigvalsh(part)[:, -1].max()), 0.0)) for part in parts])

@@ -1,13 +1,28 @@
 """Pixel <-> ray: cameras, rigs, triangulation."""
 
 from armsight.optics.camera import FISHEYE_INTRINSICS, INTRINSICS, SIDES, WIDEST_RAD, Camera, LensKind, Plate
-from armsight.optics.epipolar import epipolar_chi2, epipolar_distance, fundamental_matrix
-from armsight.optics.packed import PackedRig
 from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
 from armsight.optics.resolution import Resolution, mean_axes, resolution
-from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, MountedZoom, Rig, RigKind
-from armsight.optics.rigs import converged_rig, look_at, parallel_rig
-from armsight.optics.triangulate import Triangulation, Verdict, triangulate, triangulate_closed
+from armsight.optics.rig import (
+    RIG_PARAMETERS,
+    RIGHT_POSE,
+    MountedZoom,
+    PackedRig,
+    Rig,
+    RigKind,
+    converged_rig,
+    look_at,
+    parallel_rig,
+)
+from armsight.optics.triangulate import (
+    Triangulation,
+    Verdict,
+    epipolar_chi2,
+    epipolar_distance,
+    fundamental_matrix,
+    triangulate,
+    triangulate_closed,
+)
 from armsight.optics.zoom import LeftOut, ZoomLens, ZoomSetting, ZoomState
 from armsight.optics.zoom_rig import RigAtZoom, at_zoom, with_zoom
 

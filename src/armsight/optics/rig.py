@@ -1,4 +1,4 @@
-"""Two cameras with a known place each, in the rig's axes."""
+"""Two cameras and where they stand, as plain arrays for compiled code as well, and the papers' rigs by name."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from types import NoneType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import UsageError
+from armsight.errors import Inconsistent, UsageError
+from armsight.geometry import pose_from_rotvec
 from armsight.optics.camera import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.camera import project_many
-from armsight.optics.packed import PackedRig
 from armsight.optics.zoom import ZoomLens
 from armsight.records import (
     CameraTiming,
@@ -21,6 +21,7 @@ from armsight.records import (
     NoiseModel,
     Saveable,
     checked_rows,
+    frozen_array,
     one_of,
     require_kind,
     require_numbers,
@@ -129,3 +130,114 @@ def _require_side(side: str) -> None:
         raise UsageError(
             f"there is no camera {side!r}", consequence="None is given", cure=f"Use one of: {', '.join(SIDES)}"
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PackedRig:
+    """Intrinsics and plates k (2, 12); R (2, 3, 3), t (2, 3) with p_camera = R p_rig + t; baseline (3,) m.
+
+    First index: left, right. covariance: (26, 26) of Rig.parameters where the calibration brings one, zero for the
+    parameters it held fixed; (0, 0) where the rig is taken as exact.
+    """
+
+    k: Array
+    R: Array
+    t: Array
+    baseline: Array
+    covariance: Array
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """The cameras as compiled code takes them, a RigK: a plain tuple is handed to it in half the time."""
+        return self.k, self.R, self.t
+
+    def camera(self, side: int) -> tuple[Array, Array, Array]:
+        """Return one of them, a CameraK; side 0: left, 1: right."""
+        return self.k[side], self.R[side], self.t[side]
+
+    @classmethod
+    def of(cls, rig: Rig) -> PackedRig:
+        """Return a rig packed, which is done once and kept with it."""
+        found = rig.found.get("packed")
+        if not isinstance(found, PackedRig):
+            found = rig.found["packed"] = cls._pack(rig)
+        return found
+
+    @classmethod
+    def _pack(cls, rig: Rig) -> PackedRig:
+        poses = [rig.T_rig_camera(side).inv() for side in SIDES]
+        return cls(
+            k=frozen_array("k", [rig.camera(side).packed for side in SIDES], (2, 12)),
+            R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (2, 3, 3)),
+            t=frozen_array("t", [pose.translation for pose in poses], (2, 3)),
+            baseline=frozen_array("baseline", rig.T_rig_right.translation - rig.T_rig_left.translation, (3,)),
+            covariance=frozen_array("covariance", _covariance(rig), (None, None)),
+        )
+
+
+def _covariance(rig: Rig) -> Array:
+    if rig.covariance is None:
+        return np.empty((0, 0))
+    names = rig.parameters
+    named = [i for i, name in enumerate(names) if name in rig.covariance.names]
+    out = np.zeros((len(names), len(names)))
+    out[np.ix_(named, named)] = rig.covariance.block(tuple(names[i] for i in named))
+    return out
+
+
+def parallel_rig(camera: Camera, baseline_m: float, right: Camera | None = None) -> Rig:
+    """Return a pair with parallel axes, the right camera baseline_m along the left one's x (Kapucu 2005).
+
+    The rig's axes are the left camera's. Raises Inconsistent where the baseline is not positive.
+    """
+    if not baseline_m > 0.0:
+        raise Inconsistent(
+            f"a baseline of {baseline_m} m is not positive",
+            consequence="Two views from one place tell no distance",
+            cure="Give the distance between the cameras; the right one stands at +x of the left",
+        )
+    return Rig(
+        kind=RigKind.STEREO,
+        left=camera,
+        right=right or camera,
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=RigidTransform.from_translation([baseline_m, 0.0, 0.0]),
+    )
+
+
+def converged_rig(
+    left: Camera,
+    right: Camera,
+    baseline_m: float,
+    beta1_rad: float,
+    beta2_rad: float,
+) -> Rig:
+    """Return Korayem's rig: cameras at x = -B/2 and +B/2, optical axes (sin beta, 0, cos beta) in rig axes.
+
+    Both angles count in the same sense, about the rig's y; cameras that look at one point in front have
+    beta1 > 0 > beta2 (MATH A16). The focal lengths F1, F2 are those of the cameras. The rig's origin is midway
+    between the centres of projection. Raises Inconsistent for a baseline that is not positive.
+    """
+    if not baseline_m > 0.0:
+        raise Inconsistent(f"a baseline of {baseline_m} m is not positive", cure="Give the distance between the lenses")
+    half = 0.5 * baseline_m
+    return Rig(
+        kind=RigKind.STEREO,
+        left=left,
+        right=right,
+        T_rig_left=pose_from_rotvec([-half, 0.0, 0.0], [0.0, beta1_rad, 0.0]),
+        T_rig_right=pose_from_rotvec([half, 0.0, 0.0], [0.0, beta2_rad, 0.0]),
+    )
+
+
+def look_at(eye_m: tuple[float, float, float], point_m: tuple[float, float, float]) -> RigidTransform:
+    """Return the pose of a camera at eye_m that looks at point_m with its x axis level (parent's y down).
+
+    Raises Inconsistent where the two points agree or the view is straight along y.
+    """
+    eye, forward = np.asarray(eye_m, float), np.subtract(point_m, eye_m).astype(float)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
+        raise Inconsistent(f"a camera at {eye_m} that looks at {point_m} has no level x axis")
+    z, x = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    return RigidTransform.from_components(eye, Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z])))

@@ -17,9 +17,11 @@ from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
 from armsight.measure.poses.kernels import pose as pose_kernels
-from armsight.measure.spots.kernels.fitting.leastsquares import fit_model
-from armsight.measure.spots.kernels.fitting.light_models import STREAK, grid_of, light_and_slopes
-from armsight.measure.spots.kernels.fitting.round_gaussian import (
+from armsight.measure.spots.kernels.leastsquares import fit_model
+from armsight.measure.spots.kernels.light_models import STREAK, grid_of, light_and_slopes
+from armsight.measure.spots.kernels.patch import Patch
+from armsight.measure.spots.kernels.picture import Picture
+from armsight.measure.spots.kernels.round_gaussian import (
     COV,
     DOF,
     RESULT,
@@ -89,7 +91,7 @@ def test_the_pose_of_a_target_is_the_engines() -> None:
     packed, n = PackedRig.of(RIG), len(X)
     T, C, residual = np.empty((4, 4)), np.empty((6, 6)), np.zeros((n, 2, 2))
     state, _, chi2 = pose_kernels.solve_named(
-        packed.k, packed.R, packed.t, uv, cov, 0.0, X, np.zeros((n, 2)), np.array([0.0, 0.0, 1.0]),
+        packed.arrays, (uv, cov), 0.0, (X, np.zeros((n, 2)), np.array([0.0, 0.0, 1.0])),
         np.empty((n, 3)), np.empty((n, 3, 3)), T, C, residual,
     )  # fmt: skip
     assert state == pose_kernels.SOLVED
@@ -121,7 +123,7 @@ def test_a_round_light_is_the_engines() -> None:
     hot = np.empty((0, 2), np.int64)
     start = truth + np.array([0.4, -0.3, 10.0, 1.0, 2.0])
     flat = np.full(4, 1e-12)  # the background's slope is known to be none
-    assert fit_round(image, np.uint8(0), 255, ANY, hot, 0, False, start, flat, work, out)
+    assert fit_round(Picture(image, np.uint8(0), 255, ANY), hot, False, start, flat, work, out)
     x0, x1, y0, y1 = work.box
     window = np.s_[y0:y1, x0:x1]
     slow = by_engine(lambda p: (light(p)[window] - image[window]).ravel(), start)
@@ -151,7 +153,7 @@ def test_a_streak_is_the_engines() -> None:
     residuals, use = np.zeros((ny, nx)), np.ones((ny, nx), np.uint8)
     p = truth + np.array([1.0, 0.3, -0.2, 8.0, 0.1, -0.1, 0.2])
     start = p.copy()
-    assert fit_model(STREAK, p, len(p), values, use, 0, 0, nx * ny, residuals) > 0.0
+    assert fit_model(STREAK, p, len(p), Patch(np.array([0, nx, 0, ny]), values, use), nx * ny, residuals) > 0.0
     slow = by_engine(lambda q: (light(q) - values.ravel()) / 1.5, start)
     assert slow.covariance is not None
     std = np.sqrt(np.diag(slow.covariance.matrix))

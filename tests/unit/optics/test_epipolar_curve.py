@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
 from armsight.optics import Camera, PackedRig, Rig, RigKind, epipolar_chi2, epipolar_distance
-from armsight.optics.epipolar import epipolar_curve
+from armsight.optics.triangulate import epipolar_curve
 
 LENS = (0.08, -0.17, 0.0007, -0.0004, 0.04)
 DEPTHS_M = np.geomspace(0.2, 10.0, 12)

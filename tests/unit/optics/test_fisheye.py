@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
 from armsight.optics import Camera, LensKind, Plate, Rig, RigKind, epipolar_distance, triangulate
-from armsight.optics.epipolar import epipolar_curve
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point, undistort_point
+from armsight.optics.triangulate import epipolar_curve
 from armsight_sim.lens import Lens
 
 D = (-0.012, 0.02, -0.015, 0.004)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point, undistort_point
-from armsight.optics.kernels.rays import epipolar_residual, rays_in_rig
+from armsight.optics.kernels.triangulation import epipolar_residual, rays_in_rig
 
 K = np.array([1131.0, 1127.0, 643.5, 352.25, 1.5, -0.28, 0.09, 8e-4, -5e-4, -0.012])
 

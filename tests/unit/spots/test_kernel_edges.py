@@ -7,25 +7,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from armsight.measure.poses.kernels.correspondence import _keep
-from armsight.measure.spots.kernels.detection.scan import (
-    AREA,
+from armsight.measure.poses.kernels.correspondence import Best, _keep
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.picture import Picture
+from armsight.measure.spots.kernels.round_gaussian import MOST, REACH, set_box
+from armsight.measure.spots.kernels.scan import (
     BLOCK,
-    COLUMNS,
-    GRID,
-    PEAK,
     SUPER,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
     bright_blocks,
     connected_components,
     connected_components_in_window,
     join_touching_runs,
     threshold_map,
 )
-from armsight.measure.spots.kernels.fitting.round_gaussian import MOST, REACH, set_box
 
 Image = NDArray[np.uint8]
 NO_MASK = np.empty((0, 0), np.uint8)
@@ -44,7 +38,10 @@ def expected(image: Image) -> list[tuple[int, ...]]:
 
 def found(table: NDArray[np.float64], n: int) -> list[tuple[int, ...]]:
     """The same columns of a table of areas."""
-    return sorted(tuple(int(v) for v in row) for row in table[:n][:, [AREA, X_MIN, X_MAX, Y_MIN, Y_MAX, PEAK]])
+    return sorted(
+        tuple(int(v) for v in row)
+        for row in table[:n][:, [col.AREA, col.X_MIN, col.X_MAX, col.Y_MIN, col.Y_MAX, col.PEAK]]
+    )
 
 
 def pictures() -> list[Image]:
@@ -68,14 +65,15 @@ def test_areas_are_those_of_scipys_labels(number: int) -> None:
     image = pictures()[number]
     h, w = image.shape
     most = h * w
-    table, runs, parent = np.empty((most, COLUMNS)), np.empty((most, 3), np.int32), np.empty(most, np.int32)
+    table, runs, parent = np.empty((most, col.COLUMNS)), np.empty((most, 3), np.int32), np.empty(most, np.int32)
+    picture = Picture(image, np.uint8(0), 255, NO_MASK)
     hits = np.empty((most + BLOCK - 1) // BLOCK, np.int64)
     blocks = bright_blocks(image.reshape(-1), np.uint8(0), LEVEL, hits)
-    level = np.full((GRID, GRID), float(LEVEL))
-    n = connected_components(image, np.uint8(0), NO_MASK, 255, level, False, hits, blocks, runs, parent, table)
+    level = np.full((col.GRID, col.GRID), float(LEVEL))
+    n = connected_components(picture, level, False, hits, blocks, runs, parent, table)
     assert found(table, n) == expected(image)
     whole = np.array([0, w, 0, h])
-    n = connected_components_in_window(image, np.uint8(0), NO_MASK, 255, LEVEL, whole, runs, parent, table)
+    n = connected_components_in_window(picture, LEVEL, whole, runs, parent, table)
     assert found(table, n) == expected(image)
 
 
@@ -104,29 +102,29 @@ def test_runs_are_joined_over_corners_and_no_further(
 
 def test_a_tiles_threshold_is_the_upper_third_of_the_known_tiles_about_it() -> None:
     rng = np.random.default_rng(2)
-    levels = rng.uniform(10.0, 200.0, (GRID, GRID))
-    thresholds = np.empty((GRID, GRID))
+    levels = rng.uniform(10.0, 200.0, (col.GRID, col.GRID))
+    thresholds = np.empty((col.GRID, col.GRID))
     low, high = threshold_map(levels, 7.0, thresholds)
-    for i in range(1, GRID - 1):
-        for j in range(1, GRID - 1):
+    for i in range(1, col.GRID - 1):
+        for j in range(1, col.GRID - 1):
             assert thresholds[i, j] == np.sort(levels[i - 1 : i + 2, j - 1 : j + 2].ravel())[6] + 7.0
     assert low == thresholds.min() and high == thresholds.max()
 
 
 @pytest.mark.parametrize("slope", [(11.0, 0.0), (0.0, -5.0), (6.0, 6.0), (-6.0, 6.0)])
 def test_a_linear_ground_stays_below_its_thresholds_also_at_the_border(slope: tuple[float, float]) -> None:
-    i, j = np.mgrid[:GRID, :GRID]
+    i, j = np.mgrid[: col.GRID, : col.GRID]
     levels = 120.0 + slope[0] * i + slope[1] * j
-    thresholds = np.empty((GRID, GRID))
+    thresholds = np.empty((col.GRID, col.GRID))
     threshold_map(levels, 0.0, thresholds)
     corner = 0.5 * (abs(slope[0]) + abs(slope[1]))  # how far a tile's highest corner is above its middle
     assert (thresholds >= levels + corner - 1e-9).all()
 
 
 def test_tiles_that_are_hidden_take_no_part() -> None:
-    levels = np.full((GRID, GRID), 30.0)
+    levels = np.full((col.GRID, col.GRID), 30.0)
     levels[0, 0], levels[5, 5] = -1.0, 200.0
-    thresholds = np.empty((GRID, GRID))
+    thresholds = np.empty((col.GRID, col.GRID))
     threshold_map(levels, 2.0, thresholds)
     assert (thresholds == 32.0).all()
 
@@ -154,7 +152,7 @@ def test_hypotheses_are_kept_in_order_and_the_worst_goes_where_there_is_no_room(
         names, chi2s, poses = np.zeros((room, 3), np.intp), np.zeros(room), np.zeros((room, 3, 4))
         kept = 0
         for k, chi2 in enumerate(values):
-            kept = _keep(kept, room, margin, np.full(3, k), chi2, np.eye(3), np.zeros(3), names, chi2s, poses)
+            kept = _keep(kept, margin, np.full(3, k), chi2, np.eye(3), np.zeros(3), Best(names, chi2s, poses))
         wanted = [v for v in sorted(values)[:room] if v <= min(values) + margin]
         assert chi2s[:kept].tolist() == wanted
         assert [values[row[0]] for row in names[:kept]] == wanted

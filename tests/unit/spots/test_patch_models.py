@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from armsight.measure.spots.kernels.fitting.light_models import ELLIPSE, JOINT, STREAK, grid_of, light_and_slopes
-from armsight.measure.spots.kernels.fitting.normal_table import normal
+from armsight.measure.spots.kernels.gaussian_axes import normal
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, STREAK, grid_of, light_and_slopes
 
 Array = NDArray[np.float64]
 SHAPE = (17, 14)

@@ -12,9 +12,9 @@ from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import Cancelled, UsageError
+from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_sizes
-from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import PackedRig, Rig

@@ -15,8 +15,8 @@ from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import Cancelled, UsageError
+from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pipeline import check_size
-from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import SIDES, Rig

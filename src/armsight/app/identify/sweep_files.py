@@ -21,8 +21,8 @@ from armsight.calibrate.identify import Identification, Sweeps, even_ones, ident
 from armsight.calibrate.identify.result import JointFound
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Joint
+from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pipeline import Setup, check_sizes, measure_spots
-from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots

@@ -14,7 +14,7 @@ from armsight.measure.aiming import aiming_hint
 from armsight.measure.poses.pipeline import Measured
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
-from armsight.optics.epipolar import epipolar_curve
+from armsight.optics.triangulate import epipolar_curve
 from armsight.records import Frame, Spots, TargetPose
 from armsight.records.fields import Doc
 from armsight.records.output import Output, output

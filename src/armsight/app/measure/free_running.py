@@ -13,17 +13,15 @@ from armsight.app.measure.streams import Stream, timing_of
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
-from armsight.measure.consistency.check import DOUBT, settled
+from armsight.measure.consistency.check import DOUBT, MovingCheck, check_motion, settled
 from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD, Consistency
-from armsight.measure.consistency.moving import MovingCheck, check_motion
-from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower
+from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower, systematic_covariance
 from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches, motion_residuals, without_outliers
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import FreeRunning
-from armsight.measure.systematic import systematic_covariance
 from armsight.optics import SIDES
 from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
 from armsight.records.result_parts import BothCounts, BothSeconds

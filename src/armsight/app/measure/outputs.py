@@ -19,9 +19,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.drivers import Skew
 from armsight.errors import Unseen
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
-from armsight.measure.consistency.check import settled
+from armsight.measure.consistency.check import advice, sentence, settled
 from armsight.measure.consistency.diagnosis import Consistency, Finding
-from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pipeline import Measured
 from armsight.measure.results import (
     Candidates,

@@ -34,12 +34,10 @@ from armsight.drivers import (
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.consistency.explain import advice, sentence
-from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Measured, Setup
-from armsight.measure.poses.slack import rig_slack_px
+from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
 from armsight.measure.results import MeasureOutput
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.measure.tracker import TargetTracker

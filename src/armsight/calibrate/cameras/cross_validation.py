@@ -17,8 +17,7 @@ from armsight.errors import DataRefused
 from armsight.geometry import align_points
 from armsight.optics import Rig
 from armsight.optics.camera import INTRINSICS_OF
-from armsight.optics.epipolar import epipolar_distance
-from armsight.optics.triangulate import triangulate
+from armsight.optics.triangulate import epipolar_distance, triangulate
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from armsight.calibrate.timing.coarse import MAX_GAP, coarse_delay
 from armsight.errors import NotEnoughData
 from armsight.optics import Rig
-from armsight.optics.epipolar import epipolar_distance
+from armsight.optics.triangulate import epipolar_distance
 from armsight.records import SpotTrack
 
 Array = NDArray[np.float64]

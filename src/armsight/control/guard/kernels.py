@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from armsight._numba import fast_kernel
+from armsight._numba import fast_kernel, inner_fast_kernel
 
 TOOL = 4
 """Entries of the table of depths for the tool: speed, turning, and the accelerations of both. Each joint has three
@@ -13,21 +15,48 @@ FACES = 6
 """Of the workspace, for each of two points: below and above in x, y, z."""
 
 
+class Motion(NamedTuple):
+    """A motion in m positions: joint readings q (m, n), moving at qd and qdd (m, n).
+
+    T (m, 4, 4), J (m, 6, n): pose and Jacobian of the tool in world axes there.
+    """
+
+    T: Any
+    J: Any
+    q: Any
+    qd: Any
+    qdd: Any
+
+
+class LimitsK(NamedTuple):
+    """What a motion must keep, in base axes, which base (3, 4) = T_base_world leads to.
+
+    offset (3,) m: the flange in tool axes. joints (3, n): lower, upper, speed. most (4,): speed (m/s) and turning
+    (rad/s) of the tool, its acceleration and that of its turning. boxes (1 + b, 6) m: lower and upper corners, the
+    workspace first, then forbidden ones; margin m: to be kept from all their faces.
+    """
+
+    base: Any
+    offset: Any
+    joints: Any
+    most: Any
+    boxes: Any
+    margin: Any
+
+
 @fast_kernel
-def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outside, out):
+def depths(motion, dt, limits, outside, out):
     """Fill out (TOOL + 3 n + 2 FACES + 2 b,) with the largest excess over each limit along m places; 0, below: kept.
 
     Each limit has an entry of its own: what is broken of one must not excuse another.
 
-    T (m, 4, 4) and J (m, 6, n) of the tool in world axes at readings q (m, n), moving at qd and qdd (m, n), dt s from
-    place to place. base (3, 4): T_base_world. offset (3,): the flange in tool axes. joints (3, n): lower, upper,
-    speed. most (4,): speed (m/s) and turning (rad/s) of the tool, its acceleration and that of its turning. boxes
-    (1 + b, 6): lower and upper corners in base axes, the workspace first. Between two places the tool goes no further
-    than from one to the other; walls keep half of that beside the margin, but those of outside (2 FACES + 2 b,), whose
-    limit is broken already: there only the places count, or there was no way back.
+    motion, limits: plain tuples, as Motion, LimitsK; dt s from place to place. Between two places the tool goes no
+    further than from one to the other; walls keep half of that beside the margin, but those of outside (2 FACES + 2
+    b,), whose limit is broken already: there only the places count, or there was no way back.
     """
+    T, J, q, qd, qdd = motion
+    base, offset, joints, most, _, _ = limits
     m, n = q.shape
-    walls = TOOL + 3 * n
     points = np.empty((m, 2, 3))
     twist = np.zeros(6)
     out[:] = -np.inf
@@ -66,27 +95,37 @@ def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outs
             for r in range(3):
                 square += (points[i, p, r] - points[i - 1, p, r]) ** 2
             stride = max(stride, square)
+    # at every moment the tool is no further than that from one of the two places it goes between
     way = 0.5 * np.sqrt(stride)
-    for i in range(m):
+    wall_depths(points, way, limits, outside, out[TOOL + 3 * n :])
+
+
+@inner_fast_kernel
+def wall_depths(points, way, limits, outside, out):
+    """Raise out (2 FACES + 2 b,) to the depths of points (m, 2, 3) in faces and boxes; way m: see depths."""
+    _, _, _, _, boxes, margin = limits
+    for i in range(points.shape[0]):
         for p in range(2):
             for r in range(3):
                 for side in range(2):
                     entry = FACES * p + 2 * r + side
                     inside = points[i, p, r] - boxes[0, r] if side == 0 else boxes[0, 3 + r] - points[i, p, r]
                     keep = margin if outside[entry] else margin + way
-                    out[walls + entry] = max(out[walls + entry], keep - inside)
+                    out[entry] = max(out[entry], keep - inside)
             for b in range(1, len(boxes)):
                 entry = 2 * FACES + 2 * (b - 1) + p
+                # how deep in a box: the least of the distances from its six faces
                 inside = np.inf
                 for r in range(3):
                     inside = min(inside, points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r])
                 keep = margin if outside[entry] else margin + way
-                out[walls + entry] = max(out[walls + entry], keep + inside)
+                out[entry] = max(out[entry], keep + inside)
 
 
 @fast_kernel
-def depths_each(T, J, q, qd, qdd, base, offset, joints, most, boxes, margin, outside, out):
+def depths_each(motion, limits, outside, out):
     """Fill out (m, ...) with the depths at each of m places by itself; the rest as depths has it."""
+    T, J, q, qd, qdd = motion
     for i in range(len(q)):
         at = slice(i, i + 1)
-        depths(T[at], J[at], q[at], qd[at], qdd[at], 0.0, base, offset, joints, most, boxes, margin, outside, out[i])
+        depths((T[at], J[at], q[at], qd[at], qdd[at]), 0.0, limits, outside, out[i])

@@ -138,7 +138,7 @@ class Space:
         still = np.zeros((1, arm.n))
         T, J = fk_jacobian(arm, still, all_cores=False)
         out = np.empty((1, self._walls + len(self._kept)))
-        depths_each(T, J, still, still, still, *self._constants, self._kept, out)  # compiled before a cycle needs it
+        depths_each((T, J, still, still, still), self._constants, self._kept, out)  # compiled before a cycle needs it
 
     def _named(self, workspace: str) -> LimitNames:
         """Return the names of all limits, in the kernel's order, then those of coupled values, then singularities."""
@@ -226,7 +226,7 @@ class Space:
         out, kept = before.outside(), before.depths[self._walls : self._walls + len(self._kept)] > 0.0
         each = np.full((len(values), len(found)), -np.inf)
         n = self._walls + len(kept)
-        depths_each(T, J, *motion, *self._constants, kept, each[:, :n])
+        depths_each((T, J, *motion), self._constants, kept, each[:, :n])
         if self._gearing is not None:
             each[:, n:-1] = np.hstack([self.arm.lower - values, values - self.arm.upper])
         least = np.minimum.accumulate(np.vstack([before.depths, each[:-1]]))
@@ -245,7 +245,7 @@ class Space:
         """Return the depths of all limits, that of singularities left at none."""
         found = np.full(len(self.names.names), -np.inf)
         n = self._walls + len(kept)
-        depths(T, J, *motion, dt_s, *self._constants, kept, found[:n])
+        depths((T, J, *motion), dt_s, self._constants, kept, found[:n])
         if self._gearing is not None:
             found[n:-1] = np.concatenate([(self.arm.lower - values).max(axis=0), (values - self.arm.upper).max(axis=0)])
         return found

@@ -40,6 +40,7 @@ def joint_frames(chain, q, F):
         else:
             s, c = sin_cos(row[2])
             d = row[1] * q[i] + row[3]
+        # on columns, no matrix products: Rz turns x and y, Tz and Tx move the origin, Rx turns y and z, Ry then z and x
         a, ca, sa, cb, sb = row[4], row[5], row[6], row[7], row[8]
         for r in range(3):
             x = F[i, r] * c + F[i, 3 + r] * s
@@ -64,6 +65,8 @@ def frames_jacobian(chain, F, J):
     """Fill J (6, n), linear over angular velocity of the tool in world axes, from the frames F (n + 2, 12)."""
     n = chain.shape[0] - 2
     for i in range(n):
+        # turning: z x (p - o) over z; sliding: z over 0 (Siciliano et al. 2009, equation 3.30), times the reading's
+        # sign
         zx, zy, zz = F[i, 6], F[i, 7], F[i, 8]
         g = chain[i + 1, 1]
         if chain[i + 1, 0] == 0.0:
@@ -129,6 +132,7 @@ def _start_block(chain, w):
 def _joint_block(row, q, first, count, i, w):
     """Carry the block over joint i, whose values are q[first : first + count, i]."""
     for b in range(BLOCK):
+        # the last block may be short: its idle lanes go through the same loops, on zeros
         w[D * BLOCK + b] = 0.0
     for b in range(count):
         w[D * BLOCK + b] = q[first + b, i]
@@ -158,6 +162,7 @@ def _joint_block(row, q, first, count, i, w):
             w[(X + r) * BLOCK + b] = x
             w[(Y + r) * BLOCK + b] = y * ca + z0 * sa
             w[(Z + r) * BLOCK + b] = z0 * ca - y * sa
+    # sine of beta: only axes that are nearly parallel have one (Hayati's form, MATH 4.5)
     if row[8] != 0.0:
         cb, sb = row[7], row[8]
         for r in range(3):
@@ -261,6 +266,7 @@ def many_poses_jacobians(chain, q, T, J):
         if tool:
             _tool_block(chain[n + 1], w)
         _write_block(w, first, count, T)
+        # only now: a column needs the origin of the tool, which stands in P at the end of the chain
         for i in range(n):
             for k in range(6 * BLOCK):
                 w[A * BLOCK + k] = axes[i, k]

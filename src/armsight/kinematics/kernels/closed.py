@@ -18,6 +18,7 @@ Angles inside are DH angles theta, not joint values. In the frame behind joint 1
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,22 @@ REACH_SLACK = 1e-12
 
 LEFT, DOWN, FLIP, AT_SHOULDER, AT_ELBOW, AT_WRIST = 1, 2, 4, 8, 16, 32
 """Bits of a solution's code: branches, and which singularity it stands in."""
+
+
+class Shoulder(NamedTuple):
+    """One of the two ways to turn joint 1: theta1, its cosine and sine, and the bits of it for a solution's code."""
+
+    theta1: Any
+    cosine: Any
+    sine: Any
+    bits: Any
+
+
+class Solutions(NamedTuple):
+    """All solutions: Q (8, 6) joint values, code (8,) their branches and singularities."""
+
+    Q: Any
+    code: Any
 
 
 @inner_fast_kernel
@@ -65,8 +82,10 @@ def wrist_pose(family, base, tool, T, W):
 
 
 @inner_fast_kernel
-def _store(family, Q, code, k, t1, t2, t3, t4, t5, t6, bits):
-    """Store one solution as joint values, each turned into [-pi, pi] (over the joint's scale)."""
+def _store(family, solutions, k, theta, bits):
+    """Store one solution of angles theta (6,) as joint values, each turned into [-pi, pi] (over the joint's scale)."""
+    Q, code = solutions
+    t1, t2, t3, t4, t5, t6 = theta
     Q[k, 0] = wrap(t1 - family[14]) * family[20]
     Q[k, 1] = wrap(t2 - family[15]) * family[21]
     Q[k, 2] = wrap(t3 - family[16]) * family[22]
@@ -85,6 +104,7 @@ def _elbow(a2, link, x, y, out):
     Q = x * x + y * y
     far = (a2 + link) * (a2 + link)
     near = (a2 - link) * (a2 - link)
+    # the sine by a product: 1 - c3^2 would cancel where the arm is stretched or folded (MATH 2.2)
     product = (far - Q) * (Q - near)
     scale = 2.0 * a2 * link
     c3 = (Q - a2 * a2 - link * link) / scale
@@ -100,12 +120,14 @@ def _elbow(a2, link, x, y, out):
 
 
 @inner_fast_kernel
-def _offset_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
+def _offset_wrist(family, W, near, shoulder, k, solutions, work):
     """Add the solutions of an arm with offset wrist for one theta 1; return their number so far."""
+    t1, C1, S1, bits = shoulder
     sa1, k2, k23 = family[1], family[2], family[2] * family[3]
     sa4, sa5 = family[4], family[5]
     xx, xy, xz, yx, yy, yz = W[0], W[1], W[2], W[3], W[4], W[5]
     zx, zy, zz = W[6], W[7], W[8]
+    # sin 5 cos 6 and sin 5 sin 6 of MATH 2.2; the plane arm's sum of angles, phi, follows from them
     g = k23 * sa4 * sa1  # axis 2 is sa1 (S1, -C1, 0)
     x6 = g * (S1 * xx - C1 * xy)  # sin5 cos6
     y6 = -g * (S1 * yx - C1 * yy)  # sin5 sin6
@@ -151,14 +173,15 @@ def _offset_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
             if branches == 1:
                 b |= AT_ELBOW
             t4 = k23 * (phi + turn - t2 - t3)
-            _store(family, Q, code, k, t1, t2, k2 * t3, t4, sign * t5, t6 + turn, b)
+            _store(family, solutions, k, (t1, t2, k2 * t3, t4, sign * t5, t6 + turn), b)
             k += 1
     return k
 
 
 @inner_fast_kernel
-def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
+def _spherical_wrist(family, W, near, shoulder, k, solutions, work):
     """Add the solutions of an arm with spherical wrist for one theta 1; return their number so far."""
+    t1, C1, S1, bits = shoulder
     sa1, k2, sa4, sa5 = family[1], family[2], family[4], family[5]
     s23 = family[2] * family[3]
     x = C1 * W[9] + S1 * W[10] - family[6]
@@ -177,6 +200,7 @@ def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
         x3x, x3y, x3z = cp * C1, cp * S1, sp * sa1
         y3x, y3y = s23 * sa1 * S1, -s23 * sa1 * C1
         z3x, z3y, z3z = s23 * sp * C1, s23 * sp * S1, -s23 * cp * sa1
+        # axis 6 in the axes of link 3: cos 4 sin 5, sin 4 sin 5 and cos 5 but for signs
         m02 = x3x * W[6] + x3y * W[7] + x3z * W[8]
         m12 = y3x * W[6] + y3y * W[7]
         m22 = z3x * W[6] + z3y * W[7] + z3z * W[8]
@@ -199,7 +223,8 @@ def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
         for flip in range(wrists):
             turn = 0.0 if flip == 0 else np.pi
             sign = 1.0 if flip == 0 else -1.0
-            _store(family, Q, code, k, t1, t2, k2 * bend, t4 + turn, sign * t5, t6 + turn, b | (FLIP if flip else 0))
+            theta = t1, t2, k2 * bend, t4 + turn, sign * t5, t6 + turn
+            _store(family, solutions, k, theta, b | (FLIP if flip else 0))
             k += 1
     return k
 
@@ -210,7 +235,7 @@ def solve_closed(chain, family, base, tool, T, here, Q, code):
 
     here (6,): joint values that decide where a singular pose leaves one free. Limits are not looked at.
     """
-    return _solve(family, base, tool, T, _dh_angles(chain, here), Q, code, np.empty(12), np.empty(3))
+    return _solve(family, base, tool, T, _dh_angles(chain, here), Solutions(Q, code), np.empty(12), np.empty(3))
 
 
 @inner_fast_kernel
@@ -223,7 +248,7 @@ def _dh_angles(chain, q):
 
 
 @inner_fast_kernel
-def _solve(family, base, tool, T, near, Q, code, W, work):
+def _solve(family, base, tool, T, near, solutions, W, work):
     """Do what `solve_closed` says, with room to work in: W (12,), work (3,)."""
     wrist_pose(family, base, tool, T, W)
     wx, wy, sa1 = W[9], W[10], family[1]
@@ -253,11 +278,11 @@ def _solve(family, base, tool, T, near, Q, code, W, work):
             C1 *= size
             S1 *= size
             t1 = arc_tangent(S1, C1)
-        b = bits | (LEFT if side == 1 else 0)
+        shoulder = Shoulder(t1, C1, S1, bits | (LEFT if side == 1 else 0))
         if family[0] == 1.0:
-            k = _offset_wrist(family, W, near, C1, S1, t1, b, k, Q, code, work)
+            k = _offset_wrist(family, W, near, shoulder, k, solutions, work)
         else:
-            k = _spherical_wrist(family, W, near, C1, S1, t1, b, k, Q, code, work)
+            k = _spherical_wrist(family, W, near, shoulder, k, solutions, work)
     return k
 
 
@@ -268,7 +293,7 @@ def solve_closed_many(chain, family, base, tool, T, here, Q, code, count):
     W = np.empty(12)
     work = np.empty(3)
     for i in range(T.shape[0]):
-        count[i] = _solve(family, base, tool, T[i], near, Q[i], code[i], W, work)
+        count[i] = _solve(family, base, tool, T[i], near, Solutions(Q[i], code[i]), W, work)
 
 
 @kernel
@@ -294,12 +319,14 @@ def nearest_turns(chain, q, here, slack):
 
 
 @kernel
-def settle(chain, T, count, here, slack, most_m, most_rad, Q, code, errors, inside):
+def settle(chain, T, count, here, tolerance, Q, code, errors, inside):
     """Bring the first count rows of Q (9, n) near here (n,), and those that reach the pose to the front, nearest first.
 
     code (9,) goes along; errors (9, 3): off the pose in m and rad, and the largest distance of a joint from here;
-    inside (9,): within the limits. Return how many miss the pose by no more than most_m and most_rad.
+    inside (9,): within the limits. tolerance: the slack of limits, and by how many m and rad the pose may be missed;
+    return how many keep it.
     """
+    slack, most_m, most_rad = tolerance
     n = chain.shape[0] - 2
     F = np.empty((n + 2, 12))
     e = np.empty(6)

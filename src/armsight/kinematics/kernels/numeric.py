@@ -43,6 +43,7 @@ def rotation_error(T, frame, e):
     z = 0.5 * (E[1, 0] - E[0, 1])
     s = sqrt(x * x + y * y + z * z)
     c = 0.5 * (E[0, 0] + E[1, 1] + E[2, 2] - 1.0)
+    # the antisymmetric part holds the axis times the sine, which vanishes at half a turn too: there E + 1 = 2 a a'
     if s < NEARLY_HALF_TURN:
         if c > 0.0:
             scale = 1.0
@@ -90,6 +91,7 @@ def _normal_equations(J, e, rows, weight, H, g):
             s = weight * (J[0, i] * J[0, j] + J[1, i] * J[1, j] + J[2, i] * J[2, j])
             if rows == 6:
                 s += J[3, i] * J[3, j] + J[4, i] * J[4, j] + J[5, i] * J[5, j]
+            # the lower half: the Cholesky factor reads no other
             H[i, j] = s
 
 
@@ -110,6 +112,7 @@ def _damped_step(H, g, damping, held, L, step):
                 if not held[k]:
                     s -= L[i, k] * L[j, k]
             if i == j:
+                # a pivot that cancels to rounding: the Jacobian is singular, and the damping does not lift it
                 if not s > 1e-15 * H[i, i]:
                     return False
                 L[i, i] = sqrt(s)
@@ -193,6 +196,7 @@ def solve_damped_least_squares(chain, T, rows, weight, tol_m, tol_rad, max_steps
         for i in range(n):
             if not held[i]:
                 slope = max(slope, abs(g[i]))
+        # against the error itself: the gradient shrinks with it, at a solution as well
         if slope * slope <= FLAT * cost * (1.0 + weight):
             return (LIMITS if any_held else MINIMUM), steps
         better = False
@@ -205,9 +209,11 @@ def solve_damped_least_squares(chain, T, rows, weight, tol_m, tol_rad, max_steps
                 if cost_trial < cost:
                     better = True
                     break
+            # the linear model failed: more damping until it holds, a tenth of it after each step that helped
             extra = max(8.0 * extra, 1.0)
         if not better:
             return (LIMITS if any_held else MINIMUM), steps
+        # steps that gain so little end in a minimum, or against limits, unless the pose is reached by them
         small = cost - cost_trial <= 1e-6 * cost and cost_trial > 0.0
         extra *= 0.1
         for i in range(n):

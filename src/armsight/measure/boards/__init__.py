@@ -1,8 +1,7 @@
 """Printed boards: checkerboards, circle grids and ChArUco, found in an image and measured."""
 
-from armsight.measure.boards.find import DETECTORS, find_board, warm_up
-from armsight.measure.boards.orient import same_way_up
-from armsight.measure.boards.overlaid_boards import find_two_boards
+from armsight.measure.boards.find import DETECTORS, find_board, find_two_boards, warm_up
+from armsight.measure.boards.gridmap import same_way_up
 from armsight.measure.boards.xcorner import xcorner_corners
 
 __all__ = ["DETECTORS", "find_board", "find_two_boards", "same_way_up", "warm_up", "xcorner_corners"]

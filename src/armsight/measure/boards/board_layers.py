@@ -125,10 +125,7 @@ def take_off(light: Array, layer: Layer, board: Target) -> None:
     """Add to an image the light that a board's printed pattern holds back."""
     smooth = layer.smooth
     render_pattern(
-        np.ascontiguousarray(smooth.H),
-        np.ascontiguousarray(smooth.cubic),
-        smooth.centre,
-        smooth.half,
+        (np.ascontiguousarray(smooth.H), np.ascontiguousarray(smooth.cubic), smooth.centre, smooth.half),
         board.columns,
         board.rows,
         layer.board_edge,

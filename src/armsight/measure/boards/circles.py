@@ -9,11 +9,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.errors import BadImage
-from armsight.measure.boards.dots import Dots, neighbourhoods, round_dots
-from armsight.measure.boards.gridmap import fit_map
+from armsight.measure.boards.gridmap import axis_px, fit_map
 from armsight.measure.boards.kernels.subpixel import fit_dots
-from armsight.measure.boards.lattice import FULL_SIDE, LOST_SHARE, Grid, Lattice, Placed, lattices, placements
-from armsight.measure.boards.orient import axis_px
+from armsight.measure.boards.lattice import (
+    FULL_SIDE,
+    LOST_SHARE,
+    Dots,
+    Grid,
+    Lattice,
+    Placed,
+    lattices,
+    neighbourhoods,
+    placements,
+    round_dots,
+)
 from armsight.records import BoardView, Target, TargetKind
 
 Array = NDArray[np.float64]

@@ -1,18 +1,24 @@
-"""Corners of a board with markers: markers name them, a smooth map of all verifies where each was fitted."""
+"""Boards with markers, ChArUco and Kalibr's AprilGrid: markers name the corners, so that a part of the board is enough.
+
+Corners are fitted here; a smooth map of all verifies where each was fitted. An AprilGrid's tags are of the family
+36h11, and black squares touch their corners.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadImage
+from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
 from armsight.measure.boards.gridmap import fit_map
 from armsight.measure.boards.kernels.subpixel import fit_corners
-from armsight.records import BoardView
+from armsight.records import BoardView, Target
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -88,3 +94,162 @@ class MarkerCorners:
             height=image.shape[0],
             source=source,
         )
+
+
+CHARUCO = MarkerCorners(
+    board="ChArUco board",
+    least=6,  # four corners fix a homography with nothing left to check it; six leave something
+    explained=0.6,
+    off_grid=0.15,
+    cure="Hold the board still, focus the lens and avoid reflections",
+)
+
+
+def find_charuco(image: NDArray[np.uint8], board: Target, source: str) -> BoardView:
+    """Return those corners of a ChArUco board that are seen and verified; raises BadImage with the reason."""
+    detector = _detector(board)
+    corners, ids, _, markers = detector.detectBoard(image)
+    if ids is None or len(ids) < CHARUCO.least:
+        seen = 0 if markers is None else len(markers)
+        mirrored = detector.detectBoard(np.ascontiguousarray(image[:, ::-1]))[1]
+        CHARUCO.refuse_mirrored(0 if mirrored is None else len(mirrored), source)
+        raise BadImage(
+            f"{source}: {0 if ids is None else len(ids)} corners of the ChArUco board were found ({seen} markers), "
+            f"{CHARUCO.least} are needed",
+            consequence="The image is not used",
+            cure="Show more of the board, sharper and larger, and check its size and dictionary",
+        )
+    index = np.asarray(ids, dtype=np.intp).ravel()
+    order = np.argsort(index)
+    return _refined(image, board, index[order], np.asarray(corners, float).reshape(-1, 2)[order], source)
+
+
+def _detector(board: Target) -> Any:
+    """Return OpenCV's detector for the board; raises Inconsistent where the description is not a board."""
+    code = getattr(cv2.aruco, board.dictionary, None)
+    if code is None or not board.dictionary.startswith("DICT_"):
+        known = ", ".join(name for name in sorted(dir(cv2.aruco)) if name.startswith("DICT_"))
+        raise Inconsistent(f"no marker dictionary is called {board.dictionary!r}; there are {known}")
+    if not 0.0 < board.marker_m < board.pitch_m:
+        raise Inconsistent(f"a marker of {board.marker_m} m does not fit into a square of {board.pitch_m} m")
+    dictionary = cv2.aruco.getPredefinedDictionary(code)
+    charuco = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_m, board.marker_m, dictionary)
+    return cv2.aruco.CharucoDetector(charuco)
+
+
+def _refined(image: NDArray[np.uint8], board: Target, index: NDArray[np.intp], uv: Array, source: str) -> BoardView:
+    """Fit the corners in windows that stop short of the markers."""
+    grid = board.xyz_m[index, :2] / board.pitch_m
+    return CHARUCO.fit(
+        image,
+        index,
+        uv,
+        grid=grid,
+        margin=0.5 * (1.0 - board.marker_m / board.pitch_m),
+        signs=lambda places, E: _signs(image, places, E, grid),
+        source=source,
+    )
+
+
+def _signs(image: NDArray[np.uint8], uv: Array, E: Array, grid: Array) -> Array:
+    """Return for each corner +1 where the square beyond it is white, by a vote over all corners."""
+    parity = np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, 1.0, -1.0)
+    vote = 0.0
+    near = 0.12  # of a square: inside the margin around the marker
+    for place, direction, step in zip(uv, parity, E, strict=True):
+        levels = []
+        for s, t in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
+            u, v = place + step @ np.array([s * near, t * near])
+            col = int(np.clip(np.rint(u), 0, image.shape[1] - 1))
+            row = int(np.clip(np.rint(v), 0, image.shape[0] - 1))
+            levels.append(float(image[row, col]))
+        vote += direction * (levels[0] + levels[1] - levels[2] - levels[3])
+    return np.asarray(parity if vote >= 0.0 else -parity)
+
+
+BORDERS = (2, 1)
+"""Cells of black round a tag's 6 x 6: Kalibr prints two, AprilTag's own printouts have one."""
+CELLS = 6
+DILATIONS_PX = (0, 1)
+"""By how much black is shrunk before OpenCV looks for quadrangles that stand alone: the squares touch the tags at their
+corners, which its own thresholds part in a sharp picture."""
+OF_KALIBR = (1, 0, 3, 2)
+"""OpenCV's corners of a tag (its own top left, then clockwise) as Kalibr's lower left, lower right, upper right, upper
+left: the two read the family's codes half a turn apart, and Kalibr's y is up."""
+APRILGRID = MarkerCorners(
+    board="AprilGrid",
+    least=8,  # two tags: four corners fix a homography with nothing left to check it
+    # a whole corner has 0.998 at a noise of 2 of 190 levels; one that an edge cuts has 0.85 at most, and is off by up
+    # to 9 px (tests/unit/boards/test_aprilgrid.py)
+    explained=0.93,
+    off_grid=0.08,
+    cure="Hold the board still, focus the lens and avoid reflections; black squares belong at the tags' corners",
+)
+
+
+def find_aprilgrid(image: Grey, board: Target, source: str) -> BoardView:
+    """Return those corners of an AprilGrid that are seen and verified; raises BadImage with the reason."""
+    found, border = _tags(image, board)
+    if 4 * len(found) < APRILGRID.least:
+        mirrored, _ = _tags(np.ascontiguousarray(image[:, ::-1]), board)
+        APRILGRID.refuse_mirrored(4 * len(mirrored), source)
+        raise BadImage(
+            f"{source}: {len(found)} tags of the AprilGrid were found, {APRILGRID.least // 4} are needed",
+            consequence="The image is not used",
+            cure="Show more of the board, sharper and larger; its tags are of the family 36h11, from 0",
+        )
+    across = 2 * board.columns
+    index, uv = [], []
+    for tag, corners in sorted(found.items()):
+        first = tag // board.columns * 2 * across + tag % board.columns * 2
+        index += [first, first + 1, first + across + 1, first + across]
+        uv += list(corners)
+    order = np.argsort(index)
+    return _refined_tags(image, board, np.array(index, np.intp)[order], np.array(uv)[order], border, source)
+
+
+def _tags(image: Grey, board: Target) -> tuple[dict[int, Array], int]:
+    """Return the corners (4, 2) of each tag found, in Kalibr's order, and the tags' border in cells."""
+    best, of_best = dict[int, Array](), BORDERS[0]
+    for border in BORDERS:
+        detector, found = _tag_detector(border), dict[int, Array]()
+        for reach in DILATIONS_PX:
+            kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+            corners, ids, _ = detector.detectMarkers(cv2.dilate(image, kernel))
+            for tag, quad in zip([] if ids is None else ids.ravel().tolist(), corners, strict=True):
+                if tag < board.columns * board.rows:
+                    found.setdefault(tag, _grown(np.asarray(quad, float).reshape(4, 2), reach)[list(OF_KALIBR)])
+        if len(found) > len(best):
+            best, of_best = found, border
+    return best, of_best
+
+
+def _tag_detector(border: int) -> Any:
+    settings = cv2.aruco.DetectorParameters()
+    settings.markerBorderBits = border
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    return cv2.aruco.ArucoDetector(dictionary, settings)
+
+
+def _grown(quad: Array, px: float) -> Array:
+    """Return the corners (4, 2) of a quadrangle whose sides are moved outward by so much."""
+    out = quad - quad.mean(axis=0)
+    return np.asarray(quad + np.sqrt(2.0) * px * out / np.linalg.norm(out, axis=1)[:, None])
+
+
+def _refined_tags(
+    image: Grey, board: Target, index: NDArray[np.intp], uv: Array, border: int, source: str
+) -> BoardView:
+    """Fit the corners, where two black corners meet, in windows within the gap and the tag's border."""
+    across = 2 * board.columns
+    # black lies along the diagonal from a tag's lower left and upper right corners, white along that from the others
+    sign = np.where((index % across + index // across) % 2 == 0, -1.0, 1.0)
+    return APRILGRID.fit(
+        image,
+        index,
+        uv,
+        grid=board.xyz_m[index, :2] / board.marker_m,
+        margin=min(board.pitch_m / board.marker_m - 1.0, border / (CELLS + 2.0 * border)),
+        signs=lambda *_: sign,
+        source=source,
+    )

@@ -1,19 +1,33 @@
-"""The consistency check as a run goes: what it has seen, and poses widened by what it has found."""
+"""The consistency check as a run goes: of pairs, and of views each at its own time; and its verdict in words.
+
+It widens poses by what it has found. A frame that was refused, or of which lights were left out, is fitted as a whole
+for it: no pose, but what it tells. Views at their own times give the same sums, the motion eliminated.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.errors import Unseen
-from armsight.measure.consistency.causes import causes_of
-from armsight.measure.consistency.diagnosis import Consistency, judge
-from armsight.measure.consistency.evidence import WINDOW, Evidence, frame_of
-from armsight.measure.consistency.refit import refit
+from armsight.measure.consistency import kernels
+from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE, causes_of
+from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, Consistency, Finding, judge
+from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of, stacked
+from armsight.measure.motion.estimate import Filtered, Start
+from armsight.measure.motion.states import View
+from armsight.measure.poses.correspondence import match_known
 from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.pairs import pair_spots
+from armsight.measure.poses.pose import NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.tracking import expected
 from armsight.records import PoseStatus, TargetPose
+from armsight.units import DEG, MM
 
 NEXT_LOOK = 1.5
 """... and each next time after so many times more."""
@@ -108,3 +122,209 @@ class RunCheck:
             systematic_covariance=systematic if fault is not None else pose.systematic_covariance,
         )
         return replace(measured, pose=wider)
+
+
+REFIT_SLACKS = (8.0, 32.0)
+"""Factors on the slack, one after the other: residuals of 2 px, and of 8 px as of a camera knocked by half a degree."""
+
+
+def refit(setup: Setup, measured: Measured) -> Measured | None:
+    """Return the moment with all of its lights named and placed, however badly they fit; None where not clear.
+
+    A frame that does not fit the target says more about what is wrong than those that just do. Three lights or more.
+    """
+    left, right, model = measured.left_seen, measured.right_seen, setup.model
+    whole = min(len(model), len(left), len(right))
+    if measured.busy or whole < 3 or setup.target.is_board or not setup.target.model_known:
+        return None
+    t_s = measured.pose.t_s
+    for loose in REFIT_SLACKS:
+        slack = loose * setup.slack_px
+        pairs = pair_spots(setup.packed, left, right, slack, overlaid=setup.overlaid)
+        if len(pairs.index) < whole:
+            continue
+        predicted = expected(setup, measured.track, t_s)
+        best = match_known(setup.packed, model, left, right, pairs, prediction=predicted, slack_px=slack).best
+        if best is None or len(best.names) < whole:
+            continue
+        index = pairs.index[best.pair]
+        at_left, at_right = left.take(index[:, 0]), right.take(index[:, 1])
+        uv, cov = stacked(at_left, at_right)
+        X = model.xyz_m[[model.names.index(name) for name in best.names]]
+        spots = NamedSpots(best.names, X, uv, cov, radius_m=np.zeros((len(X), 2)), normal=model.normal)
+        solved = solve_pose(setup.packed, t_s, spots, limit=np.inf)
+        if solved.pose.status is PoseStatus.OK:
+            return replace(measured, pose=solved.pose, left=at_left, right=at_right, names=best.names)
+    return None
+
+
+Array = NDArray[np.float64]
+
+SETTLED_VIEWS = 8
+"""Views after a start whose chi-square says nothing: the state they are held against is a guess."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MovingCheck:
+    """The verdict, and how the pose at each view (n, 6, q) follows the parameters that it is about."""
+
+    verdict: Consistency
+    slopes: Array
+
+
+def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], jerk: Array) -> MovingCheck:
+    """Return what the views' innovations under a motion of strength jerk (n,) say of rig and target."""
+    evidence = Evidence.of(setup)
+    n, q = len(views), evidence.size
+    t, block = np.array([view.t_s for view in views]), (np.arange(n) * BLOCKS) // n
+    run = Filtered.of(setup.packed, setup.model.xyz_m, views, starts, jerk)
+    dp, ds = (np.zeros((n, run.Cs.shape[1], q)) for _ in range(2))
+    weight = _weights(views)
+    for start in starts:
+        weight[start.view : start.view + SETTLED_VIEWS] = 0.0
+    information, score, chi2 = np.zeros((BLOCKS, q, q)), np.zeros((BLOCKS, q)), np.zeros(BLOCKS)
+    kernels.run_evidence(
+        run.rows.views,
+        run.rows.spots,
+        setup.packed.arrays,
+        (run.positions_m, np.ascontiguousarray(evidence.basis)),
+        (weight, block),
+        *run.states(ds, dp),
+        (information, score, chi2),
+    )
+    dof = np.bincount(block, weight * [2.0 * len(view.lights) for view in views], BLOCKS)
+    for k in np.unique(block[weight > 0.0]).tolist():
+        part = Block(
+            float(t[block == k][0]), information[k], score[k], max(float(chi2[k]), float(dof[k])), float(dof[k])
+        )
+        part.frames = int((block == k).sum())
+        evidence.blocks.append(part)
+    run.smooth(ds, dp)
+    moves, turns = ds[:, :3], ds[:, 3:6]
+    evidence.shift_m2 = np.einsum("nap,naq->pq", moves, moves)
+    evidence.shift_rad2 = np.einsum("nap,naq->pq", turns, turns)
+    variances = np.diagonal(run.Cs, axis1=1, axis2=2)
+    evidence.claimed_m2, evidence.claimed_rad2 = float(variances[:, :3].sum()), float(variances[:, 3:6].sum())
+    evidence.frames = n
+    return MovingCheck(verdict=judge(evidence), slopes=ds[:, :6])
+
+
+def _weights(views: Sequence[View]) -> Array:
+    """Return what one more look at lights that stand still is worth (n,), as of pairs."""
+    out, still = np.ones(len(views)), [0, 0]
+    anchor: list[View | None] = [None, None]
+    for k, view in enumerate(views):
+        s, last = view.side, anchor[view.side]
+        if (
+            last is None
+            or len(last.lights) != len(view.lights)
+            or (last.lights != view.lights).any()
+            or np.abs(last.uv_px - view.uv_px).max(initial=0.0) > STILL_PX
+        ):
+            anchor[s], still[s] = view, 0
+        variance = float(np.einsum("nii->", view.cov_px2)) / (2.0 * len(view.lights))
+        out[k] = 1.0 / (1.0 + still[s] * BIAS_PX**2 / variance) ** 2
+        still[s] += 1
+    return out
+
+
+SHOWN = {"1": (100.0, " %"), "m": (1.0 / MM, " mm"), "rad": (1.0 / DEG, "°"), "s": (1e3, " ms")}
+"""How people read each unit: factor and sign."""
+
+FLAT_BOARD = "For less, glue the board on a flat plate and measure its print with a calliper"
+
+ONE_SIGNED = ("scale", "timing")
+"""Causes of one number, whose sign means something."""
+
+
+AXES = {f"about_{a}_rad": f"about its {a} axis" for a in "xyz"} | {f"{a}_m": f"along {a}" for a in "xyz"}
+"""Which number of a vector is told, by its label."""
+
+
+def sentence(found: Consistency) -> str:
+    """Return what the check says in one or two sentences; empty where there is nothing to say."""
+    if not found.findings and found.verdict == "inconsistent":
+        return f"{100 * found.refused:.0f} % of the frames do not fit the target, and no one cause stands out."
+    if not found.findings or found.verdict == "ok":
+        return _noise(found)
+    first, *others = found.findings[: found.equal]
+    text = f"{_what(first)}: {_consequence(found, first)}"
+    if others:
+        text += f". The residuals agree as well with this: {'; or '.join(_what(other) for other in others)}"
+    if found.refused > 0.0:
+        text += f". {100 * found.refused:.0f} % of the frames do not fit at all and gave no pose"
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def advice(found: Consistency) -> str:
+    """Return what to do about it; empty where there is nothing to do."""
+    if found.as_calibrated and found.noise_scale > VERY_NOISY and not found.findings:
+        return f"{FLAT_BOARD}, then {RECALIBRATE}."
+    if found.verdict in ("ok", "unchecked"):
+        return ""
+    if not found.findings:
+        noisy = "Look at the spots in the report: blur, reflections, vibration"
+        return (
+            f"{noisy}."
+            if found.verdict == "doubtful"
+            else f"{RECALIBRATE[0].upper()}{RECALIBRATE[1:]}, then {REMEASURE}."
+        )
+    told: list[str] = []
+    for f in found.findings[: found.equal]:
+        told += [f.cause.advice] if f.cause.advice not in told else []
+    return ". Or: ".join(told) + "."
+
+
+def _what(f: Finding) -> str:
+    """Return the cause with its size: 'the target's scale against the baseline is off by 1.02 +- 0.03 %'."""
+    if not (f.cause.unit and f.quotable):
+        return f.cause.words
+    factor, sign = SHOWN[f.unit]
+    if f.cause.key == "distortion":
+        factor, sign = 1.0, " in k1"
+    value = f.size if f.cause.key in ONE_SIGNED else abs(f.size)
+    size = _figures(factor * value, factor * f.std, sign)
+    size += f" {AXES[f.label]}" if f.label in AXES else ""
+    if f.cause.key == "timing":
+        later = "later" if f.size > 0.0 else "earlier"
+        return (
+            f"the right camera exposes {_figures(factor * abs(f.size), factor * f.std, sign)} {later} than the left one"
+        )
+    moment = "" if f.since_s is None else f" (from about {f.since_s:.1f} s on)"
+    return f"{f.cause.words}, by {size}{moment}" if f.cause.key != "scale" else f"{f.cause.words} by {size}"
+
+
+def _figures(value: float, std: float, sign: str) -> str:
+    """Return value and standard deviation with as many digits as the standard deviation has two of."""
+    places = max(0, 1 - math.floor(math.log10(std))) if std > 0.0 else 3
+    return f"{value:.{min(places, 6)}f} ± {std:.{min(places, 6)}f}{sign}"
+
+
+def _consequence(found: Consistency, f: Finding) -> str:
+    """Return what it does to the poses, beside what they claim."""
+    times = f.effect_m / found.claimed_m
+    text = f"positions are wrong by about {_plain(f.effect_m / MM)} mm"
+    turns = f.effect_rad / found.claimed_rad
+    if turns > max(2.0, times):
+        text, times = f"{text} and rotations by {_plain(f.effect_rad / DEG)}°", turns
+    return f"{text}, {_plain(times)} times the claimed standard deviation"
+
+
+def _plain(value: float) -> str:
+    """Return two significant digits, without powers of ten."""
+    return f"{value:.{max(0, 1 - math.floor(math.log10(value)))}f}" if value > 0.0 else "0"
+
+
+def _noise(found: Consistency) -> str:
+    if found.verdict == "unchecked" or found.noise_scale < NOISY:
+        return ""
+    if found.as_calibrated:
+        return (
+            f"The residuals, {found.residual_px:.3f} px, are those that the rig was calibrated with "
+            f"({found.calibration_px:.3f} px) and {found.noise_scale:.1f} times the noise of the points found: "
+            "the board's print and flatness or the lenses, not this recording; the poses' standard deviations are "
+            "widened by it."
+        )
+    text = f"The residuals are {found.noise_scale:.1f} times the spots' noise, without a pattern"
+    much = ": more than a camera's noise explains" if found.noise_scale > VERY_NOISY else ""
+    return f"{text}{much}; the poses' standard deviations are widened by it."

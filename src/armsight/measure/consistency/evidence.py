@@ -156,15 +156,12 @@ class Evidence:
         C = np.empty((6, 6))
         packed = self.setup.packed
         chi2 = kernels.frame_evidence(
-            packed.k,
-            packed.R,
-            packed.t,
-            frame.cov_px2,
-            self.setup.model.xyz_m[frame.lights],
+            packed.arrays,
+            (self.setup.model.xyz_m[frame.lights], self.basis[frame.lights]),
             frame.T,
-            self.basis[frame.lights],
-            velocity[frame.lights],
+            frame.cov_px2,
             frame.residual_px,
+            velocity[frame.lights],
             N,
             b,
             S,

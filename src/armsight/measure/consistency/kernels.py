@@ -9,26 +9,38 @@ time by which the right camera exposes later.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.geometry.kernels import copy_2, multiply
-from armsight.measure.motion.kernels.state import STATE, N, P, R, multiply_t, state_at
-from armsight.measure.motion.kernels.views import observe
+from armsight.measure.motion.kernels.state import STATE, N, P, R, state_at
+from armsight.measure.motion.kernels.views import ViewK, innovation_covariance, observe, select
 from armsight.measure.poses.kernels.rig_covariance import PARAMETERS, add_information, light_slopes, place_slopes
+from armsight.optics.kernels.camera import CameraK, RigK
 from armsight.optics.kernels.triangulation import invert_2
 
 DELAY = -1  # the delay's column, the last one
 
 
+class LightsK(NamedTuple):
+    """Lights of the target: X (n, 3) m in its axes, basis (n, 3, m): how they follow the target's m parameters."""
+
+    X: Any
+    basis: Any
+
+
 @kernel
-def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
+def frame_evidence(rig, target, T, cov, residual, velocity, N, b, S, C):
     """Fill N (q, q), b (q,), S (6, q) = d pose / d parameters, C (6, 6) = H^-1; return chi-square, -1 where singular.
 
-    X (n, 3) under T (4, 4), seen with cov (n, 2, 2, 2), residual (n, 2, 2). basis (n, 3, m): how each light's place in
-    target axes follows the target's parameters. velocity (n, 3) of the lights in rig axes, m/s; 0 where not known.
+    rig, target: as RigK, LightsK, the n lights seen; under T (4, 4), with cov (n, 2, 2, 2), residual (n, 2, 2).
+    velocity (n, 3) of the lights in rig axes, m/s; 0 where not known.
     """
+    rig, target = RigK(*rig), LightsK(*target)
+    X, basis = target
     n, m = X.shape[0], basis.shape[2]
     q = PARAMETERS + m + 1
     B = np.zeros((6, q))
@@ -47,16 +59,17 @@ def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
     chi2 = 0.0
     for light in range(n):
         for s in range(2):
-            if not (light_slopes(k, R, t, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
+            if not (light_slopes(rig, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 return -1.0
             place_slopes(J, T, E)
             copy_2(D, row)
             for i in range(2):
                 for j in range(m):
                     row[i, PARAMETERS + j] = 0.0
-                    for a in range(3):
-                        row[i, PARAMETERS + j] += E[i, a] * basis[light, a, j]
+            add_by_basis(E, basis[light], row[:, PARAMETERS:])
+            for i in range(2):
                 v = velocity[light]
+                # exposed later, the right camera sees the light where its velocity has taken it by then
                 row[i, DELAY] = J[i, 0] * v[0] + J[i, 1] * v[1] + J[i, 2] * v[2] if s == 1 else 0.0
             r = residual[light, s]
             x = W[0, 0] * r[0] + W[0, 1] * r[1]
@@ -75,6 +88,7 @@ def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
     for i in range(6):
         for j in range(q):
             S[i, j] = -S[i, j]
+    # the pose eliminated by the Schur complement: N - B'H^-1 B, b - B'H^-1 g, with S = -H^-1 B
     for j in range(q):
         for i in range(6):
             b[j] += S[i, j] * g[i]  # nothing at the minimum
@@ -83,43 +97,26 @@ def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
     return chi2
 
 
-@kernel
-def run_evidence(
-    side,
-    first,
-    light,
-    uv,
-    cov,
-    tau,
-    k,
-    Rc,
-    tc,
-    X,
-    basis,
-    weight,
-    block,
-    xs,
-    xp,
-    Cp,
-    Cs,
-    Fs,
-    dp,
-    ds,
-    information,
-    score,
-    chi2,
-):
-    """As frame_evidence for single views, each at its own time, whose motion the filter eliminates.
+@inner_kernel
+def add_by_basis(E, basis, row):
+    """Add to row (2, m or more) how a pixel follows the target's m parameters.
 
-    Fill dp, ds (n, 18, q): how predicted and filtered states follow the parameters; add to each block's sums. An
-    innovation e of covariance S knows of the parameters' error x by A x, A = D + H d: D the pixels' derivatives by the
-    parameters, H by the state, d those of the predicted state. So N = A'S^-1 A and b = -A'S^-1 e, summed over views.
-
-    weight, block (n,): of each view, and the block it counts for; information (B, q, q), score (B, q), chi2 (B,). xs,
-    xp, Cp, Cs, Fs: as run_filter leaves them. basis (m, 3, p): as target_basis has it. The
-    last column, a delay, stays 0: smoothing has estimated it.
+    E (2, 3): how it follows the light's place; basis (3, m): how that follows the parameters.
     """
-    q = dp.shape[2]
+    for i in range(2):
+        for j in range(basis.shape[1]):
+            for a in range(3):
+                row[i, j] += E[i, a] * basis[a, j]
+
+
+@inner_kernel
+def view_slopes(predicted, filtered, rig, s, view, light, basis, H, A, e):
+    """Fill H (m, 18), A (m, q), zero before, and e (m,): the slopes by state and parameters, and the innovations.
+
+    predicted, filtered: the states before and after the view of side s; light (m / 2,): its lights' rows of basis.
+    False where one of them is behind the camera.
+    """
+    camera = CameraK(rig.k[s], rig.R[s], rig.t[s])
     T = np.eye(4)
     x = np.empty(STATE)
     place = np.empty(3)
@@ -127,14 +124,55 @@ def run_evidence(
     J = np.empty((2, 3))
     E = np.empty((2, 3))
     D = np.empty((2, PARAMETERS))
-    G6 = np.empty((2, 6))
+    G = np.empty((2, 6))
+    for j in range(light.shape[0]):
+        at, tau = view.X[j], view.tau[j]
+        state_at(filtered, tau, x)
+        for c in range(3):
+            T[c, 3] = x[P + c]
+            for r in range(3):
+                T[c, r] = x[R + 3 * c + r]
+        seen = observe(predicted, camera, at, tau, here, H[2 * j : 2 * j + 2])
+        e[2 * j] = view.uv[j, 0] - here[0]
+        e[2 * j + 1] = view.uv[j, 1] - here[1]
+        # slopes where the gain has them
+        seen &= observe(filtered, camera, at, tau, here, H[2 * j : 2 * j + 2])
+        seen &= light_slopes(rig, T, at, place, s, here, J, D, G)
+        if not seen:
+            return False
+        place_slopes(J, T, E)
+        copy_2(D, A[2 * j : 2 * j + 2])
+        add_by_basis(E, basis[light[j]], A[2 * j : 2 * j + 2, PARAMETERS:])
+    return True
+
+
+@kernel
+def run_evidence(views, spots, rig, target, counted, filtered, predicted, sums):
+    """As frame_evidence for single views, each at its own time, whose motion the filter eliminates.
+
+    Fill the states' d: how predicted and filtered ones follow the parameters; add to each block's sums. An innovation e
+    of covariance S knows of the parameters' error x by A x, A = D + H d: D the pixels' derivatives by the parameters, H
+    by the state, d those of the predicted state. So N = A'S^-1 A and b = -A'S^-1 e, summed over views.
+
+    All plain tuples: views, spots, rig, filtered, predicted: as run_filter has them, and leaves the states; target: as
+    LightsK, all m of them. counted: weight (n,) and block (n,) of each view. sums: information (B, q, q), score (B, q),
+    chi2 (B,). The last column, a delay, stays 0: smoothing has estimated it.
+    """
+    _, side, first = views
+    light, uv, cov, tau = spots
+    rig, target = RigK(*rig), LightsK(*target)
+    weight, block = counted
+    xs, Cs, ds = filtered
+    xp, Cp, dp, Fs = predicted
+    information, score, chi2 = sums
+    q = dp.shape[2]
     for i in range(first.shape[0] - 1):
         dp[i] = 0.0
         if Fs[i, 0, 0] != 0.0:
             multiply(Fs[i], ds[i - 1], dp[i])
         ds[i] = dp[i]
-        a, s = first[i], side[i]
-        m = 2 * (first[i + 1] - a)
+        a, b = first[i], first[i + 1]
+        m = 2 * (b - a)
         if m == 0:
             continue
         H = np.zeros((m, N))
@@ -143,37 +181,12 @@ def run_evidence(
         inverse = np.empty((m, m))
         A = np.zeros((m, q))
         e = np.empty(m)
-        seen = True
-        for j in range(m // 2):
-            at = X[light[a + j]]
-            state_at(xs[i], tau[a + j], x)
-            for c in range(3):
-                T[c, 3] = x[P + c]
-                for r in range(3):
-                    T[c, r] = x[R + 3 * c + r]
-            seen &= observe(xp[i], k[s], Rc[s], tc[s], at, tau[a + j], here, H[2 * j : 2 * j + 2])
-            e[2 * j] = uv[a + j, 0] - here[0]
-            e[2 * j + 1] = uv[a + j, 1] - here[1]
-            # slopes where the gain has them
-            seen &= observe(xs[i], k[s], Rc[s], tc[s], at, tau[a + j], here, H[2 * j : 2 * j + 2])
-            seen &= light_slopes(k, Rc, tc, T, at, place, s, here, J, D, G6)
-            if not seen:
-                break
-            place_slopes(J, T, E)
-            for c in range(2):
-                for p in range(PARAMETERS):
-                    A[2 * j + c, p] = D[c, p]
-                for p in range(basis.shape[2]):
-                    for r in range(3):
-                        A[2 * j + c, PARAMETERS + p] += E[c, r] * basis[light[a + j], r, p]
-        if not seen:
+        at = np.empty((b - a, 3))
+        select(target.X, light[a:b], at)
+        view = ViewK(at, tau[a:b], uv[a:b], cov[a:b])
+        if not view_slopes(xp[i], xs[i], rig, side[i], view, light[a:b], target.basis, H, A, e):
             continue
-        multiply(H, Cp[i], G)
-        multiply_t(G, H, S)
-        for j in range(m // 2):
-            for c in range(2):
-                for r in range(2):
-                    S[2 * j + c, 2 * j + r] += cov[a + j, c, r]
+        innovation_covariance(H, Cp[i], view.cov, G, S)
         if not invert_spd(S, inverse):
             continue
         for j in range(m):
@@ -190,11 +203,17 @@ def run_evidence(
                 score[o, p] -= w * e[j] * SA[j, p]
         information[o] += w * (A.T @ SA)
         # the gain, C H' / cov with the covariance afterwards, turns what is missed into the state
-        RA = np.empty((m, q))
-        for j in range(m // 2):
-            V = cov[a + j]
-            det = V[0, 0] * V[1, 1] - V[0, 1] * V[1, 0]
-            for p in range(q):
-                RA[2 * j, p] = (V[1, 1] * A[2 * j, p] - V[0, 1] * A[2 * j + 1, p]) / det
-                RA[2 * j + 1, p] = (V[0, 0] * A[2 * j + 1, p] - V[1, 0] * A[2 * j, p]) / det
-        ds[i] -= Cs[i] @ (H.T @ RA)
+        ds[i] -= Cs[i] @ (H.T @ by_spot_weights(view.cov, A))
+
+
+@inner_kernel
+def by_spot_weights(cov, A):
+    """Return (m, q): A (m, q) times the inverses of the spots' covariances cov (m / 2, 2, 2)."""
+    out = np.empty(A.shape)
+    for j in range(cov.shape[0]):
+        V = cov[j]
+        det = V[0, 0] * V[1, 1] - V[0, 1] * V[1, 0]
+        for p in range(A.shape[1]):
+            out[2 * j, p] = (V[1, 1] * A[2 * j, p] - V[0, 1] * A[2 * j + 1, p]) / det
+            out[2 * j + 1, p] = (V[0, 0] * A[2 * j + 1, p] - V[1, 0] * A[2 * j, p]) / det
+    return out

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.correspondence.refine import Refined, correlation, refined
-from armsight.measure.correspondence.views import Patch, StereoViews
+from armsight.measure.correspondence.refine import Patch, Refined, StereoViews, correlation, refined
 from armsight.optics import triangulate
-from armsight.optics.epipolar import epipolar_curve
+from armsight.optics.triangulate import epipolar_curve
 
 Array = NDArray[np.float64]
 

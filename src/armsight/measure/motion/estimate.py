@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from armsight.errors import Inconsistent
-from armsight.measure.motion.kernels import levels
-from armsight.measure.motion.kernels import views as view_kernels
+from armsight.measure.motion.kernels import levels, smoothing
 from armsight.measure.motion.kernels.state import STATE, N, P, R, V
 from armsight.measure.motion.states import MotionState, View, state_of
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior, estimate_timing
@@ -30,6 +28,8 @@ ANGULAR_RATIO = 30.0
 """Angular jerk (rad^2/s^5) over jerk: a hand turns a target about a point some 0.2 m away."""
 LEVEL_CHANGE = 0.02
 """Chance that the level changes from one view to the next."""
+MOTION = (JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE)
+"""The three as kernels take them."""
 ONSET_VIEWS = 4
 """Views before and after one whose level it shares at the least: a start is not seen in the view it happens in."""
 TIMING_ROUNDS = 4
@@ -77,23 +77,22 @@ def smooth(
     t = np.array([view.t_s for view in views])
     if len(starts) == 0 or starts[0].view != 0 or np.any(np.diff(t) < 0.0):
         raise Inconsistent("views come in the order of time, and a track begins with the first of them")
-    cameras = _cameras(packed, positions_m)
+    rig, X = packed.arrays, np.ascontiguousarray(positions_m)
     seen, order = _columns(views, t, np.zeros(0))
-    jerk = _strength(seen, cameras, _begin(len(t), order, starts, t))
+    jerk = _strength(seen, rig, X, _begin(len(t), order, starts, t))
     rows, order = _columns(views, t, at_s)
     begin = _begin(len(rows.t), order, starts, t)
     lead = int(order[0])  # times before the first view are told backwards from it
     rows = rows.after(lead)
     begin = (begin[0][lead:], begin[1][lead:], begin[2][lead:])
     lines = np.zeros((len(rows.tau), 0)) if prior is None else prior.lines(views)
-    track, timing = _track(rows, cameras, np.interp(rows.t, t, jerk), begin, lines, prior)
+    track, timing = _track(rows, rig, X, np.interp(rows.t, t, jerk), begin, lines, prior)
     states = [track.told(int(row), t, time) for row, time in zip(rows.asked, at_s, strict=True)]
     return Smoothed(states=states, jerk=jerk, timing=timing)
 
 
-def _cameras(packed: PackedRig, positions_m: Array) -> tuple[Any, ...]:
-    return packed.k, packed.R, packed.t, np.ascontiguousarray(positions_m)
-
+_Rig = tuple[Array, Array, Array]
+"""Both cameras as kernels take them: k, R, t."""
 
 _Begin = tuple[Array, Array, NDArray[np.bool_]]
 """States (n, 24) and covariances (n, 18, 18) with which rows begin anew, and which rows (n,) do."""
@@ -109,7 +108,7 @@ def _begin(n: int, order: NDArray[np.int64], starts: Sequence[Start], t: Array) 
     return x, C, fresh
 
 
-def _strength(seen: _Columns, cameras: tuple[Any, ...], begin: _Begin) -> Array:
+def _strength(seen: _Columns, rig: _Rig, X: Array, begin: _Begin) -> Array:
     """Return the jerk's level (n,) at each view, such that the others predict it as well as they claim.
 
     The level by which views follow from those before is that of the motion's slow part, which has most of its power: a
@@ -119,17 +118,15 @@ def _strength(seen: _Columns, cameras: tuple[Any, ...], begin: _Begin) -> Array:
     """
     n, K = len(seen.t), len(JERK_LEVELS)
     logs, post = np.empty((n, K)), np.empty((n, K))
-    run_filters: Any = levels.run_filters  # many columns by one star
-    left_out: Any = levels.left_out
-    run_filters(*seen.arrays, *cameras, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, *begin, logs)
+    levels.run_filters(seen.views, seen.spots, rig, X, MOTION, begin, logs)
     levels.levels_of_all(logs, begin[2], LEVEL_CHANGE, post)
     least = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
     for m, level in enumerate(JERK_LEVELS):
         if m and level <= least.min():
             logs[:, m] = logs[:, m - 1]
             continue
-        track, _ = _track(seen, cameras, np.maximum(least, level), begin, np.zeros((len(seen.tau), 0)), None)
-        left_out(track.xs, track.Cs, *seen.arrays[1:], *cameras, logs[:, m])
+        track, _ = _track(seen, rig, X, np.maximum(least, level), begin, np.zeros((len(seen.tau), 0)), None)
+        levels.left_out(track.xs, track.Cs, seen.views, seen.spots, rig, X, logs[:, m])
     levels.levels_of_all(logs, begin[2], LEVEL_CHANGE, post)
     return np.asarray(maximum_filter1d(np.maximum(least, post @ JERK_LEVELS), 2 * ONSET_VIEWS + 1))
 
@@ -157,7 +154,8 @@ class _Track:
 
 def _track(
     rows: _Columns,
-    cameras: tuple[Any, ...],
+    rig: _Rig,
+    X: Array,
     jerk: Array,
     begin: _Begin,
     lines: Array,
@@ -165,11 +163,11 @@ def _track(
 ) -> tuple[_Track, TimingEstimate | None]:
     """Filter and smooth with a given jerk, and with the timing that this itself finds where there is a prior of it."""
     q = lines.shape[1]
-    run, (ds, dp) = Filtered.empty(rows, cameras), (np.empty((len(rows.t), N, q)) for _ in range(2))
+    run, (ds, dp) = Filtered.empty(rows, rig, X), (np.empty((len(rows.t), N, q)) for _ in range(2))
     change, timing = np.zeros(q), None
     for _ in range(TIMING_ROUNDS):
         L, g = np.zeros((q, q)), np.zeros(q)
-        run.fill(rows, jerk, begin, (lines, change), (ds, dp), (L, g))
+        run.fill(jerk, begin, (lines, change), (ds, dp), (L, g))
         if prior is None:
             break
         timing = estimate_timing(prior, L, g, change)
@@ -183,13 +181,11 @@ def _track(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Filtered:
-    """What one filter over n rows leaves, as smooth wants it: states xs (n, 24), Cs, predictions xp, Cp, and Fs.
+    """What one filter over n rows leaves, as smooth wants it: states xs (n, 24), Cs, predictions xp, Cp, and Fs."""
 
-    spots: side, first, light, uv, cov, tau of the rows; cameras: as kernels take them, with the lights' positions.
-    """
-
-    spots: tuple[Any, ...]
-    cameras: tuple[Any, ...]
+    rows: _Columns
+    rig: _Rig
+    positions_m: Array
     xs: Array
     xp: Array
     Cs: Array
@@ -203,22 +199,25 @@ class Filtered:
         """Return the filter of a motion of strength jerk (n,) over n views. See smooth."""
         t = np.array([view.t_s for view in views])
         rows, order = _columns(views, t, np.zeros(0))
-        run, none = cls.empty(rows, _cameras(packed, positions_m)), np.zeros((len(t), N, 0))
+        run, none = cls.empty(rows, packed.arrays, np.ascontiguousarray(positions_m)), np.zeros((len(t), N, 0))
         lines = np.zeros((len(rows.tau), 0)), np.zeros(0)
-        run.fill(rows, jerk, _begin(len(t), order, starts, t), lines, (none, none), (np.zeros((0, 0)), np.zeros(0)))
+        run.fill(jerk, _begin(len(t), order, starts, t), lines, (none, none), (np.zeros((0, 0)), np.zeros(0)))
         return run
 
     @classmethod
-    def empty(cls, rows: _Columns, cameras: tuple[Any, ...]) -> Filtered:
+    def empty(cls, rows: _Columns, rig: _Rig, positions_m: Array) -> Filtered:
         """Return room for the filter of these rows."""
         n = len(rows.t)
         xs, xp = (np.empty((n, STATE)) for _ in range(2))
         Cs, Cp, Fs = (np.empty((n, N, N)) for _ in range(3))
-        return cls(spots=rows.arrays[1:], cameras=cameras, xs=xs, xp=xp, Cs=Cs, Cp=Cp, Fs=Fs)
+        return cls(rows=rows, rig=rig, positions_m=positions_m, xs=xs, xp=xp, Cs=Cs, Cp=Cp, Fs=Fs)
+
+    def states(self, ds: Array, dp: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Return filtered and predicted states as kernels take them; ds, dp: how they depend on unknowns."""
+        return (self.xs, self.Cs, ds), (self.xp, self.Cp, dp, self.Fs)
 
     def fill(
         self,
-        rows: _Columns,
         jerk: Array,
         begin: _Begin,
         late: tuple[Array, Array],
@@ -226,16 +225,15 @@ class Filtered:
         sums: tuple[Array, Array],
     ) -> None:
         """Run the filter. late: lines (m, q) and change (q,) of the timing; by_timing, sums: its ds, dp and L, g."""
-        run_filter: Any = levels.run_filter  # many columns by one star
-        (lines, change), (ds, dp) = late, by_timing
-        t, *spots, tau = rows.arrays
-        seen = (t, *spots, tau + lines @ change, lines)
-        states = (self.xs, self.Cs, ds, self.xp, self.Cp, dp, self.Fs)
-        run_filter(*seen, *self.cameras, jerk, ANGULAR_RATIO, *begin, *states, *sums)
+        lines, change = late
+        light, uv, cov, tau = self.rows.spots
+        spots, motion = (light, uv, cov, tau + lines @ change), (jerk, ANGULAR_RATIO)
+        at = self.rig, self.positions_m
+        smoothing.run_filter(self.rows.views, spots, lines, *at, motion, begin, *self.states(*by_timing), sums)
 
     def smooth(self, ds: Array, dp: Array) -> None:
         """Smooth xs and Cs in place, and how they depend on unknowns: ds of filtered and dp of predicted states."""
-        view_kernels.smooth(self.xs, self.Cs, ds, self.xp, self.Cp, dp, self.Fs)
+        smoothing.smooth(*self.states(ds, dp))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -252,9 +250,14 @@ class _Columns:
     asked: NDArray[np.int64]
 
     @property
-    def arrays(self) -> tuple[Any, ...]:
-        """All but the asked rows."""
-        return self.t, self.side, self.first, self.light, self.uv, self.cov, self.tau
+    def views(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Time, side and first spot of each, and the number of spots behind the last first one."""
+        return self.t, self.side, self.first
+
+    @property
+    def spots(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Light, pixel, covariance and lateness of each."""
+        return self.light, self.uv, self.cov, self.tau
 
     def after(self, lead: int) -> _Columns:
         """Return the rows from lead on."""
@@ -350,19 +353,13 @@ class MotionFilter:
         seen[P:R], seen[R:V] = T[:3, 3], T[:3, :3].ravel()
         xs, Cs, weights = np.empty_like(self.xs), np.empty_like(self.Cs), np.empty_like(self.weights)
         best, mahalanobis2, knocked = levels.step_poses(
-            self.xs,
-            self.Cs,
-            self.weights,
+            (self.xs, self.Cs, self.weights),
             self.best,
             t_s - self.t_s,
-            JERK_LEVELS,
-            ANGULAR_RATIO,
-            LEVEL_CHANGE,
+            MOTION,
             seen,
             covariance,
-            xs,
-            Cs,
-            weights,
+            (xs, Cs, weights),
         )
         after = replace(self, t_s=t_s, seen_s=t_s, xs=xs, Cs=Cs, weights=weights, best=best)
         return after, mahalanobis2, knocked
@@ -373,24 +370,9 @@ class MotionFilter:
             raise Inconsistent(
                 f"a view of {view.t_s:g} s comes after one of {self.t_s:g} s", cure="Give views in the order of time"
             )
-        s, packed = view.side, self.packed
         xs, Cs, weights = self.xs.copy(), self.Cs.copy(), self.weights.copy()
-        best = levels.step_filters(
-            xs,
-            Cs,
-            weights,
-            view.t_s - self.t_s,
-            JERK_LEVELS,
-            ANGULAR_RATIO,
-            LEVEL_CHANGE,
-            packed.k[s],
-            packed.R[s],
-            packed.t[s],
-            np.ascontiguousarray(self.positions_m[view.lights]),
-            view.tau_s,
-            view.uv_px,
-            view.cov_px2,
-            np.empty(len(JERK_LEVELS)),
-        )
+        seen = np.ascontiguousarray(self.positions_m[view.lights]), view.tau_s, view.uv_px, view.cov_px2
+        log, camera = np.empty(len(JERK_LEVELS)), self.packed.camera(view.side)
+        best = levels.step_filters((xs, Cs, weights), view.t_s - self.t_s, MOTION, camera, seen, log)
         seen_s = view.t_s if len(view.lights) else self.seen_s
         return replace(self, t_s=view.t_s, seen_s=seen_s, xs=xs, Cs=Cs, weights=weights, best=best)

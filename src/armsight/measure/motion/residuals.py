@@ -78,7 +78,7 @@ def motion_residuals(
             continue
         s = view.side
         for i, light in enumerate(view.lights.tolist()):
-            if not observe(state.x, packed.k[s], packed.R[s], packed.t[s], positions_m[light], view.tau_s[i], uv, H):
+            if not observe(state.x, packed.camera(s), positions_m[light], view.tau_s[i], uv, H):
                 continue
             r, weight = view.uv_px[i] - uv, np.linalg.inv(view.cov_px2[i])
             rows.append((number, s))

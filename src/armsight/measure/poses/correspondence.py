@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Unseen
-from armsight.measure.poses.arrangements import Scope, search_arrangements
-from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import SLACK_PX, Pairs
-from armsight.measure.poses.target_model import TargetModel
+from armsight.measure.poses.outcome import Assignment, Match, Prediction
+from armsight.measure.poses.pairs import Pairs, Scope, search_arrangements
+from armsight.measure.poses.setup import SLACK_PX, TargetModel
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Spots
 
@@ -199,14 +198,9 @@ def _neg2_log_likelihood(
     radius = model.radius_m * np.column_stack([outline[0, index[:, 0]], outline[1, index[:, 1]]])
     return float(
         kernels.neg2_log_likelihood(
-            packed.k,
-            packed.R,
-            packed.t,
-            model.xyz_m[named],
-            radius,
-            model.normal,
-            pairs.uv_px[a.pair],
-            pairs.cov_px2[a.pair],
+            packed.arrays,
+            (model.xyz_m[named], radius, model.normal),
+            (pairs.uv_px[a.pair], pairs.cov_px2[a.pair]),
             a.R,
             a.t_m,
         )

@@ -1,4 +1,4 @@
-"""Which spot of the left view may be the same light as which of the right one."""
+"""Which spots of the two views may be the same light, and which of such pairs fit the target together."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.poses.kernels import correspondence as kernels
+from armsight.measure.poses.setup import SLACK_PX, TargetModel
 from armsight.optics import PackedRig
 from armsight.records import Spots
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-
-SLACK_PX = 0.25
-"""What calibration, the target's measures and the shutters' skew may add to a spot's own standard deviation, in each
-coordinate, before a match is doubted. Real pairs calibrated with printed boards show 0.1-0.2 px. It decides what
-belongs together, not the covariance that is handed out."""
 
 PAIR_GATE = 16.0
 """Square, in standard deviations, allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
@@ -68,14 +64,10 @@ def pair_spots(
     view's, their order tells: the other way round they would meet behind the cameras.
     """
     index, uv, cov, P, S, behind = kernels.candidate_pairs(
-        packed.k,
-        packed.R,
-        packed.t,
+        packed.arrays,
         packed.baseline,
-        left.uv_px,
-        left.covariance_px2,
-        right.uv_px,
-        right.covariance_px2,
+        (left.uv_px, left.covariance_px2),
+        (right.uv_px, right.covariance_px2),
         slack_px**2,
         PAIR_GATE,
         overlaid,
@@ -107,3 +99,59 @@ def disjoint_sets(pairs: Pairs) -> list[tuple[int, ...]]:
         return [tuple(range(c))] * (1 if apart else 2)
     two = [(i, j) for i in range(c) for j in range(i) if pairs.disjoint(i, j)]
     return list(two) or [(i,) for i in range(c)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scope:
+    """How far a search goes: room, the hypotheses kept; margin, in chi-square to the best; most_nodes, when it ends.
+
+    smaller: sets of fewer lights than the largest are kept too.
+    """
+
+    room: int
+    margin: float
+    most_nodes: int
+    smaller: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Arrangements:
+    """The hypotheses found, h of them by rising chi2 (h,).
+
+    rows (h, m): the pair of each light, -1 for none. poses (h, 3, 4): rotation and translation of each. passed: how
+    many fit at all. cut: whether the search was cut short.
+    """
+
+    rows: Index
+    chi2: Array
+    poses: Array
+    passed: int
+    cut: bool
+
+
+def search_arrangements(
+    packed: PackedRig,
+    model: TargetModel,
+    pairs: Pairs,
+    outlines: NDArray[np.bool_],
+    *,
+    radius_m: float,
+    slack_px: float,
+    scope: Scope,
+) -> Arrangements:
+    """Return the arrangements of the pairs that fit the target.
+
+    outlines (2, n): which spots of each side are outlines of flat lights of radius_m.
+    """
+    m = len(model)
+    rows, chi2 = np.empty((scope.room, m), np.intp), np.empty(scope.room)
+    poses = np.empty((scope.room, 3, 4))
+    found, passed, cut = kernels.search(
+        packed.arrays,
+        (model.xyz_m, model.distance_m, radius_m, model.normal),
+        outlines,
+        (pairs.index, pairs.uv_px, pairs.cov_px2, pairs.xyz_m, pairs.cov_m2),
+        (slack_px**2, PAIR_GATE, model.limits, scope.margin, pairs.overlaid, scope.smaller, scope.most_nodes),
+        (rows, chi2, poses),
+    )
+    return Arrangements(rows=rows[:found], chi2=chi2[:found], poses=poses[:found], passed=int(passed), cut=bool(cut))

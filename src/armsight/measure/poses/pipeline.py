@@ -11,11 +11,11 @@ from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
 from armsight.measure.poses.from_spots import lost_moment, measure_among, measure_spots
-from armsight.measure.poses.hidden import solve_seen
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
+from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
@@ -201,9 +201,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     n, packed = len(track.names), setup.packed
     predicted, at_left, at_right = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 2))
     dt = t_s - track.t_s
-    if not kernels.predict_views(
-        packed.k, packed.R, packed.t, track.xyz_m, track.velocity_m_s, dt, predicted, at_left, at_right
-    ):
+    if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at_left, at_right):
         return None
     if setup.overlaid:
         both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup.sides[0])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import pose_ambiguity, rig_covariance
-from armsight.measure.poses.pairs import SLACK_PX
+from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
 
@@ -123,7 +123,7 @@ def solve_pose(
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     T, C = np.empty((4, 4)), np.empty((6, 6))
     state, wide, chi2 = kernels.solve_named(
-        packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
+        packed.arrays, (uv_px, cov_px2), slack_px**2, (xyz_m, radius_m, normal), P, S, T, C, residual
     )
     if state != kernels.SOLVED:
         return _unsolved(state, packed, t_s, spots, P, S, residual)
@@ -133,9 +133,7 @@ def solve_pose(
     systematic = None
     if carried.size:
         systematic = np.empty((6, 6))
-        chi2 = rig_covariance.carry_to_pose(
-            packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic
-        )
+        chi2 = rig_covariance.carry_to_pose(packed.arrays, cov_px2, xyz_m, T, carried, C, residual, systematic)
     in_doubt, factor = _widen(packed, spots, xyz_m, pose_ambiguity.depth_chi2(P, S), T, chi2, C)
     if systematic is not None:
         C += systematic
@@ -177,17 +175,15 @@ def _widen(
     xyz_m: of the spots, not writeable. depth_chi2: how surely the points by themselves tell the tilt. Returns what is
     in doubt, or nothing, and the factor of the residuals.
     """
-    _, _, uv_px, cov_px2, radius_m, normal = spots
+    lights, views = (xyz_m, spots.radius_m, spots.normal), (spots.uv_px, spots.cov_px2)
     factor = misfit_factor(chi2, len(xyz_m))
     C *= factor
     if factor > 1.0:
-        pose_ambiguity.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
+        pose_ambiguity.one_astray(packed.arrays, lights, views, T, chi2, C)
     folded = 1.0
     if depth_chi2 < pose_ambiguity.PLAIN * factor:
-        plane = _plane(xyz_m, normal)
-        folded = pose_ambiguity.fold(
-            packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C
-        )
+        plane = _plane(xyz_m, spots.normal)
+        folded = pose_ambiguity.fold(packed.arrays, lights, plane, views, T, factor, C)
     return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else "", factor
 
 
@@ -214,9 +210,9 @@ def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px
     """Return the points by themselves, or why there are none; arguments as solve_frame."""
     n = len(names)
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
-    if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):
+    if not kernels.triangulate_all(packed.arrays, uv_px, cov_px2, P, S):
         return NotSeen(_WHY[kernels.NO_POINT], Unseen.NO_POINT)
-    if not kernels.point_residuals(packed.k, packed.R, packed.t, uv_px, P, residual):
+    if not kernels.point_residuals(packed.arrays, uv_px, P, residual):
         return NotSeen(_WHY[kernels.NO_POINT], Unseen.NO_POINT)
     return _placed(packed, names, P, S, cov_px2, residual)
 
@@ -313,7 +309,7 @@ def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_p
 def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
     """Return (n, 3, 26): how the points follow the rig's parameters."""
     A = np.empty((len(P), 3, rig_covariance.PARAMETERS))
-    rig_covariance.point_slopes(packed.k, packed.R, packed.t, cov_px2, P, S, A)
+    rig_covariance.point_slopes(packed.arrays, cov_px2, P, S, A)
     return A
 
 

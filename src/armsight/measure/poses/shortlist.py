@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.arrangements import Scope, search_arrangements
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import PAIR_GATE, Pairs
+from armsight.measure.poses.pairs import PAIR_GATE, Pairs, Scope, search_arrangements
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots import Candidates
 from armsight.optics import SIDES
@@ -141,14 +140,10 @@ def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, a
     for array in (*uv, *cov):
         array.setflags(write=False)  # as those of Spots: one compilation serves both
     index, uv_px, cov_px2, P, S, behind = kernels.candidate_pairs(
-        packed.k,
-        packed.R,
-        packed.t,
+        packed.arrays,
         packed.baseline,
-        uv[0],
-        cov[0],
-        uv[1],
-        cov[1],
+        (uv[0], cov[0]),
+        (uv[1], cov[1]),
         slack2,
         PAIR_GATE,
         setup.overlaid,

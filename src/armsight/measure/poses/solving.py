@@ -1,17 +1,25 @@
-"""From spots that have names to a solved pose, and how well it fits."""
+"""Poses of named spots: could the lights look like this there, and does something cover one of them in part?
+
+Lights that are covered are told by their outlines, and taken with more doubt or left out.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from armsight.errors import Unseen
-from armsight.measure.poses.assignment import Assignment
 from armsight.measure.poses.correspondence import OUTLINE
+from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
-from armsight.measure.poses.plausibility import add_outline_shift
 from armsight.measure.poses.pose import (
+    MAX_DOUBTFUL_SIGMA,
     NamedSpots,
     Solved,
     lost,
@@ -22,7 +30,8 @@ from armsight.measure.poses.pose import (
     solve_pose,
 )
 from armsight.measure.poses.setup import Setup
-from armsight.records import NotSeen, Spots
+from armsight.optics import PackedRig
+from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
 Array = NDArray[np.float64]
 
@@ -91,3 +100,231 @@ def take_spots(spots: Spots, index: NDArray[np.intp]) -> Spots:
     if len(index) == len(spots) and (index[:-1] < index[1:]).all():
         return spots
     return spots.take(index)
+
+
+OUTLINE_SHARE = 0.35
+"""Root mean square of sin a cos a over tilts of up to 90 degrees: see _add_outline_shift."""
+
+WRONG_SIZE = 1.6
+BLOOM_PX = 2.0
+"""Ratio and px by which flat lights may look larger or smaller than their diameter says: tilt, blur and bloom."""
+
+
+def add_outline_shift(packed: PackedRig, left: Spots, right: Spots, cov: Array) -> None:
+    """Widen cov (n, 2, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for.
+
+    The centre of a disc's image is off by r^2 sin a cos a / f, r in px, at a tilt of a.
+    """
+    for side, spots in enumerate((left, right)):
+        if OUTLINE not in spots.model:
+            continue
+        for i, kind in enumerate(spots.model):
+            if kind == OUTLINE:
+                shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / packed.k[side][0]
+                cov[i, side] += shift * shift * np.eye(2)
+
+
+def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots, right: Spots) -> NotSeen | None:
+    """Return why the lights cannot look like this at the pose that fits them; None where they can."""
+    if solved.T is None:
+        return None
+    model, packed = setup.model, setup.packed
+    eye = -packed.R[0].T @ packed.t[0]
+    if model.one_sided and solved.T[:3, 2] @ (solved.T[:3, 3] - eye) < 0.0:
+        return NotSeen(
+            "the lights fit the target seen from behind: a mirror image, or y counts upwards in target.yaml; "
+            "z must point away from the cameras: change the sign of every y and z there",
+            Unseen.WRONG_TARGET,
+        )
+    if model.radius_m <= 0.0:
+        return None
+    shares = []
+    for side, spots in enumerate((left, right)):
+        rows = [i for i, kind in enumerate(spots.model) if kind == OUTLINE]
+        positions = solved.T[:3, :3] @ model.xyz_m[[model.names.index(names[i]) for i in rows]].T + solved.T[:3, 3:]
+        depth = packed.R[side][2] @ positions + packed.t[side][2]
+        whole = packed.k[side][0] * model.radius_m / depth
+        shares += [(spots.size_px[i], r) for i, r in zip(rows, whole.tolist(), strict=True)]
+    off = [size < r / WRONG_SIZE - BLOOM_PX or size > WRONG_SIZE * r + BLOOM_PX for size, r in shares]
+    if 2 * sum(off) <= len(off):
+        return None
+    seen, wanted = np.median(np.array(shares), axis=0)
+    return NotSeen(
+        f"the lights are {2.0 * seen:.0f} px wide and would be {2.0 * wanted:.0f} px by diameter_m in target.yaml: "
+        "correct it, or leave it out",
+        Unseen.WRONG_TARGET,
+    )
+
+
+Image = NDArray[np.uint8]
+
+LEAST_STEP_PX = 1e-3
+SHARES = (1.0, 0.5, 0.25)
+"""Of what may be hidden, the shares by which a centre is moved until the target still fits."""
+LITTLE_WIDER = 1.5
+"""Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
+
+UNKNOWN = np.zeros((4, 4))
+"""A pose that tells nothing of how lights lean."""
+JOINT = "joint"
+"""The model of lights that touch: the outline of one of them is that of all."""
+TOUCH_SIZES = 3.0
+"""Distance in sizes of both (sigmas) within which two lights share an outline."""
+
+
+class Seen(NamedTuple):
+    """Spots with their names, and what is solved from them. hidden: names of lights that were left out."""
+
+    names: tuple[str, ...]
+    left: Spots
+    right: Spots
+    solved: Solved
+    hidden: tuple[str, ...] = ()
+
+
+def solve_seen(
+    setup: Setup,
+    t_s: float,
+    names: tuple[str, ...],
+    left: Spots,
+    right: Spots,
+    frames: tuple[Frame, Frame] | None,
+) -> Seen:
+    """Return the pose of named spots (solve_spots), after a look at whether all of each light is there.
+
+    frames: the images that they were found in; without them nothing is looked at. A light unlike every other one is
+    left out; where one may be cut off a little the pose is as uncertain as what may be hidden of it makes it.
+    """
+    solved = solve_spots(setup, t_s, names, left, right)
+    n = len(names)
+    if frames is None or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
+        return Seen(names, left, right, solved)
+    if n == 1 and setup.settings.colour is not None:  # outlines are of all colours together, its spot is of one
+        return Seen(names, left, right, solved)
+    verdict, out = compare(setup, solved, left, right, frames)
+    if verdict == outlines.NO_DOUBT:
+        return Seen(names, left, right, solved)
+    odd: NDArray[np.bool_] = np.asarray(out[:, :, outlines.ODD].any(axis=0))
+    if not odd.any():
+        widened = widen(setup, t_s, names, left, right, solved, out)
+        if widened is not None:
+            return Seen(names, left, right, widened)
+        odd[np.argmax(out[:, :, [outlines.UU, outlines.VV]].sum(axis=(0, 2)))] = True
+    hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
+    kept = np.flatnonzero(~odd)
+    names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
+    if not names:
+        return Seen(names, left, right, solved, hidden)
+    rest = solve_seen(setup, t_s, names, left, right, frames)
+    return rest._replace(hidden=(*hidden, *rest.hidden))
+
+
+def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tuple[Frame, Frame]) -> tuple[int, Array]:
+    """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
+    out = np.zeros((2, len(left), outlines.FINDING))
+    verdict = outlines.compare_lights(
+        (channels(frames[0]), channels(frames[1])),
+        setup.settings.options,
+        setup.packed.arrays,
+        solved.points.xyz_m,
+        UNKNOWN if solved.T is None else solved.T,
+        setup.model.lean,
+        (left.uv_px, left.covariance_px2, sizes(left, overlaid=setup.overlaid)),
+        (right.uv_px, right.covariance_px2, sizes(right, overlaid=setup.overlaid)),
+        out,
+    )
+    return int(verdict), out
+
+
+def widen(
+    setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots, solved: Solved, found: Array
+) -> Solved | None:
+    """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
+
+    Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
+    light is nearly free, poses bend too much for slopes. None where the rotation or the place is not known then.
+    """
+    T, own = solved.T, solved.pose.covariance
+    if T is None or own is None:
+        doubted = (_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
+        placed = solve_spots(setup, t_s, names, *doubted)
+        return None if placed.pose.status is PoseStatus.LOST else placed
+    C = np.array(own)
+    for side in range(2):
+        for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):
+            if not uu + vv > 0.0:
+                continue
+            variances, ways = np.linalg.eigh(np.array([[uu, uv], [uv, vv]]))
+            for step in (np.sqrt(np.maximum(variances, 0.0)) * ways).T:
+                possible = _moves(setup, names, (left, right), T, (side, i), step)
+                C += sum((np.outer(d, d) for d in possible), np.zeros((6, 6))) / max(len(possible), 1)
+    before = float(np.diag(own)[3:].max())
+    if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
+        return None
+    return replace(solved, pose=replace(solved.pose, covariance=C))
+
+
+def _doubted(spots: Spots, found: Array) -> Spots:
+    """Return the spots with what may be hidden of each, found (n, FINDING), in their covariances."""
+    hidden = found[:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
+    return replace(spots, covariance_px2=spots.covariance_px2 + hidden)
+
+
+def _moves(
+    setup: Setup, names: tuple[str, ...], spots: tuple[Spots, Spots], T: Array, at: tuple[int, int], step_px: Array
+) -> list[Array]:
+    """Return the ways (6,) from the pose T to those with the spot at (side, light) moved by step_px (2,), both ways.
+
+    Where the target then fits neither way, less is hidden; nothing where it never does.
+    """
+    if not step_px @ step_px > LEAST_STEP_PX**2:
+        return []
+    for share in SHARES:
+        moved = [_moved_by(setup, names, spots, T, at, sign * share * step_px) for sign in (-1.0, 1.0)]
+        possible = [d for d in moved if d is not None]
+        if possible:
+            return possible
+    return []
+
+
+def _moved_by(
+    setup: Setup, names: tuple[str, ...], spots: tuple[Spots, Spots], T: Array, at: tuple[int, int], step_px: Array
+) -> Array | None:
+    """Return the way (6,) from the pose T to that with one spot moved by step_px (2,); None where that fits no pose."""
+    both, (side, i) = list(spots), at
+    uv = np.array(both[side].uv_px)
+    uv[i] += step_px
+    both[side] = replace(both[side], uv_px=uv)
+    other = solve_spots(setup, 0.0, names, *both).T
+    if other is None:
+        return None
+    turn = Rotation.from_matrix(other[:3, :3] @ T[:3, :3].T).as_rotvec()
+    return np.concatenate([other[:3, 3] - T[:3, 3], turn])
+
+
+def channels(frame: Frame) -> Image:
+    """Return a frame's image as (h, w, channels)."""
+    return frame.image if frame.image.ndim == 3 else frame.image[:, :, None]
+
+
+def sizes(spots: Spots, *, overlaid: bool) -> Array:
+    """Return the spots' sizes (n,); 0 for those whose outline is not their own: lights of the target that touch.
+
+    What is left of a disc is fitted as two lights that touch, too, of which one is the target's: it is looked at. In an
+    image of both views (overlaid) any light may touch one of the other view.
+    """
+    if JOINT not in spots.model:
+        return spots.size_px
+    apart = np.linalg.norm(spots.uv_px[:, None] - spots.uv_px[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    touching = (apart < TOUCH_SIZES * (spots.size_px[:, None] + spots.size_px[None])).any(axis=1) | overlaid
+    size = np.where(touching & [kind == JOINT for kind in spots.model], 0.0, spots.size_px)
+    size.setflags(write=False)  # as the others: one compilation serves both
+    return size
+
+
+def why_hidden(hidden: tuple[str, ...], status: PoseStatus) -> str:
+    """Return why a pose is not given, or not of all lights."""
+    which = f"light {hidden[0]} is" if len(hidden) == 1 else f"lights {' and '.join(hidden)} are"
+    left = "nothing is known" if status is PoseStatus.LOST else "only the position of the others is known"
+    return f"half hidden: {which} not as wide as the others and left out; {left}"

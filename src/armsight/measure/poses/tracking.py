@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
-from armsight.measure.poses.assignment import Prediction
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.outcome import Track
+from armsight.measure.poses.outcome import Prediction, Track
 from armsight.measure.poses.pose import Solved
 from armsight.measure.poses.setup import Setup
 from armsight.records import Spots, trusted

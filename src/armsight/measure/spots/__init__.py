@@ -1,9 +1,8 @@
 """Spots of light in an image: found, told apart, and measured with true covariances."""
 
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.candidates import Candidates
 from armsight.measure.spots.find import find_candidates, find_spots, track_spots, warm_up
-from armsight.measure.spots.grey import CANDIDATE, SECOND_LOOK, TOUCHING
+from armsight.measure.spots.grey import CANDIDATE, SECOND_LOOK, TOUCHING, Candidates
 
 __all__ = [
     "CANDIDATE",

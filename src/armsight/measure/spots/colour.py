@@ -10,31 +10,30 @@ from numpy.typing import NDArray
 
 from armsight.errors import BadImage
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.candidates import (
+from armsight.measure.spots.grey import (
     CONTRAST,
     MOST,
     MOST_GROWN,
+    Array,
     Candidates,
+    Image,
     Index,
+    checked_mask,
     fresh_state,
     is_dark,
     is_quiet,
-    only,
-    pyramid_peaks,
-)
-from armsight.measure.spots.grey import (
-    Array,
-    Image,
-    checked_mask,
     measured,
     not_an_image,
+    only,
+    pyramid_peaks,
     record,
     searchable,
     track_grey,
 )
-from armsight.measure.spots.kernels.detection.area import ACCEPTED, OWNER, STATUS, UNUSED
-from armsight.measure.spots.kernels.detection.blobs import grow_blobs
-from armsight.measure.spots.kernels.detection.colour import (
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.area import ACCEPTED, UNUSED
+from armsight.measure.spots.kernels.blobs import grow_blobs
+from armsight.measure.spots.kernels.colour import (
     BRIGHT,
     CLIPPED_FROM,
     LEAST_SATURATION,
@@ -53,19 +52,7 @@ from armsight.measure.spots.kernels.detection.colour import (
     measure_colour,
     white_pixels,
 )
-from armsight.measure.spots.kernels.detection.locate import FULL, locate
-from armsight.measure.spots.kernels.detection.scan import (
-    COLUMNS,
-    LEVEL,
-    PEAK,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
+from armsight.measure.spots.kernels.locate import FULL, locate
 from armsight.records import Colour, Spots
 
 ANY = Colour(hue_deg=(0.0, 360.0))
@@ -210,16 +197,11 @@ def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
     near += [signal[np.maximum(y - half, 0), x], signal[y, np.maximum(x - half, 0)]]
     near += [signal[np.maximum(y - half, 0), np.maximum(x - half, 0)]]
     peaks = np.ascontiguousarray(peaks[np.max(near, axis=0) >= LEAST_SIGNAL])
-    table = np.empty((MOST, COLUMNS))
+    table = np.empty((MOST, col.COLUMNS))
     n, looked, _ = grow_blobs(
-        signal,
-        np.uint8(0),
-        plain.saturation,
-        plain.mask_bytes,
+        (signal, np.uint8(0), plain.saturation, plain.mask_bytes),
         peaks,
-        CONTRAST,
-        float(plain.min_pixels),
-        plain.max_radius_px,
+        (CONTRAST, float(plain.min_pixels), plain.max_radius_px),
         table,
         MOST_GROWN,
     )
@@ -292,8 +274,8 @@ def _leave_lights(
     """Take out the areas that are no lights of the colour; return those of them that are of the colour, as refused."""
     refused = []
     for i, area in enumerate(areas):
-        box = area[[X_MIN, X_MAX, Y_MIN, Y_MAX]].astype(np.int64)
-        seen = _look(bgr, signal, box, float(area[LEVEL]), settings) if area[PEAK] >= LEAST_SIGNAL else None
+        box = area[[col.X_MIN, col.X_MAX, col.Y_MIN, col.Y_MAX]].astype(np.int64)
+        seen = _look(bgr, signal, box, float(area[col.LEVEL]), settings) if area[col.PEAK] >= LEAST_SIGNAL else None
         why = ""
         if seen is not None and _is_coloured(bgr, box, seen, settings):
             if not _glows(seen, settings, room_level, interpolated):
@@ -302,11 +284,13 @@ def _leave_lights(
                 why = CUT
             else:
                 continue
-        state[i, OWNER] = -1
-        if state[i, STATUS] == ACCEPTED:
-            state[i, STATUS] = UNUSED
+        state[i, col.OWNER] = -1
+        if state[i, col.STATUS] == ACCEPTED:
+            state[i, col.STATUS] = UNUSED
             if why:
-                refused.append((float(area[SUM_X] / area[WEIGHT]), float(area[SUM_Y] / area[WEIGHT]), why))
+                refused.append(
+                    (float(area[col.SUM_X] / area[col.WEIGHT]), float(area[col.SUM_Y] / area[col.WEIGHT]), why)
+                )
     return tuple(refused)
 
 

@@ -10,6 +10,7 @@ Brandt 2006, equation 6 divided by its k1).
 from __future__ import annotations
 
 from math import atan, sqrt, tan
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,25 @@ FISHEYE = -1.0
 references to it in every pinhole's loop as well, which doubles its time."""
 NEAR_AXIS = 1e-12
 """Square of the tangent below which the fisheye's series about the axis is exact to rounding."""
+
+
+class CameraK(NamedTuple):
+    """A camera as kernels take it: k its vector of intrinsics, R (3, 3) and t (3,) m with p_camera = R p_rig + t."""
+
+    k: Any
+    R: Any
+    t: Any
+
+
+class RigK(NamedTuple):
+    """Both cameras of a rig, left one first: k (2, 12), R (2, 3, 3), t (2, 3) m; see CameraK and PackedRig.
+
+    Kernels that Python calls take a plain tuple, in the same order, and make this of it: that costs nothing there.
+    """
+
+    k: Any
+    R: Any
+    t: Any
 
 
 @inline_kernel
@@ -144,6 +164,7 @@ def project_point(k, x, y, z, uv, J):
     ub = fx * dxy + skew * dyy
     va = fy * dxy
     vb = fy * dyy
+    # a = x / z, b = y / z: by z they change by -a / z, -b / z
     J[0, 0] = ua * iz
     J[0, 1] = ub * iz
     J[0, 2] = -(ua * a + ub * b) * iz
@@ -176,6 +197,7 @@ def intrinsics_jacobian(k, x, y, z, D):
             power *= theta * theta
         return
     power = r2
+    # k1, k2, k3 go with r^2, r^4, r^6; k3 stands behind p1 and p2 (OpenCV's order)
     for j in (5, 6, 9):
         D[0, j] = fx * a * power + skew * b * power
         D[1, j] = fy * b * power
@@ -210,6 +232,7 @@ def fisheye_tangent(k1, k2, k3, k4, widest, image):
         else:
             low = theta
         theta = theta - error / rate if rate > 0.0 else low
+        # Newton has left the bracket: halve it, which cannot fail
         if not low < theta < high:
             theta = 0.5 * (low + high)
     return -1.0
@@ -235,6 +258,7 @@ def undistort_pinhole(k1, k2, p1, p2, k3, xd, yd):
     for _ in range(UNDISTORT_STEPS):
         fx, fy, dxx, dxy, dyy = distort_pinhole(k1, k2, p1, p2, k3, x, y)
         det = dxx * dyy - dxy * dxy
+        # the distortion folds over here: beyond, two rays have one pixel
         if not det > 0.0:
             break
         ex = fx - xd

@@ -1,4 +1,7 @@
-"""Compiled triangulation of pairs of pixels: in closed form and by maximum likelihood, with covariances."""
+"""Compiled: rays of pixels and how far two of them are from meeting; points from pairs of pixels, with covariances.
+
+Points are found in closed form and by maximum likelihood.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, dot
-from armsight.optics.kernels.camera import see_point, undistort_point
+from armsight.optics.kernels.camera import RigK, see_point, undistort_point
 
 # What became of a pair of pixels; armsight.optics.triangulate.Verdict gives the names.
 FOUND, NO_RAY, PARALLEL, BEHIND = 0, 1, 2, 3
@@ -31,6 +34,7 @@ def _undetermined(X, S, centre):
         for j in range(3):
             s2 += (X[i] - centre[i]) * S[i, j] * (X[j] - centre[j])
         n2 += (X[i] - centre[i]) ** 2
+    # v'S v = |v|^2 sigma^2 of v from the camera to the point: sigma <= share |v|, without a root
     return not s2 <= DEPTH_DEVIATION * DEPTH_DEVIATION * n2 * n2
 
 
@@ -55,11 +59,12 @@ def _parallel(rays):
 
 
 @inner_kernel
-def triangulate_linear_point(k, R, t, uv, cov, X, S):
+def triangulate_linear_point(rig, uv, cov, X, S):
     """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
 
     Linear least squares of x (r3 X + t3) = r1 X + t1 and the same in y, in normalised coordinates of both views.
     """
+    k, R, t = rig
     A = np.empty((4, 3))
     b = np.empty(4)
     xy = np.empty((2, 2))
@@ -68,6 +73,7 @@ def triangulate_linear_point(k, R, t, uv, cov, X, S):
     for s in range(2):
         if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy[s], J[s]):
             return NO_RAY
+        # rows weighted by depth, not in px: a start (Hartley and Zisserman 2004, section 12.2)
         for c in range(2):
             for j in range(3):
                 A[2 * s + c, j] = R[s, c, j] - xy[s, c] * R[s, 2, j]
@@ -93,6 +99,7 @@ def triangulate_linear_point(k, R, t, uv, cov, X, S):
         z = R[s, 2, 0] * X[0] + R[s, 2, 1] * X[1] + R[s, 2, 2] * X[2] + t[s, 2]
         behind |= not z > 0.0
         for i in range(3):
+            # a row's error changes by -z with its x, so that d X / d x = z P a, P = (A'A)^-1
             mx = P[i, 0] * A[2 * s, 0] + P[i, 1] * A[2 * s, 1] + P[i, 2] * A[2 * s, 2]
             my = P[i, 0] * A[2 * s + 1, 0] + P[i, 1] * A[2 * s + 1, 1] + P[i, 2] * A[2 * s + 1, 2]
             for c in range(2):
@@ -110,8 +117,9 @@ def triangulate_linear_point(k, R, t, uv, cov, X, S):
 
 
 @inner_kernel
-def _point_normal(k, R, t, uv, W, X, H, g):
+def _point_normal(rig, uv, W, X, H, g):
     """Fill H (3, 3) and g (3,) of the whitened reprojection of X; return the squared sum, infinite behind a camera."""
+    k, R, t = rig
     H[:] = 0.0
     g[:] = 0.0
     p = np.empty(2)
@@ -148,9 +156,9 @@ def invert_2(S, out):
 
 
 @inner_kernel
-def triangulate_ml_point(k, R, t, uv, cov, X, S):
+def triangulate_ml_point(rig, uv, cov, X, S):
     """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square, 1 dof)."""
-    verdict = triangulate_linear_point(k, R, t, uv, cov, X, S)
+    verdict = triangulate_linear_point(rig, uv, cov, X, S)
     if verdict != FOUND:
         return verdict, np.nan
     W = np.empty((2, 2, 2))
@@ -162,14 +170,14 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
     g2 = np.empty(3)
     step = np.empty(3)
     trial = np.empty(3)
-    cost = _point_normal(k, R, t, uv, W, X, H, g)
+    cost = _point_normal(rig, uv, W, X, H, g)
     damping = 0.0
     for _ in range(TRIANGULATE_STEPS):
         if not solve_damped(H, g, damping, step):
             return PARALLEL, np.nan
         for i in range(3):
             trial[i] = X[i] + step[i]
-        new = _point_normal(k, R, t, uv, W, trial, H2, g2)
+        new = _point_normal(rig, uv, W, trial, H2, g2)
         if new <= cost:
             settled = cost - new <= SETTLED * (1.0 + new)
             copy_1(trial, X)
@@ -184,29 +192,95 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
                 break
             damping = max(10.0 * damping, 1e-4)
     centre = np.empty(3)
-    centre_of(R[0], t[0], centre)
+    centre_of(rig.R[0], rig.t[0], centre)
     if not invert_spd(H, S) or _undetermined(X, S, centre):
         return PARALLEL, np.nan
     return FOUND, cost
 
 
 @kernel
-def triangulate_rows(k, R, t, uv, cov, likeliest, X, S, chi2, verdict):
+def triangulate_rows(rig, uv, cov, likeliest, X, S, chi2, verdict):
     """Triangulate uv (n, 2, 2) [point, side] with cov (n, 2, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
 
     likeliest: by maximum likelihood; else the linear closed form.
     """
+    rig = RigK(*rig)
     W = np.empty((2, 2, 2))
     H = np.empty((3, 3))
     g = np.empty(3)
     for i in range(uv.shape[0]):
         if likeliest:
-            verdict[i], chi2[i] = triangulate_ml_point(k, R, t, uv[i], cov[i], X[i], S[i])
+            verdict[i], chi2[i] = triangulate_ml_point(rig, uv[i], cov[i], X[i], S[i])
         else:
-            verdict[i] = triangulate_linear_point(k, R, t, uv[i], cov[i], X[i], S[i])
+            verdict[i] = triangulate_linear_point(rig, uv[i], cov[i], X[i], S[i])
             if verdict[i] == FOUND and invert_2(cov[i, 0], W[0]) and invert_2(cov[i, 1], W[1]):
-                chi2[i] = _point_normal(k, R, t, uv[i], W, X[i], H, g)
+                chi2[i] = _point_normal(rig, uv[i], W, X[i], H, g)
         if verdict[i] != FOUND:
             X[i] = np.nan
             S[i] = np.nan
             chi2[i] = np.nan
+
+
+@kernel
+def rays_in_rig(k, R, uv, d, D, ok):
+    """Fill rays d (n, 3) in rig axes of pixels uv (n, 2), D (n, 3, 2) = d ray / d pixel, ok (n,) where there is one.
+
+    The rays have unit depth in the camera, not unit length.
+    """
+    xy = np.empty(2)
+    J = np.empty((2, 2))
+    for i in range(uv.shape[0]):
+        ok[i] = undistort_point(k, uv[i, 0], uv[i, 1], xy, J)
+        if not ok[i]:
+            d[i] = np.nan
+            D[i] = np.nan
+            continue
+        for r in range(3):  # R is camera from rig: its transpose carries the ray into the rig's axes
+            d[i, r] = R[0, r] * xy[0] + R[1, r] * xy[1] + R[2, r]
+            for c in range(2):
+                D[i, r, c] = R[0, r] * J[0, c] + R[1, r] * J[1, c]
+
+
+@inner_kernel
+def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_right):
+    """Return baseline . (d_left x d_right) of one pair of rays and fill its gradients (2,) by the two pixels."""
+    a = d_right[1] * baseline[2] - d_right[2] * baseline[1]  # d e / d d_left = d_right x baseline
+    b = d_right[2] * baseline[0] - d_right[0] * baseline[2]
+    c = d_right[0] * baseline[1] - d_right[1] * baseline[0]
+    e = d_left[0] * a + d_left[1] * b + d_left[2] * c
+    p = baseline[1] * d_left[2] - baseline[2] * d_left[1]  # d e / d d_right = baseline x d_left
+    q = baseline[2] * d_left[0] - baseline[0] * d_left[2]
+    r = baseline[0] * d_left[1] - baseline[1] * d_left[0]
+    for j in range(2):
+        g_left[j] = a * D_left[0, j] + b * D_left[1, j] + c * D_left[2, j]
+        g_right[j] = p * D_right[0, j] + q * D_right[1, j] + r * D_right[2, j]
+    return e
+
+
+@inner_kernel
+def quadratic_form_2(S, g):
+    """Return g' S g for S (2, 2), g (2,)."""
+    return g[0] * (S[0, 0] * g[0] + S[0, 1] * g[1]) + g[1] * (S[1, 0] * g[0] + S[1, 1] * g[1])
+
+
+@kernel
+def epipolar_rows(d_left, D_left, d_right, D_right, baseline, out):
+    """Fill out (n, 2): signed distance in px of each left pixel from its partner's line, and of each right one."""
+    g_left = np.empty(2)
+    g_right = np.empty(2)
+    for i in range(out.shape[0]):
+        e = epipolar_residual(d_left[i], D_left[i], d_right[i], D_right[i], baseline, g_left, g_right)
+        out[i, 0] = e / np.hypot(g_left[0], g_left[1])
+        out[i, 1] = e / np.hypot(g_right[0], g_right[1])
+
+
+@kernel
+def epipolar_matrix(d_left, D_left, cov_left, d_right, D_right, cov_right, baseline, chi2):
+    """Fill chi2 (n, m): whitened squared epipolar distance of every left spot to every right one; NaN without ray."""
+    g_left = np.empty(2)
+    g_right = np.empty(2)
+    for i in range(chi2.shape[0]):
+        for j in range(chi2.shape[1]):
+            e = epipolar_residual(d_left[i], D_left[i], d_right[j], D_right[j], baseline, g_left, g_right)
+            variance = quadratic_form_2(cov_left[i], g_left) + quadratic_form_2(cov_right[j], g_right)
+            chi2[i, j] = e * e / variance

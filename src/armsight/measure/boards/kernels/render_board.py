@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import erf, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +17,22 @@ REACH = 1.6
 """Squares round the corners that are drawn: the board ends one square beyond them, and its blur a little later."""
 
 
+class GridMapK(NamedTuple):
+    """A GridMap as kernels take it: the homography H (3, 3), and on top the cubic (10, 2) px in x, y.
+
+    Both are of (x, y) = ((s, t) - centre) / half, where s, t count squares.
+    """
+
+    H: Any
+    cubic: Any
+    centre: Any
+    half: Any
+
+
 @inner_kernel
-def map_point(H, cubic, centre, half, s, t, uv, slope):
+def map_point(grid, s, t, uv, slope):
     """Fill uv (2,) and slope (2, 2), px and px per square, of a GridMap at grid coordinates (s, t)."""
+    H, cubic, centre, half = grid
     x, y = (s - centre[0]) / half, (t - centre[1]) / half
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     for a in range(2):
@@ -51,14 +65,16 @@ def _stripes(s, px, n, low, high, blur):
 
 
 @kernel
-def render_pattern(H, cubic, centre, half, columns, rows, edge, first, contrast, blur, out):
+def render_pattern(grid, columns, rows, edge, first, contrast, blur, out):
     """Add a board's dark pattern to out (h, w) float64.
 
-    H, cubic, centre, half: the GridMap from squares to px. edge (2, 2): where the pattern
+    grid: as a GridMapK. edge (2, 2): where the pattern
     begins and ends along columns and rows, in squares. first: +1 where the square beyond the first corner is
     white, -1 where it is black. contrast (3,): half the levels between black and white, and its slope along
     columns and rows, per square. blur: of the edges, px.
     """
+    grid = GridMapK(*grid)
+    H, _, centre, half = grid
     h, w = out.shape
     back = np.linalg.inv(H)
     uv = np.empty(2)
@@ -67,7 +83,7 @@ def render_pattern(H, cubic, centre, half, columns, rows, edge, first, contrast,
     high = np.array([-1e9, -1e9])
     for s in (-REACH, columns - 1.0 + REACH):
         for t in (-REACH, rows - 1.0 + REACH):
-            map_point(H, cubic, centre, half, s, t, uv, E)
+            map_point(grid, s, t, uv, E)
             low = np.minimum(low, uv)
             high = np.maximum(high, uv)
     for row in range(max(0, int(low[1]) - 4), min(h, int(high[1]) + 5)):
@@ -85,7 +101,7 @@ def render_pattern(H, cubic, centre, half, columns, rows, edge, first, contrast,
                 warm = False
                 continue
             for _ in range(1 if warm else STEPS):
-                map_point(H, cubic, centre, half, s, t, uv, E)
+                map_point(grid, s, t, uv, E)
                 det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
                 du, dv = col - uv[0], row - uv[1]
                 s += (E[1, 1] * du - E[0, 1] * dv) / det

@@ -219,6 +219,7 @@ def _descend(kind, n, p, reach, H, W):
         copy_1(g_trial, g)
         copy_2(H_trial, H)
         damping = max(damping * 0.1, 1e-9)
+        # not while it is damped: a short step is then of the damping, not of the minimum
         if (settled or abs(step[0]) + abs(step[1]) < SMALL_STEP_PX) and damping < 1.0:
             return cost
     return cost
@@ -299,6 +300,7 @@ def fit_corners(image, guess, basis, bend, reach, sign, uv, cov, quality):
         p[0] = p[1] = 0.0
         p[2] = atan2(E[1, 0], E[0, 0])
         p[3] = atan2(E[1, 1], E[0, 1])
+        # rather too blurred than too sharp: an edge without slope where the picture's lies cannot find it
         p[4] = p[5] = max(0.6, 0.08 * size)
         p[6], p[7], p[8] = mean, 0.0, 0.0
         # left of the edge along the columns is +y, left of the one along the rows is -x
@@ -312,6 +314,7 @@ def fit_corners(image, guess, basis, bend, reach, sign, uv, cov, quality):
             quality[i, 0] = 1.0 - cost / (n * spread * spread)
             uv[i, 0] = guess[i, 0] + p[0]
             uv[i, 1] = guess[i, 1] + p[1]
+            # H is of noise of one grey level; what the residuals show is never less than rounding leaves
             cov[i] = C[:2, :2] * max(noise2, QUANTISATION)
 
 

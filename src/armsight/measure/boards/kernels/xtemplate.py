@@ -66,6 +66,8 @@ def place_corners(labels, own, quads, radius, rings, corners, score):
             u0, v0 = int(np.rint(quads[i, c, 0])), int(np.rint(quads[i, c, 1]))
             for v in range(max(0, v0 - radius[i]), min(h, v0 + radius[i] + 1)):
                 for u in range(max(0, u0 - radius[i]), min(w, u0 + radius[i] + 1)):
+                    # in the square and beyond it the template is centred on different colours: two peaks, the corner
+                    # between them
                     kind = 0 if labels[v, u] == own[i] else 1
                     response = _matches(labels, own[i], u, v, legs, rings[i])
                     if response > best[kind]:
@@ -80,4 +82,5 @@ def place_corners(labels, own, quads, radius, rings, corners, score):
             if best[0] >= 0 and best[1] >= 0:
                 for axis in range(2):
                     corners[i, c, axis] = 0.5 * (total[0, axis] / total[0, 2] + total[1, axis] / total[1, 2])
+                # four legs of that many pixels at each of the two peaks
                 score[i, c] = (best[0] + best[1]) / (8.0 * rings[i])

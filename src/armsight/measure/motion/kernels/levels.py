@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.motion.kernels.state import STATE, N, add_jerk, multiply, multiply_t, predict
 from armsight.measure.motion.kernels.views import (
-    by_timing,
+    ViewK,
     log_determinant,
     observe,
     pose_distance2,
+    quadratic_form,
+    select,
     update,
     update_pose,
 )
+from armsight.optics.kernels.camera import CameraK, RigK
 
 IMPOSSIBLE = -1e6
 """Log likelihood of a view that a state cannot explain at all."""
@@ -25,16 +30,9 @@ LOST_WEIGHT = 1e-4
 
 
 @inner_kernel
-def select(X, light, out):
-    """Fill out (n, 3) with the rows light (n,) of X."""
-    for i in range(light.shape[0]):
-        for c in range(3):
-            out[i, c] = X[light[i], c]
-
-
-@inner_kernel
 def mixed(w, m, stick):
     """Return the probability of level m before the next view: levels change to a neighbour now and then."""
+    # beyond the first and the last level there is none: what would go there stays
     last = w.shape[0] - 1
     lower = w[m - 1] if m > 0 else w[m]
     upper = w[m + 1] if m < last else w[m]
@@ -55,12 +53,14 @@ def weigh(xs, Cs, w, log, stick):
     total = 0.0
     best = 0
     for m in range(K):
+        # over the likeliest: the likelihoods themselves would be 0; below e^-300 a level could not come back
         v[m] = mixed(w, m, stick) * np.exp(max(log[m] - top, -300.0))
         total += v[m]
         if v[m] > v[best]:
             best = m
     for m in range(K):
         w[m] = v[m] / total
+        # a filter of little jerk that a knock has left behind would never see the target again
         if w[m] < LOST_WEIGHT:
             xs[m] = xs[best]
             Cs[m] = Cs[best]
@@ -68,38 +68,54 @@ def weigh(xs, Cs, w, log, stick):
     return best
 
 
+class Motion(NamedTuple):
+    """How a target may move: jerk (K,) m^2/s^5, the levels, and ratio, that of the angular one (rad^2/s^5) to it.
+
+    stick: chance that the level changes from one view to the next.
+    """
+
+    jerk: Any
+    ratio: Any
+    stick: Any
+
+
 @kernel
-def step_filters(xs, Cs, w, dt, jerk, ratio, stick, k, Rc, tc, X, tau, uv, cov, log):
+def step_filters(states, dt, motion, camera, view, log):
     """Bring a view into filters of different jerk, side by side; return the number of the likeliest.
 
-    xs (K, 24), Cs, and w (K,), the levels' probabilities, are changed in place. dt: s since the view before; X (n, 3),
-    tau (n,), uv (n, 2), cov: its spots, of none (n = 0) where only time passes. jerk (K,): levels, m^2/s^5; angular
-    ones are ratio times them. stick: chance that the level changes. log (K,): the view's log likelihood under each.
+    All plain tuples: states: x (K, 24), C (K, 18, 18) and w (K,), the levels' probabilities, changed in place; motion,
+    camera, view: as Motion, CameraK, ViewK. dt: s since the view before. A view of no spots: only time passes. log
+    (K,): the view's log likelihood under each level.
     """
-    K = jerk.shape[0]
+    xs, Cs, w = states
+    motion, camera, view = Motion(*motion), CameraK(*camera), ViewK(*view)
+    K = motion.jerk.shape[0]
     y = np.empty(STATE)
     D = np.empty((N, N))
     F = np.empty((N, N))
-    residual = np.empty((X.shape[0], 2))
+    residual = np.empty((view.X.shape[0], 2))
     for m in range(K):
         if dt > 0.0:
-            predict(xs[m], Cs[m], dt, jerk[m], ratio * jerk[m], y, D, F)
+            predict(xs[m], Cs[m], dt, motion.jerk[m], motion.ratio * motion.jerk[m], y, D, F)
             xs[m] = y
             Cs[m] = D
         log[m] = 0.0
-        if X.shape[0]:
-            chi2, logdet = update(xs[m], Cs[m], k, Rc, tc, X, tau, uv, cov, residual)
+        if view.X.shape[0]:
+            chi2, logdet = update(xs[m], Cs[m], camera, view, residual)
             log[m] = -0.5 * (chi2 + logdet) if chi2 >= 0.0 else IMPOSSIBLE
-    return weigh(xs, Cs, w, log, stick)
+    return weigh(xs, Cs, w, log, motion.stick)
 
 
 @kernel
-def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_new, w_new):
+def step_poses(states, best, dt, motion, x_seen, cov, after):
     """As step_filters for a complete pose x_seen (24,), of which only position and rotation count, with cov (6, 6).
 
-    Fills xs_new, Cs_new, w_new; best: the row of the likeliest level before. Returns the likeliest one, and the squared
+    Fills the states after; best: the row of the likeliest level before. Returns the likeliest one, and the squared
     Mahalanobis distances of the pose from where that level before, and a knock (the last level), expect it.
     """
+    xs, Cs, w = states
+    xs_new, Cs_new, w_new = after
+    jerk, ratio, stick = motion
     K = jerk.shape[0]
     F = np.empty((N, N))
     D = np.empty((N, N))
@@ -110,6 +126,7 @@ def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_
         predict(xs[m], Cs[m], dt, jerk[m], ratio * jerk[m], xs_new[m], Cs_new[m], F)
         if m == best:
             D[:] = Cs_new[m]
+            # the state of the likeliest level, as uncertain as if the last level had driven it since
             add_jerk(D, dt, jerk[K - 1] - jerk[m], ratio * (jerk[K - 1] - jerk[m]))
             knocked = pose_distance2(xs_new[m], D, x_seen, cov)
         chi2, logdet = update_pose(xs_new[m], Cs_new[m], x_seen, cov)
@@ -122,12 +139,17 @@ def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_
 
 
 @kernel
-def run_filters(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, stick, begin, C0, fresh, logs):
+def run_filters(views, spots, rig, X, motion, start, logs):
     """Filters of different jerk over all views: fill logs (n, K) with each view's log likelihoods.
 
-    t (n,), side (n,), first (n + 1,): views in the order of time, and which spots are theirs; light, uv (m, 2), cov,
-    tau (m,): spots. begin (n, 24), C0 (n, 18, 18): states with which the rows of fresh (n,) start anew.
+    All plain tuples: views: t (n,), side (n,), first (n + 1,), in the order of time, and which spots are theirs. spots:
+    light (m,), a row of X, uv (m, 2), cov (m, 2, 2), tau (m,). rig, motion: as RigK, Motion. start: x (n, 24), C (n,
+    18, 18), with which the rows of fresh (n,) start anew.
     """
+    t, side, first = views
+    light, uv, cov, tau = spots
+    rig = RigK(*rig)
+    begin, C0, fresh = start
     n, K = logs.shape
     xs = np.empty((K, STATE))
     Cs = np.empty((K, N, N))
@@ -145,7 +167,8 @@ def run_filters(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, 
         else:
             dt = t[i] - t[i - 1]
         s = side[i]
-        step_filters(xs, Cs, w, dt, jerk, ratio, stick, k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], logs[i])
+        camera, view = (rig.k[s], rig.R[s], rig.t[s]), (at, tau[a:b], uv[a:b], cov[a:b])
+        step_filters((xs, Cs, w), dt, motion, camera, view, logs[i])
 
 
 @kernel
@@ -161,6 +184,7 @@ def levels_of_all(logs, fresh, stick, post):
             e[m] = mixed(w, m, stick)
         tempered(logs[i], e, w)
         post[i] = w
+    # backwards: how likely each level makes all later views of its stretch (Rabiner 1989, section III)
     back = np.ones(K)
     for i in range(n - 1, -1, -1):
         total = 0.0
@@ -192,12 +216,16 @@ def tempered(log, before, after):
 
 
 @kernel
-def left_out(xs, Cs, side, first, light, uv, cov, tau, k, Rc, tc, X, logs):
+def left_out(xs, Cs, views, spots, rig, X, logs):
     """Fill logs (n,) with the log density of each view's spots by what all other views say of them, but for a constant.
 
-    xs, Cs: smoothed by all views. What is left of a spot about them, r with covariance S = cov - H C H', is cov / S
-    times smaller than about the others, so that their log density is -(r S^-1 r - log |S|) / 2.
+    xs (n, 24), Cs (n, 18, 18): smoothed by all views. views, spots, rig, X: see run_filters. What is left of a spot
+    about them, r with covariance S = cov - H C H', is cov / S times smaller than about the others, so that their log
+    density is -(r S^-1 r - log |S|) / 2.
     """
+    _, side, first = views
+    light, uv, cov, tau = spots
+    rig = RigK(*rig)
     here = np.empty(2)
     for i in range(first.shape[0] - 1):
         a, b = first[i], first[i + 1]
@@ -210,12 +238,14 @@ def left_out(xs, Cs, side, first, light, uv, cov, tau, k, Rc, tc, X, logs):
         logs[i] = 0.0 if m == 0 else IMPOSSIBLE
         s = side[i]
         seen = m > 0
+        camera = CameraK(rig.k[s], rig.R[s], rig.t[s])
         for j in range(b - a):
-            seen &= observe(xs[i], k[s], Rc[s], tc[s], X[light[a + j]], tau[a + j], here, H[2 * j : 2 * j + 2])
+            seen &= observe(xs[i], camera, X[light[a + j]], tau[a + j], here, H[2 * j : 2 * j + 2])
             for c in range(2):
                 r[2 * j + c] = uv[a + j, c] - here[c]
         if not seen:
             continue
+        # the smoothed state follows these spots, too: what is left of them has less than their own covariance
         multiply(H, Cs[i], G)
         multiply_t(G, H, S)
         for j in range(m):
@@ -223,86 +253,9 @@ def left_out(xs, Cs, side, first, light, uv, cov, tau, k, Rc, tc, X, logs):
                 S[j, c] = -S[j, c]
         for j in range(b - a):
             for c in range(2):
+                # LEFT more: a view that alone tells the pose leaves nothing over, and S would have no inverse
                 for d in range(2):
                     S[2 * j + c, 2 * j + d] += (1.0 + LEFT) * cov[a + j, c, d]
         if not invert_spd(S, inverse):
             continue
-        chi2 = 0.0
-        for j in range(m):
-            for c in range(m):
-                chi2 += r[j] * inverse[j, c] * r[c]
-        logs[i] = 0.5 * (log_determinant(S) - chi2)
-
-
-@kernel
-def run_filter(
-    t,
-    side,
-    first,
-    light,
-    uv,
-    cov,
-    tau,
-    line,
-    k,
-    Rc,
-    tc,
-    X,
-    jerk,
-    ratio,
-    begin,
-    C0,
-    fresh,
-    xs,
-    Cs,
-    ds,
-    xp,
-    Cp,
-    dp,
-    Fs,
-    L,
-    g,
-):
-    """One filter with its own jerk (n,) at each view: fill filtered and predicted states as smooth wants them.
-
-    line (m, q): how much later each spot is for each of q unknowns of the timing. ds, dp (n, 18, q): how the filtered
-    and the predicted states depend on them. The innovations' least-squares equations for them are added to L (q, q) and
-    g (q,).
-    """
-    for i in range(t.shape[0]):
-        a, b = first[i], first[i + 1]
-        if fresh[i]:
-            xp[i] = begin[i]
-            Cp[i] = C0[i]
-            dp[i] = 0.0
-            Fs[i] = 0.0
-        else:
-            predict(xs[i - 1], Cs[i - 1], t[i] - t[i - 1], jerk[i], ratio * jerk[i], xp[i], Cp[i], Fs[i])
-            multiply(Fs[i], ds[i - 1], dp[i])
-        xs[i] = xp[i]
-        Cs[i] = Cp[i]
-        ds[i] = dp[i]
-        if b > a:
-            at = np.empty((b - a, 3))
-            select(X, light[a:b], at)
-            s = side[i]
-            residual = np.empty((b - a, 2))
-            chi2, _ = update(xs[i], Cs[i], k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], residual)
-            if chi2 >= 0.0 and line.shape[1]:
-                by_timing(
-                    xp[i],
-                    xs[i],
-                    Cp[i],
-                    Cs[i],
-                    k[s],
-                    Rc[s],
-                    tc[s],
-                    at,
-                    tau[a:b],
-                    line[a:b],
-                    cov[a:b],
-                    residual,
-                    ds[i],
-                    L,
-                    g,
-                )
+        logs[i] = 0.5 * (log_determinant(S) - quadratic_form(inverse, r))

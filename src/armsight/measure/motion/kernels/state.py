@@ -60,6 +60,7 @@ def transition(x, tau, F):
         F[i, i] = 1.0
         F[i, 6 + i] = tau
         F[i, 12 + i] = h
+        # velocities and accelerations carry on by themselves; the turn E carries the rotation's error with it
         for k in (6, 9, 12, 15):
             F[k + i, k + i] = 1.0
         F[6 + i, 12 + i] = tau
@@ -175,4 +176,5 @@ def difference(x, y, d):
             S[i, j] = (
                 x[R + 3 * i] * y[R + 3 * j] + x[R + 3 * i + 1] * y[R + 3 * j + 1] + x[R + 3 * i + 2] * y[R + 3 * j + 2]
             )
+    # S = R_x R_y': applied from the left, as move does
     rotvec_of(S, d[3:6])

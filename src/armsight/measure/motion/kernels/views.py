@@ -1,8 +1,9 @@
-"""Compiled: what one view tells of a state, and what all views together tell of each (smoothing)."""
+"""Compiled: what one view, or one complete pose, tells of a state."""
 
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,29 +20,43 @@ from armsight.measure.motion.kernels.state import (
     move,
     multiply,
     multiply_t,
-    transposed,
     turned,
 )
 from armsight.optics.kernels.camera import see_point
 
 UPDATE_ROUNDS = 4
 """Gauss-Newton steps of an update at the most; two are enough unless the state was a guess."""
-MOMENT_S = 1e-5
-"""Over which the speed of a spot in the image is taken."""
-MAX_RATE_PX_S = 2e4
-"""Dependence on time beyond which a view says nothing of the timing: five times that of 2 m/s at half a metre."""
-MIN_SPEED2 = 9.0
-"""Square of a spot's speed over its variance below which a view says nothing of the timing."""
 SETTLED2 = 1e-4
 """Square of a step over its own uncertainty below which an update has settled."""
 
 
+class ViewK(NamedTuple):
+    """n lights in one view: X (n, 3) m in the target's frame, and their spots uv (n, 2) px, cov (n, 2, 2) px^2.
+
+    tau (n,): by how many seconds each is exposed after the view's time.
+    """
+
+    X: Any
+    tau: Any
+    uv: Any
+    cov: Any
+
+
+@inner_kernel
+def select(X, light, out):
+    """Fill out (n, 3) with the rows light (n,) of X."""
+    for i in range(light.shape[0]):
+        for c in range(3):
+            out[i, c] = X[light[i], c]
+
+
 @kernel
-def observe(x, k, Rc, tc, X, tau, uv, H):
+def observe(x, camera, X, tau, uv, H):
     """Fill uv (2,) and H (2, 18): where a light at X of the target is seen tau after the state's time.
 
-    False where it is behind the camera. k, Rc, tc: of the camera, p_camera = Rc p_rig + tc.
+    False where it is behind the camera, a CameraK or a plain tuple.
     """
+    k, Rc, tc = camera
     E = np.empty((3, 3))
     turned(x, tau, E)
     r = np.empty(3)
@@ -52,6 +67,7 @@ def observe(x, k, Rc, tc, X, tau, uv, H):
         y[i] = E[i, 0] * r[0] + E[i, 1] * r[1] + E[i, 2] * r[2]
     place = np.empty(3)
     for i in range(3):
+        # constant acceleration over tau, as in state_at; jerk is but noise
         place[i] = x[P + i] + tau * x[V + i] + 0.5 * tau * tau * x[A + i] + y[i]
     J = np.empty((2, 3))
     if not see_point(k, Rc, tc, place, uv, J):
@@ -77,14 +93,15 @@ def observe(x, k, Rc, tc, X, tau, uv, H):
     return True
 
 
-@kernel
-def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
-    """Bring spots uv (n, 2), cov (n, 2, 2), of lights X (n, 3) in one view into it, tau (n,) after the state's time.
+@inner_kernel
+def update(x, C, camera, view, residual):
+    """Bring the spots of one view (a ViewK) into the state x, C at its time.
 
     Iterated: linearised anew at the answer (Bell and Cathey 1993). x, C are changed in place; residual (n, 2): spots
     less prediction. Returns (chi-square of the innovation, log of its determinant); -1 where something is behind the
     camera or nothing can be solved; the state is then as it was.
     """
+    uv, cov = view.uv, view.cov
     n = uv.shape[0]
     m = 2 * n
     H = np.empty((m, N))
@@ -94,14 +111,14 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
     r = np.empty(m)
     e = np.empty(m)
     d = np.zeros(N)
-    step = np.empty(N)
     px = np.empty(2)
+    # the state itself moves once all has been solved
     z = x.copy()
     chi2 = -1.0
     logdet = 0.0
     for turn in range(UPDATE_ROUNDS):
         for i in range(n):
-            if not observe(z, k, Rc, tc, X[i], tau[i], px, H[2 * i : 2 * i + 2]):
+            if not observe(z, camera, view.X[i], view.tau[i], px, H[2 * i : 2 * i + 2]):
                 return -1.0, 0.0
             r[2 * i] = uv[i, 0] - px[0]
             r[2 * i + 1] = uv[i, 1] - px[1]
@@ -109,12 +126,7 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
             for i in range(n):
                 residual[i, 0] = r[2 * i]
                 residual[i, 1] = r[2 * i + 1]
-        multiply(H, C, G)
-        multiply_t(G, H, S)
-        for i in range(n):
-            for a in range(2):
-                for b in range(2):
-                    S[2 * i + a, 2 * i + b] += cov[i, a, b]
+        innovation_covariance(H, C, cov, G, S)
         if not invert_spd(S, T):
             return -1.0, 0.0
         for i in range(m):  # innovation about the first prediction: r + H d
@@ -123,27 +135,67 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
                 s += H[i, j] * d[j]
             e[i] = s
         if turn == 0:
-            chi2 = 0.0
-            for i in range(m):
-                for j in range(m):
-                    chi2 += e[i] * T[i, j] * e[j]
+            # of the prediction alone: later rounds have used these spots, and would flatter the level of jerk
+            chi2 = quadratic_form(T, e)
             logdet = log_determinant(S)
-        change = 0.0
-        for j in range(N):
-            s = 0.0
-            for i in range(m):
-                t = 0.0
-                for q in range(m):
-                    t += T[i, q] * e[q]
-                s += G[i, j] * t
-            step[j] = s - d[j]
-            change += step[j] * step[j] / C[j, j]
-            d[j] = s
+        change = step_by_gain(G, T, e, C, d)
         for j in range(STATE):
             z[j] = x[j]
         move(z, d)
         if change < SETTLED2:
             break
+    lower_covariance(G, T, C)
+    for j in range(STATE):
+        x[j] = z[j]
+    return chi2, logdet
+
+
+@inner_kernel
+def innovation_covariance(H, C, cov, G, S):
+    """Fill G (m, 18) = H C and S (m, m) = H C H' + cov, for spots of covariance cov (n, 2, 2), m = 2 n."""
+    multiply(H, C, G)
+    multiply_t(G, H, S)
+    for i in range(cov.shape[0]):
+        for a in range(2):
+            for b in range(2):
+                S[2 * i + a, 2 * i + b] += cov[i, a, b]
+
+
+@inner_kernel
+def quadratic_form(T, e):
+    """Return e' T e for T (m, m), e (m,)."""
+    s = 0.0
+    for i in range(e.shape[0]):
+        for j in range(e.shape[0]):
+            s += e[i] * T[i, j] * e[j]
+    return s
+
+
+@inner_kernel
+def step_by_gain(G, T, e, C, d):
+    """Replace the error d (18,) by K e, the gain K = G' T; return the squared change over the state's variances.
+
+    K = C H' S^-1 (Bar-Shalom, Li and Kirubarajan 2001, section 5.2.3), with G = H C (m, 18) and T = S^-1 (m, m).
+    """
+    m = e.shape[0]
+    change = 0.0
+    for j in range(N):
+        s = 0.0
+        for i in range(m):
+            t = 0.0
+            for q in range(m):
+                t += T[i, q] * e[q]
+            s += G[i, j] * t
+        step = s - d[j]
+        change += step * step / C[j, j]
+        d[j] = s
+    return change
+
+
+@inner_kernel
+def lower_covariance(G, T, C):
+    """Replace C (18, 18) by C - G' T G, that after the update; only half is computed, so that it stays symmetric."""
+    m = G.shape[0]
     D = np.empty((m, N))
     multiply(T, G, D)
     for i in range(N):
@@ -153,93 +205,6 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
                 s -= G[q, i] * D[q, j]
             C[i, j] = s
             C[j, i] = s
-    for j in range(STATE):
-        x[j] = z[j]
-    return chi2, logdet
-
-
-@inner_kernel
-def speed_uncertainty2(H, C):
-    """Return the sum of the variances of the speeds in the image that a state with C (18, 18) gives spots, px^2/s^2."""
-    s = 0.0
-    for i in range(H.shape[0]):
-        for a in range(6):
-            for b in range(6):
-                s += H[i, a] * C[6 + a, 6 + b] * H[i, b]
-    return s
-
-
-@inner_kernel
-def by_timing(x, x_after, C, C_after, k, Rc, tc, X, tau, line, cov, residual, d, L, g):
-    """Carry through an update how a state depends on unknowns of the timing, d (18, q) in place.
-
-    x, C: the state before spots X (n, 3), cov (n, 2, 2), which lay residual (n, 2) off; x_after, C_after: after them;
-    line (n, q): how much later each spot is for each unknown. Adds to L (q, q) and g (q,) the equations of these spots.
-    """
-    n, q = line.shape
-    m = 2 * n
-    H = np.zeros((m, N))
-    here = np.empty(2)
-    later = np.empty(2)
-    scratch = np.zeros((2, N))
-    A = np.empty((m, q))
-    S = np.empty((m, m))
-    inverse = np.empty((m, m))
-    G = np.empty((m, N))
-    speed2 = 0.0
-    for i in range(n):
-        # speeds from before, which are independent of the residual; slopes where the gain has them
-        if not observe(x, k, Rc, tc, X[i], tau[i], here, scratch):
-            return
-        if not observe(x, k, Rc, tc, X[i], tau[i] + MOMENT_S, later, scratch):
-            return
-        for a in range(2):
-            speed2 += ((later[a] - here[a]) / MOMENT_S) ** 2
-            for p in range(q):
-                A[2 * i + a, p] = (later[a] - here[a]) / MOMENT_S * line[i, p]
-        if not observe(x_after, k, Rc, tc, X[i], tau[i], here, H[2 * i : 2 * i + 2]):
-            return
-    multiply(H, C, G)
-    multiply_t(G, H, S)
-    for i in range(n):
-        for a in range(2):
-            for b in range(2):
-                S[2 * i + a, 2 * i + b] += cov[i, a, b]
-    if not invert_spd(S, inverse):
-        return
-    for i in range(m):
-        for p in range(q):
-            for j in range(N):
-                A[i, p] += H[i, j] * d[j, p]
-    top = 0.0
-    for i in range(m):
-        for p in range(q):
-            top = max(top, abs(A[i, p]))
-    # hardly anything holds the state, and it is not linear over its uncertainty; or its speed is but noise
-    told = top < MAX_RATE_PX_S and speed2 > MIN_SPEED2 * speed_uncertainty2(H, C)
-    for p in range(q):
-        for i in range(m):
-            if not told:
-                break
-            w = 0.0
-            for j in range(m):
-                w += inverse[i, j] * A[j, p]
-            g[p] += w * residual[i // 2, i % 2]
-            for r in range(q):
-                L[p, r] += w * A[i, r]
-    for i in range(n):  # the gain is C_after H' / cov
-        det = cov[i, 0, 0] * cov[i, 1, 1] - cov[i, 0, 1] * cov[i, 1, 0]
-        for p in range(q):
-            u, v = A[2 * i, p], A[2 * i + 1, p]
-            a = (cov[i, 1, 1] * u - cov[i, 0, 1] * v) / det
-            b = (cov[i, 0, 0] * v - cov[i, 1, 0] * u) / det
-            for j in range(N):
-                G[0, j] = a * H[2 * i, j] + b * H[2 * i + 1, j]
-            for j in range(N):
-                s = 0.0
-                for c in range(N):
-                    s += C_after[j, c] * G[0, c]
-                d[j, p] -= s
 
 
 @inner_kernel
@@ -278,6 +243,7 @@ def update_pose(x, C, x_seen, cov):
     step = np.empty(N)
     for i in range(N):
         for j in range(6):
+            # a pose is the first six errors of a state, H = (1 0): C H' is their columns
             G[i, j] = C[i, j]
     multiply(G, inverse, K)
     for i in range(N):
@@ -308,67 +274,9 @@ def log_determinant(S):
             for q in range(j):
                 s -= L[i, q] * L[j, q]
             if i == j:
+                # a pivot that rounding makes 0 must not make the log likelihood infinite
                 L[i, i] = sqrt(max(s, 1e-300))
                 total += 2.0 * np.log(L[i, i])
             else:
                 L[i, j] = s / L[j, j]
     return total
-
-
-@kernel
-def smooth(xs, Cs, ds, xp, Cp, dp, Fs):
-    """Smooth the filtered states xs (n, 24), Cs (n, 18, 18) in place, backwards (Rauch, Tung and Striebel 1965).
-
-    xp, Cp: predictions of each before its own spots; Fs: how errors got there from the one before; ds, dp (n, 18, q):
-    how filtered (smoothed in place) and predicted states depend on unknowns of the timing. A row whose Fs is zero
-    begins anew: nothing goes over it. False where a covariance cannot be inverted.
-    """
-    n = xs.shape[0]
-    G = np.empty((N, N))
-    inverse = np.empty((N, N))
-    K = np.empty((N, N))
-    D = np.empty((N, N))
-    E = np.empty((N, N))
-    d = np.empty(N)
-    g = np.empty(N)
-    scaled = np.empty((N, N))
-    s = np.empty(N)
-    for k in range(n - 2, -1, -1):
-        F = Fs[k + 1]
-        if F[0, 0] == 0.0:
-            continue
-        for i in range(N):
-            s[i] = 1.0 / sqrt(Cp[k + 1, i, i])
-        for i in range(N):
-            for j in range(N):
-                scaled[i, j] = Cp[k + 1, i, j] * s[i] * s[j]
-        if not invert_spd(scaled, inverse):
-            return False
-        for i in range(N):
-            for j in range(N):
-                inverse[i, j] *= s[i] * s[j]
-        multiply(F, Cs[k], E)
-        transposed(E, G)
-        multiply(G, inverse, K)
-        difference(xs[k + 1], xp[k + 1], d)
-        for i in range(N):
-            t = 0.0
-            for j in range(N):
-                t += K[i, j] * d[j]
-            g[i] = t
-        move(xs[k], g)
-        for i in range(N):
-            for p in range(ds.shape[2]):
-                t = 0.0
-                for j in range(N):
-                    t += K[i, j] * (ds[k + 1, j, p] - dp[k + 1, j, p])
-                ds[k, i, p] += t
-        for i in range(N):
-            for j in range(N):
-                D[i, j] = Cs[k + 1, i, j] - Cp[k + 1, i, j]
-        multiply(K, D, E)
-        multiply_t(E, K, D)
-        for i in range(N):
-            for j in range(N):
-                Cs[k, i, j] += D[i, j]
-    return True

@@ -8,14 +8,22 @@ its reprojection.
 from __future__ import annotations
 
 from math import log
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.geometry.kernels import copy_1, copy_2
-from armsight.measure.poses.kernels.pose import SOLVED, kabsch, pose_normal, refine_pose, weights
-from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
-from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
+from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, kabsch, pose_normal, refine_pose, weights
+from armsight.optics.kernels.camera import RigK
+from armsight.optics.kernels.triangulation import (
+    BEHIND,
+    FOUND,
+    epipolar_residual,
+    quadratic_form_2,
+    rays_in_rig,
+    triangulate_linear_point,
+)
 
 MAX_PAIRS = 1024
 MANY_PAIRS = 8192  # of coarse centres
@@ -24,14 +32,67 @@ HOPELESS = 20.0  # chi-square of a closed-form start over the limit beyond which
 JUDGED = 1500  # as many pairs take as long as judging a whole arrangement
 
 
+class PairsK(NamedTuple):
+    """Pairs of spots that may be one light: index (c, 2) of the left and the right spot, uv (c, 2, 2) px, and weight.
+
+    W (c, 2, 2, 2): inverse of the spots' covariances. P (c, 3) m, S (c, 3, 3): the point where they meet, its
+    covariance. spread (c,) m: how far each may be off in any direction.
+    """
+
+    index: Any
+    uv: Any
+    W: Any
+    P: Any
+    S: Any
+    spread: Any
+
+
+class Model(NamedTuple):
+    """The m lights of a target: X (m, 3), their distances D (m, m), the radius of flat ones (m), their normal (3,)."""
+
+    X: Any
+    D: Any
+    radius: Any
+    normal: Any
+
+
+class Rules(NamedTuple):
+    """What an arrangement must keep: gate of the distances, squared standard deviations; whether views are overlaid.
+
+    slack2 (px^2) is added to every coordinate's variance. limits (m + 1,): largest chi-square of a fit of that many
+    spots. margin: a hypothesis is kept while its chi-square is within margin of the best one's. smaller: whether those
+    of fewer names than the most are kept as well. most_nodes: pairs looked at before the search is cut short.
+    """
+
+    slack2: Any
+    gate: Any
+    limits: Any
+    margin: Any
+    overlaid: Any
+    smaller: Any
+    most_nodes: Any
+
+
+class Best(NamedTuple):
+    """The best hypotheses so far: names (h, m) the pair of each name or -1, chi2 (h,) ascending, poses (h, 3, 4)."""
+
+    names: Any
+    chi2: Any
+    poses: Any
+
+
 @kernel
-def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate, overlaid, most):
+def candidate_pairs(rig, baseline, left, right, slack2, gate, overlaid, most):
     """Return pairs (c, 2), uv (c, 2, 2), cov (c, 2, 2, 2), P (c, 3), S (c, 3, 3), and how many more lay behind.
 
-    gate: largest whitened squared epipolar distance, with slack2 added to every coordinate's variance, which is
-    in S as well. Pairs behind a camera or without a finite distance are counted or left out. overlaid: left and right
-    are the same spots, of one image that holds both views, and no spot is its own partner.
+    rig: as a RigK, its baseline (3,) m. left, right: uv (n, 2) and cov (n, 2, 2) of the spots of each side. gate:
+    largest whitened squared epipolar distance, with slack2 added to every coordinate's variance, which is in S as well.
+    Pairs behind a camera or without a finite distance are counted or left out. overlaid: left and right are the same
+    spots, of one image that holds both views, and no spot is its own partner.
     """
+    rig = RigK(*rig)
+    uv_left, cov_left = left
+    uv_right, cov_right = right
     n_left = uv_left.shape[0]
     n_right = uv_right.shape[0]
     limit = min(n_left * n_right, most)
@@ -46,8 +107,8 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
     d_right = np.empty((n_right, 3))
     D_right = np.empty((n_right, 3, 2))
     ok_right = np.empty(n_right, np.bool_)
-    rays_in_rig(k[0], R[0], uv_left, d_left, D_left, ok_left)
-    rays_in_rig(k[1], R[1], uv_right, d_right, D_right, ok_right)
+    rays_in_rig(rig.k[0], rig.R[0], uv_left, d_left, D_left, ok_left)
+    rays_in_rig(rig.k[1], rig.R[1], uv_right, d_right, D_right, ok_right)
     g_left = np.empty(2)
     g_right = np.empty(2)
     wide = np.empty((2, 2, 2))
@@ -70,7 +131,7 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
                 copy_2(cov[count, s], wide[s])
                 wide[s, 0, 0] += slack2
                 wide[s, 1, 1] += slack2
-            verdict = triangulate_linear_point(k, R, t, uv[count], wide, P[count], S[count])
+            verdict = triangulate_linear_point(rig, uv[count], wide, P[count], S[count])
             if verdict == FOUND:
                 pairs[count, 0] = i
                 pairs[count, 1] = j
@@ -113,26 +174,28 @@ def _near(P, spread, a, b, distance):
 
 
 @inner_kernel
-def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
+def _allowed(name, candidate, chosen, candidates, D, rules):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
+    pairs = candidates.index
     for other in range(name):
         c = chosen[other]
         if c < 0:
             continue
-        if not _near(P, spread, c, candidate, D[other, name]):
+        if not _near(candidates.P, candidates.spread, c, candidate, D[other, name]):
             return False
         if pairs[c, 0] == pairs[candidate, 0] or pairs[c, 1] == pairs[candidate, 1]:
             return False
-        if overlaid and (pairs[c, 0] == pairs[candidate, 1] or pairs[c, 1] == pairs[candidate, 0]):
+        if rules.overlaid and (pairs[c, 0] == pairs[candidate, 1] or pairs[c, 1] == pairs[candidate, 0]):
             return False
-        if not distance_fits(P, S, c, candidate, D[other, name], gate):
+        if not distance_fits(candidates.P, candidates.S, c, candidate, D[other, name], rules.gate):
             return False
     return True
 
 
 @inner_kernel
-def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limit, Rp, tp):
+def _judge(rig, model, ellipse, candidates, chosen, count, limit, Rp, tp):
     """Fit the pose to the chosen pairs; return chi-square, infinite where there is none or far above the limit."""
+    pairs = candidates.index
     x = np.empty((count, 3))
     p = np.empty((count, 3))
     r = np.empty((count, 2))
@@ -142,93 +205,66 @@ def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, 
     for name in range(chosen.shape[0]):
         c = chosen[name]
         if c >= 0:
-            copy_1(X[name], x[n])
-            copy_1(P[c], p[n])
-            r[n, 0] = radius if ellipse[0, pairs[c, 0]] else 0.0
-            r[n, 1] = radius if ellipse[1, pairs[c, 1]] else 0.0
-            copy_2(uv[c], z[n])
-            copy_2(W[c, 0], w[n, 0])
-            copy_2(W[c, 1], w[n, 1])
+            copy_1(model.X[name], x[n])
+            copy_1(candidates.P[c], p[n])
+            r[n, 0] = model.radius if ellipse[0, pairs[c, 0]] else 0.0
+            r[n, 1] = model.radius if ellipse[1, pairs[c, 1]] else 0.0
+            copy_2(candidates.uv[c], z[n])
+            copy_2(candidates.W[c, 0], w[n, 0])
+            copy_2(candidates.W[c, 1], w[n, 1])
             n += 1
     kabsch(x, p, Rp, tp)
     H = np.empty((6, 6))
     residual = np.empty((count, 2, 2))
-    if not pose_normal(k, R, t, x, r, normal, z, w, Rp, tp, H, np.empty(6), residual) <= HOPELESS * limit:
+    lights, seen = Lights(x, r, model.normal), Observations(z, w)
+    if not pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual) <= HOPELESS * limit:
         return np.inf
-    state, chi2 = refine_pose(k, R, t, x, r, normal, z, w, Rp, tp, H, residual)
+    state, chi2 = refine_pose(rig, lights, seen, Rp, tp, H, residual)
     return chi2 if state == SOLVED else np.inf
 
 
 @kernel
-def search(
-    k,
-    R,
-    t,
-    X,
-    D,
-    radius,
-    normal,
-    ellipse,
-    pairs,
-    uv,
-    cov,
-    P,
-    S,
-    slack2,
-    gate,
-    limits,
-    margin,
-    overlaid,
-    smaller,
-    most_nodes,
-    names,
-    chi2s,
-    poses,
-):
+def search(rig, model, ellipse, pairs, rules, best):
     """Fill the best hypotheses and return (how many, how many passed in all, whether the search was cut short).
 
-    X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of
-    discs. pairs .. S: from candidate_pairs. gate: on distances. limits (m + 1,): largest chi-square of a fit of
-    that many spots. overlaid: see candidate_pairs. margin: a hypothesis is kept while its chi-square is within margin
-    of the best one's.
-    names (h, m) gets the pair of each name or -1, chi2s (h,) ascending, poses (h, 3, 4) rotation and translation.
-    Only hypotheses with the largest number of names are kept, but where `smaller` is True: then all of three names
+    All but ellipse are plain tuples: rig, model, rules, best as RigK, Model, Rules, Best have them; pairs: index, uv,
+    cov, P, S from candidate_pairs. ellipse (2, n): which spots of each side are outlines of discs.
+    Only hypotheses with the largest number of names are kept, but where rules.smaller is True: then all of three names
     and more, ordered by chi-square less what their number of spots lets expect.
     """
-    m = X.shape[0]
-    C = pairs.shape[0]
-    room = names.shape[0]
+    rig, model, rules, kept = RigK(*rig), Model(*model), Rules(*rules), Best(*best)
+    index, uv, cov, P, S = pairs
+    m = model.X.shape[0]
+    C = index.shape[0]
     W = np.empty_like(cov)
-    if not weights(cov, slack2, W):
+    if not weights(cov, rules.slack2, W):
         return np.int64(0), np.int64(0), False
     spread = np.empty(C)
-    _spreads(S, gate, spread)
+    _spreads(S, rules.gate, spread)
+    candidates = PairsK(index, uv, W, P, S, spread)
     chosen = np.full(m, -1, np.intp)
     following = np.zeros(m, np.intp)
     Rp = np.empty((3, 3))
     tp = np.empty(3)
     # typed: a bare 0 would have every callee compiled once for the literal and once for the number
-    found = np.int64(0)
-    best = np.int64(3)
-    count = np.int64(0)
-    level = np.int64(0)
-    nodes = np.int64(0)
-    passed = np.int64(0)
+    found = count = level = nodes = passed = np.int64(0)
+    most = np.int64(3)
     while level >= 0:
         nodes += 1
-        if nodes > most_nodes:
+        if nodes > rules.most_nodes:
             return found, passed, True
         if level == m:
-            chi2 = _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limits[count], Rp, tp)
+            chi2 = _judge(rig, model, ellipse, candidates, chosen, count, rules.limits[count], Rp, tp)
             nodes += JUDGED
-            if chi2 <= limits[count]:
+            if chi2 <= rules.limits[count]:
                 passed += 1
-                if smaller:
-                    chi2 -= limits[count]
-                elif count > best:
+                if rules.smaller:
+                    chi2 -= rules.limits[count]
+                elif count > most:
+                    # those with fewer names are forgotten: the more spots fit, the less can chance explain
                     found = np.int64(0)
-                    best = count
-                found = _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses)
+                    most = count
+                found = _keep(found, rules.margin, chosen, chi2, Rp, tp, kept)
             level -= 1
             continue
         if chosen[level] >= 0:  # come back from below: give the name up again
@@ -236,23 +272,22 @@ def search(
             count -= 1
         c = following[level]
         nodes -= c
-        while c < C and not _allowed(level, c, chosen, pairs, P, S, spread, D, gate, overlaid):
+        while c < C and not _allowed(level, c, chosen, candidates, model.D, rules):
             c += 1
         nodes += c
         if c < C:
             chosen[level] = c
             count += 1
             following[level] = c + 1
-            level += 1
-            if level < m:
-                following[level] = 0
-        elif c == C and count + (m - level - 1) >= best:  # leave the name without a spot
+        # leave the name without a spot, unless too few names would then be left to reach the most so far
+        elif c == C and count + (m - level - 1) >= most:
             following[level] = C + 1
-            level += 1
-            if level < m:
-                following[level] = 0
         else:
             level -= 1
+            continue
+        level += 1
+        if level < m:
+            following[level] = 0
     return found, passed, False
 
 
@@ -260,18 +295,21 @@ SLACKS = np.array([0.02, 0.05, 0.1, 0.2, 0.3])  # px
 
 
 @kernel
-def neg2_log_likelihood(k, R, t, X, radius, normal, uv, cov, Rp, tp):
+def neg2_log_likelihood(rig, lights, views, Rp, tp):
     """Return -2 log likelihood of the spots uv (n, 2, 2), cov (n, 2, 2, 2) of a target at the pose Rp, tp.
 
-    radius (n, 2) of flat lights. With the slack of SLACKS that suits it best: what the calibration adds is not known.
+    rig, lights: as RigK, Lights. With the slack of SLACKS that suits it best: what the calibration adds is not known.
     """
+    uv, cov = views
+    X, radius, normal = lights
     n = X.shape[0]
     residual = np.empty((n, 2, 2))
     W = np.empty_like(cov)
     if not weights(cov, 0.0, W):
         return np.inf
     H, g = np.empty((6, 6)), np.empty(6)
-    if not np.isfinite(pose_normal(k, R, t, X.copy(), radius, normal, uv, W, Rp.copy(), tp.copy(), H, g, residual)):
+    lights, seen = Lights(X.copy(), radius, normal), Observations(uv, W)
+    if not np.isfinite(pose_normal(RigK(*rig), lights, seen, Rp.copy(), tp.copy(), H, g, residual)):
         return np.inf
     best = np.inf
     for slack in SLACKS:
@@ -290,26 +328,28 @@ def neg2_log_likelihood(k, R, t, X, radius, normal, uv, cov, Rp, tp):
 
 
 @inner_kernel
-def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
+def _keep(found, margin, chosen, chi2, Rp, tp, best):
     """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
+    chi2s = best.chi2
     if found and chi2 > chi2s[0] + margin:
         return found
     at = found
     while at > 0 and chi2s[at - 1] > chi2:
         at -= 1
-    last = min(found, room - 1)
+    last = min(found, best.names.shape[0] - 1)
     if at > last:
         return found
     for i in range(last, at, -1):
-        copy_1(names[i - 1], names[i])
+        copy_1(best.names[i - 1], best.names[i])
         chi2s[i] = chi2s[i - 1]
-        copy_2(poses[i - 1], poses[i])
-    copy_1(chosen, names[at])
+        copy_2(best.poses[i - 1], best.poses[i])
+    copy_1(chosen, best.names[at])
     chi2s[at] = chi2
-    copy_2(Rp, poses[at])
+    copy_2(Rp, best.poses[at])
     for a in range(3):
-        poses[at, a, 3] = tp[a]
+        best.poses[at, a, 3] = tp[a]
     found = last + 1
+    # a better one may have moved the margin: the last ones are beyond it then
     while chi2s[found - 1] > chi2s[0] + margin:
         found -= 1
     return found

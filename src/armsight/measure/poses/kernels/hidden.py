@@ -7,12 +7,14 @@ a light narrower in one direction and hardly in the other; its centre moves by l
 from __future__ import annotations
 
 from math import atan2, cos, exp, log, pi, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.area import O_FLIP
+from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.outline import AREA, EDGE_X, EDGE_Y, MOMENTS, OUTLINE, RING, XX, XY, YY, outline
+from armsight.optics.kernels.camera import CameraK, RigK
 
 GATE_PX = 0.25
 WIDER_PX = 0.5
@@ -56,11 +58,20 @@ FINDING = 4
 """Of a light in one view: variance to be added to its centre's, and 1 where it is unlike every other one."""
 
 
+class SpotsK(NamedTuple):
+    """The spots of n lights in one view: uv (n, 2) px, cov (n, 2, 2), size (n,) px; 0 or less: not to be looked at."""
+
+    uv: Any
+    cov: Any
+    size: Any
+
+
 @inner_kernel
 def radii(mine, other, out):
     """Fill out (3,), logarithms: how much narrower and how much wider a light is than the other, each in the direction
     in which it is so most, and how much larger."""
     det = other[XX] * other[YY] - other[XY] ** 2
+    # eigenvalues of other^-1 mine, squares of the ratios of radii where they are extreme, by trace and determinant
     half = 0.5 * (other[YY] * mine[XX] - 2.0 * other[XY] * mine[XY] + other[XX] * mine[YY]) / det
     ratio = (mine[XX] * mine[YY] - mine[XY] ** 2) / det
     root = sqrt(max(half * half - ratio, 0.0))
@@ -106,6 +117,7 @@ def doubt_light(mine, mean, sigma, narrower, wider, row):
     xx = mean[XX] - mine[XX]
     xy = mean[XY] - mine[XY]
     yy = mean[YY] - mine[YY]
+    # principal directions of what the second moments fall short by: where it was cut off, and square to that
     angle = 0.5 * atan2(2.0 * xy, xx - yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     half = 0.5 * (xx + yy)
@@ -191,12 +203,13 @@ def compare_view(outlines, size, sigma, mean, d, found):
 
 
 @inner_kernel
-def turn_alike(k, R, t, P, lean, outlines):
+def turn_alike(camera, P, lean, outlines):
     """Change the outlines of flat lights, as at the first one's distance, to what they would be in its place.
 
     lean (3,): their radius times their normal in rig axes. A disc's second moments are a quarter of its radius' square
     in its plane, and each is looked at from another side.
     """
+    k, R, t = camera
     lx = R[0, 0] * lean[0] + R[0, 1] * lean[1] + R[0, 2] * lean[2]
     ly = R[1, 0] * lean[0] + R[1, 1] * lean[1] + R[1, 2] * lean[2]
     lz = R[2, 0] * lean[0] + R[2, 1] * lean[1] + R[2, 2] * lean[2]
@@ -228,11 +241,14 @@ def turn_alike(k, R, t, P, lean, outlines):
 
 
 @inner_kernel
-def outlines_of(image, flip, k, R, t, P, lean, uv, cov, size, outlines, sigma, work):
+def outlines_of(image, flip, camera, P, lean, spots, outlines, sigma, work):
     """Fill outlines (n, OUTLINE), as at the first light's place, and sigma (n,) of the lights in one image."""
+    R, t = camera.R, camera.t
+    uv, size = spots.uv, spots.size
     first = 0.0
     for i in range(P.shape[0]):
-        c = cov[i]
+        c = spots.cov[i]
+        # the larger root of the covariance's characteristic equation: the worst direction
         sigma[i] = sqrt(0.5 * (c[0, 0] + c[1, 1]) + sqrt(0.25 * (c[0, 0] - c[1, 1]) ** 2 + c[0, 1] ** 2))
         depth = R[2, 0] * P[i, 0] + R[2, 1] * P[i, 1] + R[2, 2] * P[i, 2] + t[2]
         if i == 0:
@@ -242,22 +258,24 @@ def outlines_of(image, flip, k, R, t, P, lean, uv, cov, size, outlines, sigma, w
             continue
         outline(image, flip, uv[i, 0], uv[i, 1], size[i], work, outlines[i])
         if outlines[i, AREA] > 0.0:
+            # area and moments go with the inverse square of the distance, but for the part that blur makes, which stays
             share = max(1.0 - BLUR_PX2 * pi / outlines[i, AREA], 0.0)
             nearer = exp(2.0 * share * log(depth / first))
             for m in range(MOMENTS):
                 outlines[i, m] *= nearer
     if lean[0] ** 2 + lean[1] ** 2 + lean[2] ** 2 > 0.0:
-        turn_alike(k, R, t, P, lean, outlines)
+        turn_alike(camera, P, lean, outlines)
 
 
 @inner_kernel
-def compare_views(k, R, t, p, outlines, side, mean, d, found):
+def compare_views(rig, p, outlines, side, mean, d, found):
     """Compare a light at p (3,), beside which there is none to compare it with, with itself in the other view.
 
     outlines (2, OUTLINE): its own. Fills mean (OUTLINE,) with what the view of `side` would show of the other one's
     outline if it faced that camera, and found (3,) as compare_view does. Where an edge runs through the light it may
     lack the same in both views: it is then compared with a round one as large as it is long.
     """
+    k, R, t = rig
     other = 1 - side
     if not (outlines[0, AREA] > 0.0 and outlines[1, AREA] > 0.0):
         return
@@ -267,6 +285,7 @@ def compare_views(k, R, t, p, outlines, side, mean, d, found):
     far = R[other, 2, 0] * p[0] + R[other, 2, 1] * p[1] + R[other, 2, 2] * p[2] + t[other, 2]
     A = np.empty((2, 2))  # from px of the other view to px of this one
     for j in range(2):
+        # 1 px of the other view is far / f m along its axis j, in a plane that faces it, and is seen from here
         x = R[side, 0, 0] * R[other, j, 0] + R[side, 0, 1] * R[other, j, 1] + R[side, 0, 2] * R[other, j, 2]
         y = R[side, 1, 0] * R[other, j, 0] + R[side, 1, 1] * R[other, j, 1] + R[side, 1, 2] * R[other, j, 2]
         deep = R[side, 2, 0] * R[other, j, 0] + R[side, 2, 1] * R[other, j, 1] + R[side, 2, 2] * R[other, j, 2]
@@ -315,18 +334,16 @@ def judge_light(outlines, mean, sigma, found, out):
 
 
 @kernel
-def compare_lights(
-    left, right, options, k, R, t, P, T, lean, left_uv, left_cov, left_size, right_uv, right_cov, right_size, out
-):
+def compare_lights(images, options, rig, P, T, lean, left, right, out):
     """Compare a target's lights in both images (h, w, c); return NO_DOUBT, DOUBT or ODD_ONE.
 
-    k (2, 12), R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes; T (4, 4): the target's pose,
+    rig: as a RigK; P (n, 3): the lights in rig axes; T (4, 4): the target's pose,
     zero where it is not known; lean (3,): the radius of flat lights times their normal in target axes, zero where they
-    are not known to be flat. uv (n, 2), cov (n, 2, 2) and size (n,) of the spots of each side; a size of zero or less:
-    not to be looked at. Fills out (2, n, FINDING), zero before.
+    are not known to be flat. left, right: as SpotsK, in the order of P. Fills out (2, n, FINDING), zero before.
     """
+    rig, left, right = RigK(*rig), SpotsK(*left), SpotsK(*right)
     n = P.shape[0]
-    flip = np.uint8(options[O_FLIP])
+    flip = np.uint8(options[col.O_FLIP])
     outlines = np.empty((2, n, OUTLINE))
     mean = np.empty((2, n, OUTLINE))
     found = np.empty((2, n, 3))
@@ -335,14 +352,15 @@ def compare_lights(
     turned = np.empty(3)
     for i in range(3):
         turned[i] = T[i, 0] * lean[0] + T[i, 1] * lean[1] + T[i, 2] * lean[2]
-    outlines_of(left, flip, k[0], R[0], t[0], P, turned, left_uv, left_cov, left_size, outlines[0], sigma[0], work)
-    compare_view(outlines[0], left_size, sigma[0], mean[0], work[0], found[0])
-    outlines_of(right, flip, k[1], R[1], t[1], P, turned, right_uv, right_cov, right_size, outlines[1], sigma[1], work)
-    compare_view(outlines[1], right_size, sigma[1], mean[1], work[0], found[1])
+    cameras = CameraK(rig.k[0], rig.R[0], rig.t[0]), CameraK(rig.k[1], rig.R[1], rig.t[1])
+    outlines_of(images[0], flip, cameras[0], P, turned, left, outlines[0], sigma[0], work)
+    compare_view(outlines[0], left.size, sigma[0], mean[0], work[0], found[0])
+    outlines_of(images[1], flip, cameras[1], P, turned, right, outlines[1], sigma[1], work)
+    compare_view(outlines[1], right.size, sigma[1], mean[1], work[0], found[1])
     verdict = NO_DOUBT
     for i in range(n):
         for side in range(2):
             if mean[side, i, AREA] == 0.0 and sigma[1 - side, i] <= COMPARABLE_PX:
-                compare_views(k, R, t, P[i], outlines[:, i], side, mean[side, i], work[0], found[side, i])
+                compare_views(rig, P[i], outlines[:, i], side, mean[side, i], work[0], found[side, i])
         verdict = max(verdict, judge_light(outlines[:, i], mean[:, i], sigma[:, i], found[:, i], out[:, i]))
     return verdict

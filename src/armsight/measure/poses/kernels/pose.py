@@ -1,25 +1,44 @@
 """Compiled pose of named spots seen by both cameras: Kabsch start, maximum likelihood, covariance.
 
-Views are indexed [spot, side]; a camera is k (10,), R (3, 3), t (3,) with p_camera = R p_rig + t.
+Views are indexed [spot, side]. A pose is Rp (3, 3), tp (3,) with p_rig = Rp p_target + tp.
 """
 
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, copy_3, cross, dot, rotate_left, sandwich
-from armsight.measure.poses.kernels.light_image import see_light
-from armsight.optics.kernels.camera import see_point
+from armsight.optics.kernels.camera import CameraK, RigK, see_point
+from armsight.optics.kernels.light_image import see_light
 from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_ml_point
 
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 
 MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straight on that does not fit takes many
 SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a standard deviation
+
+
+class Lights(NamedTuple):
+    """The n named lights of a target: X (n, 3) m, in its axes.
+
+    radius (n, 2): of a flat light whose outline the spot of that side is, in m, else 0; normal (3,): of their plane.
+    """
+
+    X: Any
+    radius: Any
+    normal: Any
+
+
+class Observations(NamedTuple):
+    """What both cameras saw of n lights: uv (n, 2, 2) px, W (n, 2, 2, 2) the inverse of each spot's covariance."""
+
+    uv: Any
+    W: Any
 
 
 @inner_kernel
@@ -67,17 +86,19 @@ def kabsch(X, P, R, t):
 
 
 @inner_kernel
-def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
+def pose_normal(rig, lights, seen, Rp, tp, H, g, residual):
     """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
 
     The pose moves as t + dt, Exp(dw) R in rig axes. Infinite where a spot is behind a camera.
     """
     H[:] = 0.0
     g[:] = 0.0
+    X = lights.X
+    normal = lights.normal
     q = np.empty(3)
     p = np.empty(3)
     m = np.empty(3)
-    seen = np.empty(2)
+    px = np.empty(2)
     J = np.empty((2, 3))
     G = np.empty((2, 6))
     WG = np.empty((2, 6))
@@ -89,10 +110,10 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
             q[i] = Rp[i, 0] * X[n, 0] + Rp[i, 1] * X[n, 1] + Rp[i, 2] * X[n, 2]
             p[i] = q[i] + tp[i]
         for s in range(2):
-            if not see_light(k[s], R[s], t[s], p, radius[n, s], m, seen, J):
+            if not see_light(CameraK(rig.k[s], rig.R[s], rig.t[s]), p, lights.radius[n, s], m, px, J):
                 return np.inf
-            rx = seen[0] - uv[n, s, 0]
-            ry = seen[1] - uv[n, s, 1]
+            rx = px[0] - seen.uv[n, s, 0]
+            ry = px[1] - seen.uv[n, s, 1]
             residual[n, s, 0] = rx
             residual[n, s, 1] = ry
             for i in range(2):
@@ -103,7 +124,7 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
                 G[i, 3] = q[1] * c - q[2] * b  # (q x J')
                 G[i, 4] = q[2] * a - q[0] * c
                 G[i, 5] = q[0] * b - q[1] * a
-            w = W[n, s]
+            w = seen.W[n, s]
             for j in range(6):
                 WG[0, j] = w[0, 0] * G[0, j] + w[0, 1] * G[1, j]
                 WG[1, j] = w[1, 0] * G[0, j] + w[1, 1] * G[1, j]
@@ -119,7 +140,7 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
 
 
 @inner_kernel
-def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
+def refine_pose(rig, lights, seen, Rp, tp, H, residual):
     """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
 
     H (6, 6) and residual (n, 2, 2) are left at the minimum. Levenberg-Marquardt, damped after Nielsen.
@@ -131,7 +152,7 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     step = np.empty(6)
     R2 = np.empty((3, 3))
     t2 = np.empty(3)
-    chi2 = pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual)
+    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual)
     if not np.isfinite(chi2):
         return BEHIND_CAMERA, np.inf
     damping = 0.0
@@ -143,7 +164,7 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
-        new = pose_normal(k, R, t, X, radius, normal, uv, W, R2, t2, H2, g2, residual2)
+        new = pose_normal(rig, lights, seen, R2, t2, H2, g2, residual2)
         if new <= chi2:
             settled = chi2 - new <= SETTLED * (1.0 + chi2)
             share = 2.0 * (chi2 - new) / promised - 1.0
@@ -199,18 +220,20 @@ def slack_chi2(residual, cov, slack2):
 
 
 @kernel
-def triangulate_all(k, R, t, uv, cov, P, S):
+def triangulate_all(rig, uv, cov, P, S):
     """Fill P (n, 3), S (n, 3, 3) by maximum likelihood; return whether all n are points."""
+    rig = RigK(*rig)
     for n in range(uv.shape[0]):
-        verdict, _ = triangulate_ml_point(k, R, t, uv[n], cov[n], P[n], S[n])
+        verdict, _ = triangulate_ml_point(rig, uv[n], cov[n], P[n], S[n])
         if verdict != FOUND:
             return False
     return True
 
 
 @kernel
-def point_residuals(k, R, t, uv, P, residual):
+def point_residuals(rig, uv, P, residual):
     """Fill residual (n, 2, 2) = image of P (n, 3) minus uv (n, 2, 2); False where a point is behind a camera."""
+    k, R, t = rig
     seen = np.empty(2)
     J = np.empty((2, 3))
     for n in range(P.shape[0]):
@@ -235,24 +258,27 @@ def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
 
 
 @kernel
-def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residual):
-    """Pose of the model X (n, 3) from its n named spots, uv (n, 2, 2), cov (n, 2, 2, 2).
+def solve_named(rig, views, slack2, lights, P, S, T, C, residual):
+    """Pose of a target from its n named spots: a RigK, uv (n, 2, 2) and cov (n, 2, 2, 2), a slack in px^2, and Lights.
 
     Returns (state, chi-square with slack, chi-square of the spots' own noise). Fills the points each by itself
     P (n, 3), S (n, 3, 3), the pose T (4, 4), its covariance C (6, 6) (translation, rotation vector; rig axes), residual
     (n, 2, 2) in px. Arrays are filled, not returned: handing one back costs as much as the algebra.
     """
-    model = X.copy()  # writable as in the search: one compilation serves both
+    rig = RigK(*rig)
+    uv, cov = views
+    X, radius, normal = lights
+    lights = Lights(X.copy(), radius, normal)  # writable as in the search: one compilation serves both
     W = np.empty_like(cov)
     H = np.empty((6, 6))
     Rp = np.empty((3, 3))
     tp = np.empty(3)
     if not weights(cov, 0.0, W):
         return NO_WEIGHT, np.inf, np.inf
-    if not triangulate_all(k, R, t, uv, cov, P, S):
+    if not triangulate_all(rig, uv, cov, P, S):
         return NO_POINT, np.inf, np.inf
-    kabsch(model, P, Rp, tp)
-    state, chi2 = refine_pose(k, R, t, model, radius, normal, uv, W, Rp, tp, H, residual)
+    kabsch(lights.X, P, Rp, tp)
+    state, chi2 = refine_pose(rig, lights, Observations(uv, W), Rp, tp, H, residual)
     if state == SOLVED and not invert_spd(H, C):
         state = OPEN
     for i in range(3):
@@ -273,9 +299,10 @@ def transform_lights(T, X, positions):
 
 
 @kernel
-def predict_views(k, R, t, positions, velocity, dt, predicted, uv_left, uv_right):
-    """Fill ahead (n, 3) with positions + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a
+def predict_views(rig, positions, velocity, dt, predicted, uv_left, uv_right):
+    """Fill predicted (n, 3) with positions + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a
     camera."""
+    k, R, t = rig
     J = np.empty((2, 3))
     for n in range(positions.shape[0]):
         for i in range(3):

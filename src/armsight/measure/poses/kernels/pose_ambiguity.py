@@ -14,7 +14,8 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot, rotate_left
-from armsight.measure.poses.kernels.pose import SOLVED, pose_normal, refine_pose, weights
+from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, pose_normal, refine_pose, weights
+from armsight.optics.kernels.camera import RigK
 from armsight.optics.kernels.triangulation import invert_2
 
 POSSIBLE = 25.0
@@ -76,7 +77,7 @@ def mirrored_turn(R, t, Rp, centre, normal, turn):
 
 
 @inner_kernel
-def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
+def settle_beside(rig, lights, seen, free, Rp, tp, residual):
     """Move Rp, tp along the columns of free (6, m) towards the least chi-square; return it (infinite: none)."""
     m = free.shape[1]
     H = np.empty((6, 6))
@@ -87,7 +88,7 @@ def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
     step = np.empty(6)
     R2 = np.empty((3, 3))
     t2 = np.empty(3)
-    chi2 = pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual)
+    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual)
     for _ in range(SETTLE_STEPS):
         for i in range(m):  # bend = free' H free, slope = free' g
             slope[i] = 0.0
@@ -107,7 +108,7 @@ def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
-        new = pose_normal(k, R, t, X, radius, normal, uv, W, R2, t2, H, g, residual)
+        new = pose_normal(rig, lights, seen, R2, t2, H, g, residual)
         if not new < chi2:
             break
         fell = chi2 - new
@@ -192,7 +193,7 @@ def free_beside(axis):
 
 
 @inner_kernel
-def looks(R, t, Rp, centre, plane, C):
+def looks(rig, Rp, centre, plane, C):
     """Return turns (3, 3) from the tilt Rp and shares (3, m) of each to look at.
 
     To the mirror image in either camera, that itself first, and along the least certain turn of C (6, 6) both ways.
@@ -200,7 +201,7 @@ def looks(R, t, Rp, centre, plane, C):
     turns = np.empty((3, 3))
     shares = np.empty((3, LOOK_STEPS))
     for s in range(2):
-        mirrored_turn(R[s], t[s], Rp, centre, plane, turns[s])
+        mirrored_turn(rig.R[s], rig.t[s], Rp, centre, plane, turns[s])
         for j in range(LOOK_STEPS):
             shares[s, j] = 1.0 if j == 0 else 1.25 * j / (LOOK_STEPS - 1)
     tilts = np.empty((3, 3))
@@ -236,14 +237,18 @@ def depth_chi2(P, S):
 
 
 @kernel
-def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
+def fold(rig, lights, plane, views, T, factor, C):
     """Widen C (6, 6) of the pose T (4, 4) for tilts that first order takes as too unlikely; return by how much.
 
-    plane (3,): normal of the lights' plane in target axes. factor: on every pixel's variance, of misfit, which C has.
+    rig, lights, views: as solve_named takes them. plane (3,): normal of the lights' plane in target axes. factor: on
+    every pixel's variance, of misfit, which C has.
     The number is the largest ratio of squared deviations to the rise of chi-square, 1 where first order holds.
     """
+    rig = RigK(*rig)
+    uv, cov = views
     W = np.empty_like(cov)
-    X = X.copy()  # writable as in the search: one compilation serves both
+    X = lights[0].copy()  # writable as in the search: one compilation serves both
+    lights, seen = Lights(X, lights[1], lights[2]), Observations(uv, W)
     residual = np.empty((X.shape[0], 2, 2))
     Rp, tp = np.empty((3, 3)), np.empty(3)
     split(T, Rp, tp)
@@ -255,9 +260,9 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
             centre[a] += (dot(Rp[a], X[i]) + tp[a]) / X.shape[0]
     if not weights(cov, 0.0, W):
         return 1.0
-    base = pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, np.empty(6), residual)
+    base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual)
     most = 1.0
-    turns, shares = looks(R, t, Rp, centre, plane, C)
+    turns, shares = looks(rig, Rp, centre, plane, C)
     for s in range(3):
         angle = sqrt(dot(turns[s], turns[s]))
         if angle < LEAST_TURN:
@@ -270,10 +275,10 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
             scale(turn, shares[s, j])
             turned_about(Rp, tp, centre, turn, R2, t2)
             if s < 2 and j == 0:  # the mirrored tilt: to the least chi-square near it
-                state, least = refine_pose(k, R, t, X, radius, normal, uv, W, R2, t2, H, residual)
+                state, least = refine_pose(rig, lights, seen, R2, t2, H, residual)
                 rise = least - base if state == SOLVED else np.inf
             else:
-                rise = settle_beside(k, R, t, X, radius, normal, uv, W, free, R2, t2, residual) - base
+                rise = settle_beside(rig, lights, seen, free, R2, t2, residual) - base
             if rise < POSSIBLE * factor:
                 difference(Rp, tp, R2, t2, d)
                 most = max(most, reach_out(C, d, rise / factor))
@@ -285,14 +290,17 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
 
 
 @kernel
-def one_astray(k, R, t, X, radius, normal, uv, cov, T, chi2, C):
+def one_astray(rig, lights, views, T, chi2, C):
     """Widen C (6, 6) of the pose T (4, 4) for one spot that is of something else, whichever that may be.
 
-    Each spot is taken as known to ASTRAY_PX only, in turn; the poses that follow count by their probability beside that
-    of chi2, of the pose as it is, with a prior of ASTRAY_ODDS each.
+    rig, lights, views: as solve_named takes them. Each spot is taken as known to ASTRAY_PX only, in turn; the poses
+    that follow count by their probability beside that of chi2, of the pose as it is, with a prior of ASTRAY_ODDS each.
     """
-    n = X.shape[0]
+    rig, lights = RigK(*rig), Lights(*lights)
+    uv, cov = views
+    n = uv.shape[0]
     W, W2 = np.empty_like(cov), np.empty((2, 2))
+    seen = Observations(uv, W)
     if not weights(cov, 0.0, W):
         return
     cost = np.full(2 * n, np.inf)
@@ -310,7 +318,7 @@ def one_astray(k, R, t, X, radius, normal, uv, cov, T, chi2, C):
         wide[0, 0] += ASTRAY_PX**2
         wide[1, 1] += ASTRAY_PX**2
         invert_2(wide, W[i, s])
-        state, least = refine_pose(k, R, t, X, radius, normal, uv, W, R2, t2, H, residual)
+        state, least = refine_pose(rig, lights, seen, R2, t2, H, residual)
         copy_2(W2, W[i, s])
         if state != SOLVED or not invert_spd(H, spread[j]):
             continue

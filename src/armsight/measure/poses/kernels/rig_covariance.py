@@ -13,15 +13,16 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.geometry.kernels import copy_2, dot, multiply, sandwich
-from armsight.optics.kernels.camera import intrinsics_jacobian, see_point
+from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, see_point
 from armsight.optics.kernels.triangulation import centre_of, invert_2
 
 PARAMETERS = 26
 
 
 @inner_kernel
-def pixel_slopes(k, R, t, p, s, uv, J, D):
+def pixel_slopes(rig, p, s, uv, J, D):
     """Fill J (2, 3) = d pixel / d point and D (2, 26) = d pixel / d parameters of side s; False behind the camera."""
+    k, R, t = rig
     if not see_point(k[s], R[s], t[s], p, uv, J):
         return False
     D[:] = 0.0
@@ -45,7 +46,7 @@ def pixel_slopes(k, R, t, p, s, uv, J, D):
 
 
 @inner_kernel
-def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
+def light_slopes(rig, T, X, p, s, uv, J, D, G):
     """Fill D (2, 26) as pixel_slopes and G (2, 6) = d pixel / d pose for the light X (3,) under T (4, 4); p (3,) too.
 
     J (2, 3) = d pixel / d p, p the light in rig axes. False behind the camera.
@@ -54,7 +55,7 @@ def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
     for i in range(3):
         q[i] = T[i, 0] * X[0] + T[i, 1] * X[1] + T[i, 2] * X[2]
         p[i] = q[i] + T[i, 3]
-    if not pixel_slopes(k, R, t, p, s, uv, J, D):
+    if not pixel_slopes(rig, p, s, uv, J, D):
         return False
     for i in range(2):
         for j in range(3):
@@ -74,13 +75,14 @@ def place_slopes(J, T, E):
 
 
 @kernel
-def carry_to_pose(k, R, t, cov, X, T, covariance, C, residual, systematic):
+def carry_to_pose(rig, cov, X, T, covariance, C, residual, systematic):
     """Carry the covariance of rig and target to the pose T (4, 4) of X (n, 3), seen with cov (n, 2, 2, 2).
 
     covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of the positions X. C (6, 6): of the spots'
     noise alone. Fills systematic (6, 6) = A covariance A' with d pose = A d parameters, A = -C G' W D, and returns
     the chi-square of residual (n, 2, 2) with these parameters free within their covariance (a Gaussian prior each).
     """
+    rig = RigK(*rig)
     n, size = X.shape[0], covariance.shape[0]
     B = np.zeros((6, size))  # G' W D
     N = np.zeros((size, size))  # D' W D
@@ -96,7 +98,7 @@ def carry_to_pose(k, R, t, cov, X, T, covariance, C, residual, systematic):
     chi2 = 0.0
     for light in range(n):
         for s in range(2):
-            if not (light_slopes(k, R, t, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
+            if not (light_slopes(rig, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 continue
             row[:] = 0.0
             copy_2(D, row)
@@ -161,8 +163,9 @@ def marginal_chi2(chi2, N, b, covariance):
 
 
 @kernel
-def point_slopes(k, R, t, cov, P, S, A):
+def point_slopes(rig, cov, P, S, A):
     """Fill A (n, 3, 26): how points P (n, 3), fitted with cov (n, 2, 2, 2) to S (n, 3, 3), follow the parameters."""
+    rig = RigK(*rig)
     uv = np.empty(2)
     J = np.empty((2, 3))
     D = np.empty((2, PARAMETERS))
@@ -171,7 +174,7 @@ def point_slopes(k, R, t, cov, P, S, A):
     for n in range(P.shape[0]):
         B[:] = 0.0
         for s in range(2):
-            if pixel_slopes(k, R, t, P[n], s, uv, J, D) and invert_2(cov[n, s], W):
+            if pixel_slopes(rig, P[n], s, uv, J, D) and invert_2(cov[n, s], W):
                 for j in range(PARAMETERS):
                     x = W[0, 0] * D[0, j] + W[0, 1] * D[1, j]
                     y = W[1, 0] * D[0, j] + W[1, 1] * D[1, j]

@@ -55,6 +55,7 @@ def look_around(image, flip, u, v, radius, ring, out):
         y = int(v + radius * SIN[k] + 0.5)
         if 0 <= x < image.shape[1] and 0 <= y < image.shape[0]:
             level = level_at(image, flip, y, x)
+            # first Fourier coefficient: a step across the middle gives 2 / pi of its height
             out[EDGE_X] += level * COS[k] * (2.0 / RING)
             out[EDGE_Y] += level * SIN[k] * (2.0 / RING)
             i = n
@@ -101,6 +102,7 @@ def add_row(image, flip, y, u, v, first, last, low, scale, sums):
         after = level_at(image, flip, y, x + 1)
         right_up = 3.0 * after + level_at(image, flip, y - 1, x + 1)
         right_down = 3.0 * after + level_at(image, flip, y + 1, x + 1)
+        # bilinear in the middle of each quarter: weights 9, 3, 3, 1 of the four pixels about it, of 16
         a = share_of((3.0 * up + left_up) * per - zero)
         b = share_of((3.0 * up + right_up) * per - zero)
         c = share_of((3.0 * down + left_down) * per - zero)
@@ -173,6 +175,7 @@ def outline(image, flip, u, v, size, work, out):
     y0 = int(v + 0.5)
     if x0 < 2 or y0 < 2 or x0 > image.shape[1] - 3 or y0 > image.shape[0] - 3:
         return
+    # of nine pixels: the centre lies between them, and the nearest one may be clipped or darker by chance
     top = 0.0
     for y in range(y0 - 1, y0 + 2):
         for x in range(x0 - 1, x0 + 2):
@@ -188,6 +191,7 @@ def outline(image, flip, u, v, size, work, out):
     if level_at(image, flip, y0, x0) > low or level_at(image, flip, y0 - 1, x0) > low:
         add_light(image, flip, u, v, low, 1.0 / ((HIGH - LOW) * (top - background)), int(3.0 * size + 8.0), sums)
     total = sums[0]
+    # something is bright there, but does not hang together with the middle
     if not total > 0.0:
         out[AREA] = -1.0
         return

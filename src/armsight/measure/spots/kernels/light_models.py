@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
-from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.fitting.normal_table import normal
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
 FAR = 5.0
@@ -109,6 +108,7 @@ def joint_light(p, n, grid, J, m):
         m[i] = 0.0
         J[1, i] = 0.0
     w = p[1]
+    # separable: nx + ny exponentials in place of nx ny
     ex = np.empty(grid.nx)
     ey = np.empty(grid.ny)
     for k in range(2, n, 3):
@@ -126,8 +126,12 @@ def joint_light(p, n, grid, J, m):
 
 
 @inner_sum_kernel
-def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
-    """Fill the distance across the streak, and those along it from its two ends, in widths."""
+def streak_axes(grid, p, c, s_, across, a, b):
+    """Fill the distance across the streak p, and those along it from its two ends, in widths.
+
+    c, s_: cosine and sine of its angle.
+    """
+    x, y, u, v, s, h = grid.x, grid.y, p[1], p[2], p[4], p[6]
     for i in range(x.shape[0]):
         dx = x[i] - u
         dy = y[i] - v
@@ -192,12 +196,15 @@ def streak_light(p, grid, J, m):
     along = grid.work[5]
     fb = grid.work[6]
     to_b = grid.work[7]
-    streak_axes(grid.x, grid.y, p[1], p[2], c, s_, s, h, z, a, b)
+    streak_axes(grid, p, c, s_, z, a, b)
     normal(z, across, fa)
+    # the density times sqrt(2 pi): a profile of height 1
     scaled(across, ROOT_2PI, across)
     normal(a, fa, along)
     normal(b, fb, to_b)
+    # along = sqrt(2 pi) s / (2 h) (Phi(a) - Phi(b)): for h -> 0 a round Gaussian of the same height
     streak_ends(fa, along, fb, to_b, a, b, ROOT_2PI * s / (2.0 * h))
+    # u moves along by c and across by -s, v along by s and across by c
     streak_moved(across, z, along, fa, p[3], s, c, -s_, J[1])
     streak_moved(across, z, along, fa, p[3], s, s_, c, J[2])
     for i in range(m.shape[0]):
@@ -212,6 +219,7 @@ def streak_light(p, grid, J, m):
 def edge_form(x, y, u, v, m0, m1, m2, Q, G):
     """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
     k = CORE_VARIANCE
+    # entries of M^2: g^2 = x'M^2x / x'Mx is the squared slope of sqrt(S)
     n0 = m0 * m0 + m1 * m1
     n1 = m1 * (m0 + m2)
     n2 = m1 * m1 + m2 * m2
@@ -259,8 +267,11 @@ def edge_factors(slope, Q, G, s, d, h):
 
 
 @inner_sum_kernel
-def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
-    """Fill the derivative by a coordinate of the centre, for that row (mx, my) of M and (nx, ny) of M^2."""
+def edge_moved(grid, p, a, b, G, of_M, of_M2, by_u):
+    """Fill the derivative by a coordinate of the centre, for that row of M and of M^2, two numbers each."""
+    x, y, u, v = grid.x, grid.y, p[1], p[2]
+    mx, my = of_M
+    nx, ny = of_M2
     for i in range(x.shape[0]):
         dx = x[i] - u
         dy = y[i] - v
@@ -280,8 +291,9 @@ def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
 
 
 @inner_sum_kernel
-def edge_turned(x, y, u, v, a, b, G, m0, m1, m2, by_m):
+def edge_turned(grid, p, a, b, G, by_m):
     """Fill the derivative by m1."""
+    x, y, u, v, m0, m1, m2 = grid.x, grid.y, p[1], p[2], p[5], p[6], p[7]
     k = CORE_VARIANCE
     for i in range(x.shape[0]):
         dx = x[i] - u
@@ -320,10 +332,10 @@ def ellipse_light(p, grid, J, m):
     edge_blur(slope, d, h, G, s, J[4])
     edge_factors(slope, Q, G, s, d, h)
     n1 = m1 * (m0 + m2)
-    edge_moved(x, y, u, v, h, d, G, m0, m1, m0 * m0 + m1 * m1, n1, J[1])
-    edge_moved(x, y, u, v, h, d, G, m1, m2, n1, m1 * m1 + m2 * m2, J[2])
+    edge_moved(grid, p, h, d, G, (m0, m1), (m0 * m0 + m1 * m1, n1), J[1])
+    edge_moved(grid, p, h, d, G, (m1, m2), (n1, m1 * m1 + m2 * m2), J[2])
     edge_formed(x, y, u, v, h, d, G, m0, m1, J[5])
-    edge_turned(x, y, u, v, h, d, G, m0, m1, m2, J[6])
+    edge_turned(grid, p, h, d, G, J[6])
     edge_formed(y, x, v, u, h, d, G, m2, m1, J[7])
     scaled(J[3], p[3], m)
 
@@ -345,17 +357,20 @@ def light_and_slopes(kind, p, n, grid, J, m):
 def is_feasible(kind, p, n):
     """Tell whether parameters may be evaluated at all."""
     if kind == JOINT:
+        # p[1] is one over the variance
         return p[1] > MOST_BLUR**-2 and p[1] < LEAST_BLUR**-2
     if not (LEAST_BLUR < p[4] < MOST_BLUR):
         return False
     if kind == STREAK:
         return 0.05 < p[6] < 60.0
+    # positive definite, and with a trace of M below 16 no half axis below a quarter of a px
     return p[5] > 0.0 and p[5] * p[7] - p[6] * p[6] > 1e-9 and p[5] + p[7] < 16.0
 
 
 @inner_kernel
 def prior_weight(kind, i, height):
     """Return the weight of parameter i's prior: weak, only there for what clipping hides (the height, the blur)."""
+    # weights are beside squares in grey levels, of pixels of this noise
     variance = max(PIXEL_VARIANCE, (PRIOR_NOISE * height) ** 2)
     if kind == JOINT:
         return variance / (PRIOR_HEIGHT * height) ** 2 if i > 1 and (i - 2) % 3 == 2 else 0.0

@@ -8,44 +8,36 @@ from math import erf, exp, log, pi, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.detection.area import (
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.area import (
     AS_ELLIPSE,
     AS_GAUSSIAN,
     AS_JOINT,
     AS_STREAK,
-    MOST_LIGHTS,
-    MOST_PARAMETERS,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
-    S_B,
-    S_CH,
-    S_DOF,
-    S_FLOOR,
-    S_FOURTH,
-    S_MODEL,
-    S_OF,
-    S_PEAK,
-    S_RSS,
-    S_SIGNAL,
-    S_SIZE,
-    S_SQUARE,
-    S_U,
-    S_V,
 )
-from armsight.measure.spots.kernels.detection.scan import (
-    AREA,
-    CLIPPED,
-    LEVEL,
-    PEAK,
-    SLOPE,
-    WEIGHT,
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
+from armsight.measure.spots.kernels.leastsquares import (
+    MISFIT,
+    evaluate_patch,
+    fit_model,
+    gram,
+    remaining_square,
+    uncertainty,
+    variance_inflation,
+    weighted_information,
 )
-from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.fitting.leastsquares import evaluate_patch, fit_model, gram, weighted_information
-from armsight.measure.spots.kernels.fitting.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
-from armsight.measure.spots.kernels.fitting.patch import find_peaks, principal, shape_of, used
-from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, remaining_square, uncertainty, variance_inflation
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
+from armsight.measure.spots.kernels.patch import (
+    antisymmetric_part,
+    find_peaks,
+    principal,
+    residual_autocorrelation,
+    shape_of,
+    used,
+)
+from armsight.measure.spots.kernels.picture import copy_to
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
@@ -71,19 +63,22 @@ DOMINANT = 0.2
 def start_model(kind, lights, comp, shape, background, peaks, p):
     """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
     large, small, angle = principal(shape[2], shape[3], shape[4])
-    height = max(comp[PEAK] - background, 1.0)
+    height = max(comp[col.PEAK] - background, 1.0)
     p[0] = background
     if kind == JOINT and lights > 2:
-        low = max(comp[LEVEL] + 0.5 - background, 0.5)
+        low = max(comp[col.LEVEL] + 0.5 - background, 0.5)
         for k in range(lights):
             p[2 + 3 * k] = peaks[k, 0]
             p[3 + 3 * k] = peaks[k, 1]
             p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
-        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[AREA]
+        # the area of a Gaussian above a level L is 2 pi q ln(A / L), see round_start
+        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[col.AREA]
         return 2 + 3 * lights
     if kind == JOINT:
+        # the second moments are of what is above the threshold: less than the light's own
         q = 1.3 * (0.5 * (large + small) if lights == 1 else small) + 0.1
         p[1] = 1.0 / q
+        # two lights of +-apart: the second moment along is the one across and apart^2
         apart = sqrt(max(large - small, 0.2 * small)) if lights == 2 else 0.0
         for k in range(lights):
             sign = 2.0 * k - 1.0
@@ -97,54 +92,17 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
     if kind == STREAK:
         p[4] = sqrt(1.3 * small)
         p[5] = angle
+        # a segment of half length h has the second moment h^2 / 3
         p[6] = sqrt(3.0 * max(large - small, 0.3 * small))
         p[3] = height * 2.0 * p[6] / (ROOT_2PI * p[4] * erf(p[6] / (ROOT_2 * p[4])))
         return 7
     p[4] = 0.8
+    # a flat ellipse x'Mx <= 1 has the second moments M^-1 / 4
     det = 4.0 * max(shape[5] * shape[7] - shape[6] ** 2, 0.05)
     p[5] = shape[7] / det
     p[6] = -shape[6] / det
     p[7] = shape[5] / det
     return 8
-
-
-@inner_kernel
-def residual_autocorrelation(residuals):
-    """Return the sum of products of neighbouring residuals, and that over its own standard deviation
-    (round_gaussian.residual_sums)."""
-    products = 0.0
-    spread = 0.0
-    for j in range(residuals.shape[0]):
-        for i in range(residuals.shape[1]):
-            r = residuals[j, i]
-            left = residuals[j, i - 1] if i > 0 else 0.0
-            above = residuals[j - 1, i] if j > 0 else 0.0
-            products += r * (left + above)
-            spread += r * r * (left * left + above * above)
-    return products, products / sqrt(spread) if spread > 0.0 else 0.0
-
-
-@inner_kernel
-def antisymmetric_part(residuals, use, u, v, antisymmetric):
-    """Fill antisymmetric with the part of the residuals that changes sign under reflection at (u, v), times root 2.
-
-    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. Returns
-    the sum of its squares and how many pixels it has. u and v count from the patch's first pixel.
-    """
-    turn_x = int(np.round(2.0 * u))
-    turn_y = int(np.round(2.0 * v))
-    squares = 0.0
-    count = 0
-    for j in range(residuals.shape[0]):
-        for i in range(residuals.shape[1]):
-            antisymmetric[j, i] = 0.0
-            a = turn_y - j
-            b = turn_x - i
-            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
-                antisymmetric[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
-                squares += antisymmetric[j, i] ** 2
-                count += 1
-    return squares, count
 
 
 @inner_kernel
@@ -159,6 +117,7 @@ def drop_worst(residuals, use, rss, noise):
                 worst = residuals[j, i] ** 2
                 a = j
                 b = i
+    # or less than six standard deviations: noise has a largest pixel, too
     if worst < DOMINANT * rss or worst < 36.0 * max(noise, PIXEL_VARIANCE):
         return False
     use[a, b] = 0
@@ -198,8 +157,8 @@ def order_of_trial(comp, shape, n_peaks, only, order):
         order[0] = ELLIPSE
         return 1
     large, small, _ = principal(shape[2], shape[3], shape[4])
-    height = max(comp[PEAK] - comp[LEVEL], 1.0)
-    flat = comp[WEIGHT] / (comp[AREA] * height) > FLAT
+    height = max(comp[col.PEAK] - comp[col.LEVEL], 1.0)
+    flat = comp[col.WEIGHT] / (comp[col.AREA] * height) > FLAT
     elongated = large > ELONGATED * small
     if flat or not elongated:
         order[0] = ELLIPSE
@@ -213,69 +172,66 @@ def order_of_trial(comp, shape, n_peaks, only, order):
 
 
 @inner_kernel
-def start_and_fit(kind, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals):
+def start_and_fit(kind, lights, comp, shape, background, peaks, patch, count, p, residuals):
     """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
     n = start_model(kind, lights, comp, shape, background, peaks, p)
-    rss, run = refit(kind, n, values, use, x0, y0, count, p, residuals)
+    rss, run = refit(kind, n, patch, count, p, residuals)
     return n, rss, run
 
 
 @inner_kernel
-def refit(kind, n, values, use, x0, y0, count, p, residuals):
+def refit(kind, n, patch, count, p, residuals):
     """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
-    rss = fit_model(kind, p, n, values, use, x0, y0, count, residuals)
+    rss = fit_model(kind, p, n, patch, count, residuals)
     if rss < 0.0:
         return rss, 0.0
     return rss, residual_autocorrelation(residuals)[1]
 
 
 @inner_kernel
-def select_model(comp, background, box, values, use, noise, only, best):
+def select_model(comp, background, patch, noise, only, best):
     """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
-    x0 = box[0]
-    y0 = box[2]
-    count = used(use)
+    count = used(patch.use)
     shape = np.empty(9)
-    shape_of(values, use, comp, box, comp[LEVEL], background, shape)
-    p = np.zeros(MOST_PARAMETERS)
-    more = np.zeros(MOST_PARAMETERS)
-    residuals = np.zeros(values.shape)
+    shape_of(patch, comp, comp[col.LEVEL], background, shape)
+    p = np.zeros(col.MOST_PARAMETERS)
+    more = np.zeros(col.MOST_PARAMETERS)
+    residuals = np.zeros(patch.values.shape)
     kind, n_best, rss_best, score, run_best = JOINT, 0, -1.0, 1e300, 0.0
-    peaks = np.empty((MOST_LIGHTS, 3))
+    peaks = np.empty((col.MOST_LIGHTS, 3))
     n_peaks = np.int64(0)
     if only != ONLY_ELLIPSE:
         n, rss, run = start_and_fit(
-            np.int64(JOINT), np.int64(1), comp, shape, background, peaks, values, use, x0, y0, count, p, residuals
+            np.int64(JOINT), np.int64(1), comp, shape, background, peaks, patch, count, p, residuals
         )
+        # hot pixels within the light, one after the other: every model would follow them
         for _ in range(3):
-            if rss > 0.0 and drop_worst(residuals, use, rss, noise):
+            if rss > 0.0 and drop_worst(residuals, patch.use, rss, noise):
                 count -= 1
-                rss, run = refit(np.int64(JOINT), n, values, use, x0, y0, count, p, residuals)
+                rss, run = refit(np.int64(JOINT), n, patch, count, p, residuals)
         if rss >= 0.0:
             n_best, rss_best, score, run_best = n, rss, bic(rss, count, n), run
             copy_to(p, best)
-            if run < MISFIT and not (comp[SLOPE] >= 0.0 and comp[CLIPPED] > FLAT_CLIPPED):
+            if run < MISFIT and not (comp[col.SLOPE] >= 0.0 and comp[col.CLIPPED] > FLAT_CLIPPED):
                 return kind, n_best, rss_best, run_best
-    n_peaks = find_peaks(values, use, comp[LEVEL], noise, x0, y0, peaks)
+    n_peaks = find_peaks(patch, comp[col.LEVEL], noise, peaks)
     order = np.empty(3, np.int64)
     trials = order_of_trial(comp, shape, n_peaks, only, order)
-    room = comp[SLOPE] >= 0.0
+    room = comp[col.SLOPE] >= 0.0
     crowd = not (room and count > WIDE_PATCH)
     for k in range(trials):
         trial = order[k]
         if trial != ELLIPSE and not crowd:
             continue
         lights = max(n_peaks, 2) if trial == JOINT else 1
-        n, rss, run = start_and_fit(
-            trial, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals
-        )
+        n, rss, run = start_and_fit(trial, lights, comp, shape, background, peaks, patch, count, p, residuals)
         if rss < 0.0:
             continue
         new = bic(rss, count, n)
-        while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * MOST_LIGHTS:
+        while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * col.MOST_LIGHTS:
             copy_to(p, more)
-            n_more = add_light(residuals, x0, y0, more, n)
-            rss_more, run_more = refit(np.int64(JOINT), n_more, values, use, x0, y0, count, more, residuals)
+            n_more = add_light(residuals, patch.box[0], patch.box[2], more, n)
+            rss_more, run_more = refit(np.int64(JOINT), n_more, patch, count, more, residuals)
             if rss_more < 0.0 or bic(rss_more, count, n_more) > new - SURE:
                 break
             copy_to(more, p)
@@ -291,52 +247,32 @@ def select_model(comp, background, box, values, use, noise, only, best):
 
 
 @inner_kernel
-def write_spots(kind, n, p, values, use, box, rss, rows, source):
+def write_spots(kind, n, p, patch, rss, rows, source):
     """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
     H = np.empty((n, n))
     G = np.empty((n, n))
     sums = np.empty(3)
-    residuals = np.empty(values.shape)
+    residuals = np.empty(patch.values.shape)
     tilt = np.empty((n + 3, 2))
-    count = used(use)
-    noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
+    count = used(patch.use)
     lights = (n - 2) // 3 if kind == JOINT else 1
-    J, m, grid = evaluate_patch(kind, p, n, values, use, box[0], box[2], residuals)
+    J, m, grid = evaluate_patch(kind, p, n, patch, residuals)
     gram(J, n, H)
     height = p[4] if kind == JOINT else p[3]
     for i in range(n):
         H[i, i] += prior_weight(kind, i, height)
     first = 2 if kind == JOINT else 1
     weighted_information(J, m, grid, residuals, n, p[first], p[first + 1], G, tilt, sums)
-    products, run = residual_autocorrelation(residuals)
-    wider = variance_inflation(run, products, rss)
-    if wider > 1.0 and lights == 1:
-        antisymmetric = np.empty(values.shape)
-        squares, pixels = antisymmetric_part(residuals, use, p[first] - box[0], p[first + 1] - box[2], antisymmetric)
-        if pixels > n:
-            products, run = residual_autocorrelation(antisymmetric)
-            wider = variance_inflation(run / ROOT_2, products, squares)
-            rss = squares / pixels * (count - n)
-            noise = max(squares / pixels, PIXEL_VARIANCE)
+    wider, rss, noise = residual_noise(residuals, patch, p[first], p[first + 1], n, count, rss, lights)
     order = np.empty(n, np.int64)
-    tilt2 = np.empty((n + 3, 2))
-    prior = np.empty(4)
-    for i in range(4):
-        prior[i] = p[MOST_PARAMETERS + i]
-    for i in range(n, n + 3):
-        copy_to(tilt[i], tilt2[i])
     H2 = np.empty((n, n))
     G2 = np.empty((n, n))
+    tilt2 = np.empty((n + 3, 2))
+    for i in range(n, n + 3):
+        copy_to(tilt[i], tilt2[i])
     for k in range(lights):
         first = 2 + 3 * k if kind == JOINT else 1
-        # the light's centre first, as uncertainty wants it
-        at = 2
-        order[0] = first
-        order[1] = first + 1
-        for i in range(n):
-            if i != first and i != first + 1:
-                order[at] = i
-                at += 1
+        centre_first(first, n, order)
         for i in range(n):
             for j in range(n):
                 H2[i, j] = H[order[i], order[j]]
@@ -344,31 +280,72 @@ def write_spots(kind, n, p, values, use, box, rss, rows, source):
             copy_to(tilt[order[i]], tilt2[i])
         row = rows[k]
         work = np.zeros(8)
-        left = uncertainty(H2, G2, tilt2, prior, noise, sums[0], work)
+        left = uncertainty(H2, G2, tilt2, p[col.MOST_PARAMETERS :], noise, sums[0], work)
         if left != left:
             return 0
-        row[S_U] = p[first] + work[6]
-        row[S_V] = p[first + 1] + work[7]
+        row[col.S_U] = p[first] + work[6]
+        row[col.S_V] = p[first + 1] + work[7]
         for i in range(6):
-            row[S_CH + i] = wider * work[i]
-        row[S_DOF] = count - n
-        row[S_RSS] = rss
-        row[S_SIGNAL] = left
-        row[S_FOURTH] = sums[1]
-        row[S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
-        row[S_B] = p[0]
-        row[S_OF] = source
-        row[S_FLOOR] = 0.0
-        if kind == JOINT:
-            row[S_PEAK] = p[first + 2]
-            row[S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))
-            row[S_MODEL] = AS_GAUSSIAN if lights == 1 else AS_JOINT
-        elif kind == STREAK:
-            row[S_PEAK] = p[3] * erf(p[6] / (ROOT_2 * p[4])) * ROOT_2PI * p[4] / (2.0 * p[6])
-            row[S_SIZE] = sqrt(max(p[4] * p[4] - PIXEL_VARIANCE, 0.01))
-            row[S_MODEL] = AS_STREAK
-        else:
-            row[S_PEAK] = p[3]
-            row[S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25
-            row[S_MODEL] = AS_ELLIPSE
+            row[col.S_CH + i] = wider * work[i]
+        row[col.S_DOF] = count - n
+        row[col.S_RSS] = rss
+        row[col.S_SIGNAL] = left
+        row[col.S_FOURTH] = sums[1]
+        # the lights of one patch share its pixels: one of them is enough to tell the gain (measure_areas.shot_gain)
+        row[col.S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
+        row[col.S_B] = p[0]
+        row[col.S_OF] = source
+        row[col.S_FLOOR] = 0.0
+        write_look(kind, p, first, lights, row)
     return lights
+
+
+@inner_kernel
+def residual_noise(residuals, patch, u, v, n, count, rss, lights):
+    """Return the covariance's factor for residuals that hang together, and the sum of squares and noise to go by.
+
+    u, v: centre of the first light; n: parameters; count: pixels used.
+    """
+    noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
+    products, run = residual_autocorrelation(residuals)
+    wider = variance_inflation(run, products, rss)
+    if wider > 1.0 and lights == 1:
+        antisymmetric = np.empty(residuals.shape)
+        squares, pixels = antisymmetric_part(residuals, patch.use, u - patch.box[0], v - patch.box[2], antisymmetric)
+        if pixels > n:
+            products, run = residual_autocorrelation(antisymmetric)
+            # each product stands in the sum twice, once mirrored: the run is root 2 times what it is worth
+            wider = variance_inflation(run / ROOT_2, products, squares)
+            rss = squares / pixels * (count - n)
+            noise = max(squares / pixels, PIXEL_VARIANCE)
+    return wider, rss, noise
+
+
+@inner_kernel
+def centre_first(first, n, order):
+    """Fill order (n,) with the parameters' numbers, those of a light's centre first, as uncertainty wants them."""
+    at = 2
+    order[0] = first
+    order[1] = first + 1
+    for i in range(n):
+        if i != first and i != first + 1:
+            order[at] = i
+            at += 1
+
+
+@inner_kernel
+def write_look(kind, p, first, lights, row):
+    """Write height, size and model of a light, whose centre is p[first:], into its row."""
+    if kind == JOINT:
+        row[col.S_PEAK] = p[first + 2]
+        row[col.S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))
+        row[col.S_MODEL] = AS_GAUSSIAN if lights == 1 else AS_JOINT
+    elif kind == STREAK:
+        # the light in its middle, half a length from both ends: Phi(h / s) - Phi(-h / s) = erf(h / (s sqrt 2))
+        row[col.S_PEAK] = p[3] * erf(p[6] / (ROOT_2 * p[4])) * ROOT_2PI * p[4] / (2.0 * p[6])
+        row[col.S_SIZE] = sqrt(max(p[4] * p[4] - PIXEL_VARIANCE, 0.01))
+        row[col.S_MODEL] = AS_STREAK
+    else:
+        row[col.S_PEAK] = p[3]
+        row[col.S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25  # root of the axes' product: det M = 1 / (a b)^2
+        row[col.S_MODEL] = AS_ELLIPSE

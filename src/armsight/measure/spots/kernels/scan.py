@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
-from armsight.measure.spots.kernels.loops import insertion_sort
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.picture import insertion_sort
 
 BLOCK = 64
 """Pixels that are accepted or skipped together."""
@@ -19,8 +20,6 @@ LEVEL_RANGE = 2.0
 """Range of the tiles' levels (grey) within which the background is level; the sample's own scatter is half of it."""
 SKIP = 16
 """Pixels of a bright block that are skipped together where they are dark."""
-GRID = 8
-"""Tiles per image side for the background."""
 LINE = 64
 """Pixels sampled in a tile: one cache line, so that the sample costs 64 memory accesses and no more."""
 LEAST_NOISE = 0.1
@@ -32,12 +31,6 @@ SHORT = 16
 """Fewest pixels sampled in a tile: narrower tiles share some."""
 GROUPS = 4
 """Parts of a line; the second-darkest part gives the tile's level, so that a spot on the line does not count."""
-
-# columns of the components' table
-AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL, BACKGROUND, SLOPE = range(13)
-COLUMNS = 13
-"""LEVEL: grey level that the area's pixels exceed. BACKGROUND: background's level. SLOPE: how far the background may
-change per px; negative where the tiles of the survey tell both."""
 
 
 @inner_sum_kernel
@@ -56,6 +49,7 @@ def sample_line(image, flip, y, x, n, parts):
             total += float(np.uint8(image[row, first + np.uint64(i)] ^ flip))
         parts[k] = total / m
     first = np.uint64(x)
+    # steps from pixel to pixel: a slope of the background hardly counts in them, as it would in deviations
     steps = 0.0
     products = 0.0
     for i in range(m * GROUPS - 2):
@@ -83,19 +77,19 @@ def estimate_background(image, flip, mask, levels):
     Also returned: whether the noise is that of a picture that was processed (demosaiced, sharpened, compressed).
     """
     h, w = image.shape
-    n = min(min(LINE, max(w // GRID, SHORT)), w)
+    n = min(min(LINE, max(w // col.GRID, SHORT)), w)
     n -= n % GROUPS
-    noise = np.empty(GRID * GRID)
+    noise = np.empty(col.GRID * col.GRID)
     parts = np.empty(GROUPS)
-    ratio = np.empty(GRID * GRID)
+    ratio = np.empty(col.GRID * col.GRID)
     known = np.int64(0)
-    for i in range(GRID):
-        for j in range(GRID):
+    for i in range(col.GRID):
+        for j in range(col.GRID):
             levels[i, j] = -1.0
             if n == 0:
                 continue
-            x = min(max((2 * j + 1) * w // (2 * GRID) - n // 2, 0), w - n)
-            y = (2 * i + 1) * h // (2 * GRID)
+            x = min(max((2 * j + 1) * w // (2 * col.GRID) - n // 2, 0), w - n)
+            y = (2 * i + 1) * h // (2 * col.GRID)
             if mask.size > 0 and count_masked(mask, y, x, n) > 0:
                 continue
             levels[i, j], noise[known], steps, products = sample_line(image, flip, y, x, n, parts)
@@ -103,12 +97,14 @@ def estimate_background(image, flip, mask, levels):
             known += 1
     if known == 0:
         median = histogram_median(image, flip, mask)
-        for i in range(GRID):
-            for j in range(GRID):
+        for i in range(col.GRID):
+            for j in range(col.GRID):
                 levels[i, j] = median
         return 0.0, False
+    # medians over the tiles: edges and lights in less than half of them do not count
     insertion_sort(noise, known)
     insertion_sort(ratio, known)
+    # steps of white noise share a pixel with the next one: correlation -1/2, which processing changes
     middle = ratio[known // 2]
     return noise[known // 2], noise[known // 2] < LEAST_NOISE or abs(middle + 0.5) > WHITE
 
@@ -134,10 +130,10 @@ def histogram_median(image, flip, mask):
 @inner_kernel
 def level_at(levels, i, j):
     """Return the level of a tile, of one row or column beyond the image by linear continuation; -1 where unknown."""
-    if i < 0 or i >= GRID:
-        edge = 0 if i < 0 else GRID - 1
+    if i < 0 or i >= col.GRID:
+        edge = 0 if i < 0 else col.GRID - 1
         a = level_at_column(levels, edge, j)
-        b = level_at_column(levels, 1 if i < 0 else GRID - 2, j)
+        b = level_at_column(levels, 1 if i < 0 else col.GRID - 2, j)
         return 2.0 * a - b if a >= 0.0 and b >= 0.0 else -1.0
     return level_at_column(levels, i, j)
 
@@ -145,9 +141,9 @@ def level_at(levels, i, j):
 @inner_kernel
 def level_at_column(levels, i, j):
     """As level_at, for a row within the image."""
-    if j < 0 or j >= GRID:
-        a = levels[i, 0 if j < 0 else GRID - 1]
-        b = levels[i, 1 if j < 0 else GRID - 2]
+    if j < 0 or j >= col.GRID:
+        a = levels[i, 0 if j < 0 else col.GRID - 1]
+        b = levels[i, 1 if j < 0 else col.GRID - 2]
         return 2.0 * a - b if a >= 0.0 and b >= 0.0 else -1.0
     return levels[i, j]
 
@@ -161,20 +157,21 @@ def threshold_map(levels, margin, thresholds):
     """
     lowest = 1e9
     highest = -1e9
-    for i in range(GRID):
-        for j in range(GRID):
+    for i in range(col.GRID):
+        for j in range(col.GRID):
             lowest = min(lowest, levels[i, j])
             highest = max(highest, levels[i, j])
+    # level all over: one threshold, and with it the faster scan
     if lowest >= 0.0 and highest - lowest < LEVEL_RANGE:
-        for i in range(GRID):
-            for j in range(GRID):
+        for i in range(col.GRID):
+            for j in range(col.GRID):
                 thresholds[i, j] = highest + margin
         return highest + margin, highest + margin
     around = np.empty(9)
     lowest = 1e9
     highest = -1e9
-    for i in range(GRID):
-        for j in range(GRID):
+    for i in range(col.GRID):
+        for j in range(col.GRID):
             n = np.int64(0)
             for a in range(i - 1, i + 2):
                 for b in range(j - 1, j + 2):
@@ -189,8 +186,9 @@ def threshold_map(levels, margin, thresholds):
                 lowest = min(lowest, value)
                 highest = max(highest, value)
             thresholds[i, j] = value
-    for i in range(GRID):
-        for j in range(GRID):
+    for i in range(col.GRID):
+        for j in range(col.GRID):
+            # masked all around, nothing known: the highest, which lets nothing false through
             if thresholds[i, j] < 0.0:
                 thresholds[i, j] = highest
     return lowest, highest
@@ -220,6 +218,7 @@ def bright_blocks(flat, flip, threshold, hits):
                 if brightest(flat, flip, b * BLOCK, BLOCK) > t:
                     hits[n] = b
                     n += 1
+    # what is left behind the last whole stretch is looked at without a test
     for b in range(whole * per, (flat.size + BLOCK - 1) // BLOCK):
         hits[n] = b
         n += 1
@@ -230,8 +229,9 @@ def bright_blocks(flat, flip, threshold, hits):
 def block_threshold(thresholds, i, h, w):
     """Return the higher one of the thresholds at the first and the last pixel of the block from flat index i."""
     j = min(i + BLOCK - 1, h * w - 1)
-    a = thresholds[(i // w) * GRID // h, (i % w) * GRID // w]
-    return max(a, thresholds[(j // w) * GRID // h, (j % w) * GRID // w])
+    # a block may go over the edge of a tile, or of a row: what exceeds the higher threshold exceeds both
+    a = thresholds[(i // w) * col.GRID // h, (i % w) * col.GRID // w]
+    return max(a, thresholds[(j // w) * col.GRID // h, (j % w) * col.GRID // w])
 
 
 @inner_kernel
@@ -239,7 +239,7 @@ def lowest_threshold(thresholds, i, j):
     """Return the lowest threshold of the rows of tiles i to j."""
     least = 255.0
     for a in range(i, j + 1):
-        for b in range(GRID):
+        for b in range(col.GRID):
             least = min(least, thresholds[a, b])
     return np.uint8(least)
 
@@ -257,10 +257,10 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
     until = 0
     for s in range(whole):
         if s * SUPER + SUPER > until:  # the stretch reaches a new row of tiles
-            i = (s * SUPER // w) * GRID // h
-            j = ((s * SUPER + SUPER - 1) // w) * GRID // h
+            i = (s * SUPER // w) * col.GRID // h
+            j = ((s * SUPER + SUPER - 1) // w) * col.GRID // h
             least = lowest_threshold(thresholds, i, j)
-            until = ((i + 1) * h + GRID - 1) // GRID * w
+            until = ((i + 1) * h + col.GRID - 1) // col.GRID * w
         if brightest(flat, flip, s * SUPER, SUPER) > least:
             for b in range(s * per, s * per + per):
                 top = brightest(flat, flip, b * BLOCK, BLOCK)
@@ -277,14 +277,16 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
 def find_root(parent, i):
     """Return the root of run i, shortening the path."""
     while parent[i] != i:
+        # path halving (Tarjan and van Leeuwen 1984)
         parent[i] = parent[parent[i]]
         i = parent[i]
     return i
 
 
 @inner_kernel
-def add_run(image, flip, saturation, y, start, stop, level, k, table):
+def add_run(picture, y, start, stop, level, k, table):
     """Write the sums of the run of row y, columns start..stop-1, into row k of table; weights are above level."""
+    image, flip, saturation, _ = picture
     weight = 0.0
     sum_x = 0.0
     peak = 0.0
@@ -297,25 +299,26 @@ def add_run(image, flip, saturation, y, start, stop, level, k, table):
         peak = max(peak, float(grey))
         if grey >= saturation:
             clipped += 1
-    table[k, AREA] = stop - start
-    table[k, WEIGHT] = weight
-    table[k, SUM_X] = sum_x
-    table[k, SUM_Y] = weight * y
-    table[k, PEAK] = peak
-    table[k, CLIPPED] = clipped
-    table[k, X_MIN] = start
-    table[k, X_MAX] = stop - 1
-    table[k, Y_MIN] = y
-    table[k, Y_MAX] = y
-    table[k, LEVEL] = level
-    table[k, BACKGROUND] = 0.0
-    table[k, SLOPE] = -1.0
+    table[k, col.AREA] = stop - start
+    table[k, col.WEIGHT] = weight
+    table[k, col.SUM_X] = sum_x
+    table[k, col.SUM_Y] = weight * y
+    table[k, col.PEAK] = peak
+    table[k, col.CLIPPED] = clipped
+    table[k, col.X_MIN] = start
+    table[k, col.X_MAX] = stop - 1
+    table[k, col.Y_MIN] = y
+    table[k, col.Y_MAX] = y
+    table[k, col.LEVEL] = level
+    table[k, col.BACKGROUND] = 0.0
+    table[k, col.SLOPE] = -1.0
 
 
 @inner_kernel
 def join_touching_runs(runs, parent, first, last, k):
     """Join run k with the runs first..last-1 of the row above that touch it (diagonals count)."""
     q = first
+    # what ends before this run touches no later one of its row either: first moves on with it
     while q < last and runs[q, 2] < runs[k, 1] - 1:
         q += 1
     first = q
@@ -337,28 +340,31 @@ def merge_runs(parent, n, table):
     for i in range(n):
         r = find_root(parent, i)
         if r != i:
-            for c in range(AREA, PEAK):
+            for c in range(col.AREA, col.PEAK):
                 table[r, c] += table[i, c]
-            table[r, CLIPPED] += table[i, CLIPPED]
-            table[r, PEAK] = max(table[r, PEAK], table[i, PEAK])
-            table[r, X_MIN] = min(table[r, X_MIN], table[i, X_MIN])
-            table[r, X_MAX] = max(table[r, X_MAX], table[i, X_MAX])
-            table[r, Y_MIN] = min(table[r, Y_MIN], table[i, Y_MIN])
-            table[r, Y_MAX] = max(table[r, Y_MAX], table[i, Y_MAX])
+            table[r, col.CLIPPED] += table[i, col.CLIPPED]
+            table[r, col.PEAK] = max(table[r, col.PEAK], table[i, col.PEAK])
+            table[r, col.X_MIN] = min(table[r, col.X_MIN], table[i, col.X_MIN])
+            table[r, col.X_MAX] = max(table[r, col.X_MAX], table[i, col.X_MAX])
+            table[r, col.Y_MIN] = min(table[r, col.Y_MIN], table[i, col.Y_MIN])
+            table[r, col.Y_MAX] = max(table[r, col.Y_MAX], table[i, col.Y_MAX])
     for i in range(n):
+        # roots are the lowest numbers of their areas: moving them to the front overwrites nothing that is needed
         if parent[i] == i:
-            for c in range(COLUMNS):
+            for c in range(col.COLUMNS):
                 table[count, c] = table[i, c]
             count += 1
     return count
 
 
 @inner_kernel
-def connected_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table):
+def connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, parent, table):
     """Fill table (.., COLUMNS) with the connected bright areas of the given blocks; -1 where the runs do not fit.
 
-    image (h, w) is contiguous. A run starts in one of the blocks and may end beyond it.
+    thresholds (GRID, GRID): each block's own where mapped, else the first one's. runs (.., 3), parent (..): room to
+    work in. A run starts in one of the blocks and may end beyond it.
     """
+    image, flip, _, mask = picture
     h, w = image.shape
     flat = image.reshape(-1)
     level = np.uint8(thresholds[0, 0])
@@ -397,7 +403,7 @@ def connected_components(image, flip, mask, saturation, thresholds, mapped, bloc
             runs[n, 1] = start - base
             runs[n, 2] = i - base - 1
             parent[n] = n
-            add_run(image, flip, saturation, row, start - base, i - base, level, n, table)
+            add_run(picture, row, start - base, i - base, level, n, table)
             first = join_touching_runs(runs, parent, first, last, n)
             n += 1
         done = max(done, i)
@@ -405,11 +411,12 @@ def connected_components(image, flip, mask, saturation, thresholds, mapped, bloc
 
 
 @inner_kernel
-def connected_components_in_window(image, flip, mask, saturation, level, box, runs, parent, table):
+def connected_components_in_window(picture, level, box, runs, parent, table):
     """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
 
     -1 where the runs do not fit.
     """
+    image, flip, _, mask = picture
     n = np.int64(0)
     first = np.int64(0)
     last = np.int64(0)
@@ -431,7 +438,7 @@ def connected_components_in_window(image, flip, mask, saturation, level, box, ru
             runs[n, 1] = start
             runs[n, 2] = x - 1
             parent[n] = n
-            add_run(image, flip, saturation, y, start, x, level, n, table)
+            add_run(picture, y, start, x, level, n, table)
             first = join_touching_runs(runs, parent, first, last, n)
             n += 1
     return merge_runs(parent, n, table)

@@ -18,9 +18,9 @@ import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import solve_damped
-from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
-from armsight.measure.spots.kernels.fitting.uncertainty import remaining_square, uncertainty, variance_inflation
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
+from armsight.measure.spots.kernels.leastsquares import remaining_square, uncertainty, variance_inflation
+from armsight.measure.spots.kernels.picture import copy_to
 
 MOST = 129
 """Largest side of a window in px."""
@@ -173,8 +173,9 @@ def exclude_pixels(image, flip, n, full, w):
 
 
 @inner_kernel
-def collect_dropped(image, flip, saturation, mask, hot, n_hot, box, dropped):
+def collect_dropped(picture, hot, box, dropped):
     """Fill dropped with the pixels of box (x0, x1, y0, y1) that are clipped, masked out or hot; return how many."""
+    image, flip, saturation, mask = picture
     n = 0
     for y in range(box[2], box[3]):
         for x in range(box[0], box[1]):
@@ -184,7 +185,7 @@ def collect_dropped(image, flip, saturation, mask, hot, n_hot, box, dropped):
                 dropped[n, 0] = x
                 dropped[n, 1] = y
                 n += 1
-    for k in range(n_hot):
+    for k in range(hot.shape[0]):
         x = hot[k, 0]
         y = hot[k, 1]
         if box[0] <= x < box[1] and box[2] <= y < box[3] and np.uint8(image[y, x] ^ flip) < saturation:
@@ -308,11 +309,12 @@ def normal_equations(image, flip, n_dropped, w):
 
 
 @inner_kernel
-def fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, w, out):
+def fit_round(picture, hot, clipped, start, prior, w, out):
     """Fit one round Gaussian from start (u, v, A, q, b) into out (RESULT,); False where it does not converge.
 
     clipped: whether some of the window's pixels may carry no information. prior (4,): of the background's slope.
     """
+    image, flip = picture.grey, picture.flip
     p = w.p
     copy_to(start, p)
     p[3] = 1.0 / start[3]
@@ -324,7 +326,7 @@ def fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, 
             if not set_box(p[0], p[1], width, image.shape[0], image.shape[1], w.box):
                 return False
             if clipped:
-                n_dropped = collect_dropped(image, flip, saturation, mask, hot, n_hot, w.box, w.dropped)
+                n_dropped = collect_dropped(picture, hot, w.box, w.dropped)
                 if n_dropped < 0:
                     return False
         n = (w.box[1] - w.box[0]) * (w.box[3] - w.box[2]) - n_dropped

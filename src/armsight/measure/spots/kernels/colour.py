@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.scan import brightest
+from armsight.measure.spots.kernels.scan import brightest
 
 # a colour as the kernels see it: hue from, to (degrees, wrapping), least saturation (0..1), least value (0..255)
 HUE_FROM, HUE_TO, LEAST_SATURATION, LEAST_VALUE = range(4)
@@ -70,6 +70,7 @@ def matches(b, g, r, colour):
         hue = 240.0 + 60.0 * (r - g) / spread
     if hue < 0.0:
         hue += 360.0
+    # a range of hues may go over 360 degrees, as that of red does
     if colour[HUE_FROM] <= colour[HUE_TO]:
         return colour[HUE_FROM] <= hue <= colour[HUE_TO]
     return hue >= colour[HUE_FROM] or hue <= colour[HUE_TO]
@@ -192,6 +193,7 @@ def measure_colour(image, signal, box, level, floor, saturation, seen):
                 bright += top
                 n_bright += 1.0
     for k in range(1, 3):
+        # too few: those further out as well, then clipped ones, which are paler than the light
         if sums[0, 3] < FEWEST_UNCLIPPED:
             for c in range(4):
                 sums[0, c] += sums[k, c]
@@ -258,6 +260,7 @@ def background_unevenness(signal, u, v, radius):
             if away <= inner:
                 peak = max(peak, np.int64(signal[j, i]))
             elif away > outer - 2:
+                # which eighth of the frame: the signs of both ways from the centre, and which is longer
                 k = (1 if i > x else 0) + (2 if j > y else 0) + (4 if abs(i - x) > abs(j - y) else 0)
                 sums[k] += signal[j, i]
                 counts[k] += 1.0

@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 from math import pi, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.scan import (
-    AREA,
-    BACKGROUND,
-    CLIPPED,
-    COLUMNS,
-    LEVEL,
-    PEAK,
-    SLOPE,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-)
-from armsight.measure.spots.kernels.loops import copy_to, insertion_sort
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
 
 RING = 4.5
 """Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""
@@ -45,6 +31,26 @@ LEAST_FILL = 0.7
 """Area over that of the ellipse with the same second moments (1 for a filled ellipse): ragged blobs lie below."""
 LEAST_AXES = 0.2
 """Ratio of the axes: below it is a line. A light that moves five of its widths within the exposure is still kept."""
+
+
+class BlobLimits(NamedTuple):
+    """Which blobs count: by contrast, least height above the ring (grey levels), min_pixels, max_radius (px)."""
+
+    contrast: Any
+    min_pixels: Any
+    max_radius: Any
+
+
+class Labels(NamedTuple):
+    """Where blobs were grown: marks (rows, columns), the number of the last blob that took the pixel.
+
+    left, top: column and row of the image that the first mark is of. stack: room for the pixels yet to be looked at.
+    """
+
+    marks: Any
+    left: Any
+    top: Any
+    stack: Any
 
 
 @inner_kernel
@@ -78,65 +84,68 @@ def has_contrast(image, flip, x0, y0, radius, top, contrast):
         if 0 <= x < w and 0 <= y < h:
             n += 1
             below += np.uint8(image[y, x] ^ flip) <= most
+    # the entry of the sorted ring that blob_at takes is below most if and only if more samples than its number are
     return n >= FEWEST_SAMPLES and below > min(int(BACKGROUND_SHARE * n), n - 1)
 
 
 @inner_kernel
-def grow_region(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
+def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
     Returns 0, or 1 where the blob reaches further than reach from (x0, y0), 2 where it meets the image's border.
-    labels gets stamp at every pixel that was looked at and belongs to it; its first one is that of the image's column
-    left and row top_row. Sums are weighted above level.
+    labels.marks gets stamp at every pixel that was looked at and belongs to it. Sums are weighted above level.
     """
+    image, flip, saturation, mask = picture
+    marks, left, top_row, stack = labels
     h, w = image.shape
-    for c in range(COLUMNS):
+    for c in range(col.COLUMNS):
         row[c] = 0.0
-    row[X_MIN] = x0
-    row[X_MAX] = x0
-    row[Y_MIN] = y0
-    row[Y_MAX] = y0
+    row[col.X_MIN] = x0
+    row[col.X_MAX] = x0
+    row[col.Y_MIN] = y0
+    row[col.Y_MAX] = y0
     stack[0] = y0 * w + x0
-    labels[y0 - top_row, x0 - left] = stamp
+    marks[y0 - top_row, x0 - left] = stamp
     top = 1
     reach2 = reach * reach
     while top > 0:
         top -= 1
         y = stack[top] // w
         x = stack[top] - y * w
+        # beyond it the neighbours below would be read outside of the image
         if x < 1 or y < 1 or x > w - 2 or y > h - 2:
             return 2
         if (x - x0) ** 2 + (y - y0) ** 2 > reach2:
             return 1
         grey = float(np.uint8(image[y, x] ^ flip))
         v = grey - level
-        row[AREA] += 1.0
-        row[WEIGHT] += v
-        row[SUM_X] += v * (x - x0)
-        row[SUM_Y] += v * (y - y0)
-        row[PEAK] = max(row[PEAK], grey)
-        row[CLIPPED] += 1.0 if grey >= saturation else 0.0
-        row[X_MIN] = min(row[X_MIN], x)
-        row[X_MAX] = max(row[X_MAX], x)
-        row[Y_MIN] = min(row[Y_MIN], y)
-        row[Y_MAX] = max(row[Y_MAX], y)
+        row[col.AREA] += 1.0
+        row[col.WEIGHT] += v
+        row[col.SUM_X] += v * (x - x0)
+        row[col.SUM_Y] += v * (y - y0)
+        row[col.PEAK] = max(row[col.PEAK], grey)
+        row[col.CLIPPED] += 1.0 if grey >= saturation else 0.0
+        row[col.X_MIN] = min(row[col.X_MIN], x)
+        row[col.X_MAX] = max(row[col.X_MAX], x)
+        row[col.Y_MIN] = min(row[col.Y_MIN], y)
+        row[col.Y_MAX] = max(row[col.Y_MAX], y)
         for d in range(4):
             a = x + (1 if d == 0 else -1 if d == 1 else 0)
             b = y + (1 if d == 2 else -1 if d == 3 else 0)
-            if labels[b - top_row, a - left] == stamp:
+            if marks[b - top_row, a - left] == stamp:
                 continue
             if np.uint8(image[b, a] ^ flip) > level and (mask.size == 0 or mask[b, a] != 0):
-                labels[b - top_row, a - left] = stamp
+                marks[b - top_row, a - left] = stamp
                 stack[top] = b * w + a
                 top += 1
-    row[SUM_X] += row[WEIGHT] * x0
-    row[SUM_Y] += row[WEIGHT] * y0
-    row[LEVEL] = level
+    row[col.SUM_X] += row[col.WEIGHT] * x0
+    row[col.SUM_Y] += row[col.WEIGHT] * y0
+    row[col.LEVEL] = level
     return 0
 
 
 @inner_kernel
-def roundness(labels, left, top_row, stamp, row):
+def roundness(labels, stamp, row):
     """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
     n = 0.0
     sx = 0.0
@@ -144,11 +153,11 @@ def roundness(labels, left, top_row, stamp, row):
     xx = 0.0
     xy = 0.0
     yy = 0.0
-    x0 = int(row[X_MIN])
-    y0 = int(row[Y_MIN])
-    for y in range(y0, int(row[Y_MAX]) + 1):
-        for x in range(x0, int(row[X_MAX]) + 1):
-            if labels[y - top_row, x - left] == stamp:
+    x0 = int(row[col.X_MIN])
+    y0 = int(row[col.Y_MIN])
+    for y in range(y0, int(row[col.Y_MAX]) + 1):
+        for x in range(x0, int(row[col.X_MAX]) + 1):
+            if labels.marks[y - labels.top, x - labels.left] == stamp:
                 n += 1.0
                 sx += x - x0
                 sy += y - y0
@@ -157,12 +166,14 @@ def roundness(labels, left, top_row, stamp, row):
                 yy += (y - y0) ** 2
     sx /= n
     sy /= n
+    # a pixel has a second moment of its own: one row of pixels is not without width
     xx = xx / n - sx * sx + 1.0 / 12.0
     xy = xy / n - sx * sy
     yy = yy / n - sy * sy + 1.0 / 12.0
     mean = 0.5 * (xx + yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     low = max(mean - root, 1e-3)
+    # an ellipse of half axes a, b has second moments a^2 / 4, b^2 / 4 and the area pi a b = 4 pi sqrt(det)
     fill = n / (4.0 * pi * sqrt(low * (mean + root)))
     axes = sqrt(low / (mean + root))
     return fill * axes if axes > LEAST_AXES and fill > LEAST_FILL else 0.0
@@ -179,6 +190,7 @@ def brightest_near(image, flip, x0, y0, r):
     bx = x0
     by = y0
     for y in range(max(y0 - r, 0), min(y0 + r + 1, h)):
+        # a first pass in vector code: most rows hold nothing as bright as what was found
         top = np.uint8(0)
         row = np.uint64(y)
         for i in range(wide):
@@ -201,77 +213,61 @@ def brightest_near(image, flip, x0, y0, r):
 @inner_kernel
 def find_duplicate(table, n, row):
     """Return which of the n blobs has its centre within half the larger one's radius of row's; -1 for none."""
-    x = row[SUM_X] / row[WEIGHT]
-    y = row[SUM_Y] / row[WEIGHT]
+    x = row[col.SUM_X] / row[col.WEIGHT]
+    y = row[col.SUM_Y] / row[col.WEIGHT]
     for k in range(n):
-        dx = table[k, SUM_X] / table[k, WEIGHT] - x
-        dy = table[k, SUM_Y] / table[k, WEIGHT] - y
-        if dx * dx + dy * dy < max(table[k, AREA], row[AREA]) * (0.25 / pi):
+        dx = table[k, col.SUM_X] / table[k, col.WEIGHT] - x
+        dy = table[k, col.SUM_Y] / table[k, col.WEIGHT] - y
+        # half of the radius, squared, of a disc of the larger one's area
+        if dx * dx + dy * dy < max(table[k, col.AREA], row[col.AREA]) * (0.25 / pi):
             return k
     return -1
 
 
 @inner_kernel
-def blob_at(
-    image,
-    flip,
-    saturation,
-    mask,
-    x,
-    y,
-    top,
-    radius,
-    contrast,
-    min_pixels,
-    widest,
-    stamp,
-    labels,
-    left,
-    top_row,
-    stack,
-    ring,
-    row,
-):
+def blob_at(picture, x, y, top, radius, limits, stamp, labels, ring, row):
     """Fill row (COLUMNS,) with the blob of the peak at (x, y); return its roundness, 0 where it is none.
 
-    It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
-    it may reach.
+    It is cut at half its height above the ring of the given radius; one of a pixel or two, lower.
     """
-    if not has_contrast(image, flip, x, y, radius, top, contrast):
+    if not has_contrast(picture.grey, picture.flip, x, y, radius, top, limits.contrast):
         return 0.0
-    count = ring_level(image, flip, x, y, radius, ring)
+    count = ring_level(picture.grey, picture.flip, x, y, radius, ring)
     background = ring[min(int(BACKGROUND_SHARE * count), count - 1)]
     level = int(0.5 * (top + background))
-    reach = min(REACH * radius, widest)
-    code = grow_region(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
-    if code == 0 and row[AREA] < min_pixels:
+    reach = min(REACH * radius, 2.0 * limits.max_radius)
+    code = grow_region(picture, x, y, level, reach, stamp, labels, row)
+    if code == 0 and row[col.AREA] < limits.min_pixels:
         level = int(TINY * top + (1.0 - TINY) * background)
-        code = grow_region(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
+        # the first cut's marks stay: with a stamp of its own the second one does not take them for its pixels
+        code = grow_region(picture, x, y, level, reach, -stamp, labels, row)
         stamp = -stamp
-    if code != 0 or row[AREA] < min_pixels:
+    if code != 0 or row[col.AREA] < limits.min_pixels:
         return 0.0
-    row[BACKGROUND] = background
-    row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
-    return roundness(labels, left, top_row, stamp, row)
+    row[col.BACKGROUND] = background
+    row[col.SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
+    return roundness(labels, stamp, row)
 
 
 @kernel
-def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_radius, table, work):
+def grow_blobs(picture, peaks, limits, table, work):
     """Fill table (.., COLUMNS) with the blobs of peaks (n, 3: x, y, scale), strongest first.
 
-    Returns how many blobs, how many peaks were looked at, and how many pixels were grown over. contrast: least height
-    above the ring. work: pixels to grow over at most.
+    picture, limits: as Picture, BlobLimits. Returns how many blobs, how many peaks were looked at, and how many pixels
+    were grown over. work: pixels to grow over at most.
     """
-    h, w = image.shape
-    labels = np.zeros((h, w), np.int32)
+    picture, limits = Picture(*picture), BlobLimits(*limits)
+    image, flip, _, mask = picture
+    max_radius = limits.max_radius
+    marks = np.zeros(image.shape, np.int32)
     taken = np.zeros(peaks.shape[0] + 1, np.uint8)
     score = np.zeros(table.shape[0] + 1)
     widest = 1.0
     for k in range(peaks.shape[0]):
         widest = max(widest, REACH * RING * peaks[k, 2])
-    stack = np.empty(int((2.0 * widest + 4.0) ** 2), np.int64)
+    labels = Labels(marks, np.int64(0), np.int64(0), np.empty(int((2.0 * widest + 4.0) ** 2), np.int64))
     ring = np.empty(RING_SAMPLES)
-    row = np.empty(COLUMNS)
+    row = np.empty(col.COLUMNS)
     n = np.int64(0)
     spent = np.int64(0)
     looked = np.int64(0)
@@ -280,31 +276,13 @@ def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_r
             break
         looked += 1
         x, y, top = brightest_near(image, flip, peaks[k, 0], peaks[k, 1], peaks[k, 2])
-        if taken[abs(labels[y, x])] or (mask.size > 0 and mask[y, x] == 0):
+        # a pixel of a blob that was kept: the same light, found on another level
+        if taken[abs(marks[y, x])] or (mask.size > 0 and mask[y, x] == 0):
             continue
-        row[AREA] = 0.0
-        fine = blob_at(
-            image,
-            flip,
-            saturation,
-            mask,
-            x,
-            y,
-            top,
-            RING * peaks[k, 2],
-            contrast,
-            min_pixels,
-            2.0 * max_radius,
-            k + 1,
-            labels,
-            np.int64(0),
-            np.int64(0),
-            stack,
-            ring,
-            row,
-        )
-        spent += int(row[AREA])
-        if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
+        row[col.AREA] = 0.0
+        fine = blob_at(picture, x, y, top, RING * peaks[k, 2], limits, k + 1, labels, ring, row)
+        spent += int(row[col.AREA])
+        if fine == 0.0 or max(row[col.X_MAX] - row[col.X_MIN], row[col.Y_MAX] - row[col.Y_MIN]) > 2.0 * max_radius:
             continue
         taken[k + 1] = 1
         same = find_duplicate(table, n, row)
@@ -324,19 +302,20 @@ def is_peak(image, flip, x, y, grey):
     for b in range(max(y - PEAK_PX, 0), min(y + PEAK_PX + 1, h)):
         for a in range(max(x - PEAK_PX, 0), min(x + PEAK_PX + 1, w)):
             other = np.uint8(image[b, a] ^ flip)
+            # of equal ones the first in reading order alone is a peak
             if other > grey or (other == grey and (b < y or (b == y and a < x))):
                 return False
     return True
 
 
 @inner_kernel
-def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, max_radius, row):
-    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
-    ring = np.empty(RING_SAMPLES)
+def nearest_peaks(picture, u, v, box, contrast, at):
+    """Fill at (MOST_PEAKS, 2) with the peaks x, y in box (x0, x1, y0, y1), nearest to (u, v) first; return how many."""
+    image, flip = picture.grey, picture.flip
     away = np.empty(MOST_PEAKS)
-    at = np.empty((MOST_PEAKS, 2), np.int64)
     n = np.int64(0)
     background = 255
+    # every other pixel is enough for a level that no light lifts everywhere
     for y in range(box[2], box[3], 2):
         for x in range(box[0], box[1], 2):
             background = min(background, int(np.uint8(image[y, x] ^ flip)))
@@ -358,42 +337,33 @@ def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, ma
             at[k, 0] = x
             at[k, 1] = y
             n = n + 1 if n < MOST_PEAKS else n
+    return n
+
+
+@inner_kernel
+def blob_near(picture, u, v, box, limits, row):
+    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
+    ring = np.empty(RING_SAMPLES)
+    at = np.empty((MOST_PEAKS, 2), np.int64)
+    n = nearest_peaks(picture, u, v, box, limits.contrast, at)
     reach = np.int64(0)
-    labels = np.zeros((0, 0), np.int32)
+    marks = np.zeros((0, 0), np.int32)
     stack = np.empty(0, np.int64)
     stamp = np.int64(0)
     for k in range(n):
         x = at[k, 0]
         y = at[k, 1]
-        top = int(np.uint8(image[y, x] ^ flip))
+        top = int(np.uint8(picture.grey[y, x] ^ picture.flip))
         scale = np.int64(2)
-        while scale <= max(0.5 * max_radius, 2.0):
+        # from small to large: the light before what it stands in
+        while scale <= max(0.5 * limits.max_radius, 2.0):
             stamp += 1
-            if reach < REACH * RING * scale:  # labels of what such a blob may cover about its peak
+            if reach < REACH * RING * scale:  # marks of what such a blob may cover about its peak
                 reach = np.int64(REACH * RING * scale) + 1
-                labels = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
-                stack = np.empty(labels.size, np.int64)
-            fine = blob_at(
-                image,
-                flip,
-                saturation,
-                mask,
-                x,
-                y,
-                top,
-                RING * scale,
-                contrast,
-                min_pixels,
-                2.0 * max_radius,
-                stamp,
-                labels,
-                x - reach - 1,
-                y - reach - 1,
-                stack,
-                ring,
-                row,
-            )
-            if fine > 0.0:
+                marks = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
+                stack = np.empty(marks.size, np.int64)
+            labels = Labels(marks, x - reach - 1, y - reach - 1, stack)
+            if blob_at(picture, x, y, top, RING * scale, limits, stamp, labels, ring, row) > 0.0:
                 return True
             scale *= 2
     return False

@@ -7,39 +7,12 @@ from math import sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.spots.kernels.detection.area import (
-    ACCEPTED,
-    BEYOND,
-    HOT,
-    O_FLIP,
-    O_MAX_RADIUS,
-    O_MIN_PIXELS,
-    O_SATURATION,
-    O_THRESHOLD,
-    OTHER,
-    OWNER,
-    SMALL,
-    STATE,
-    STATUS,
-    boxes_overlap,
-    classify,
-)
-from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, blob_near, ring_level
-from armsight.measure.spots.kernels.detection.scan import (
-    AREA,
-    BACKGROUND,
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.area import ACCEPTED, BEYOND, HOT, OTHER, SMALL, boxes_overlap, classify
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
+from armsight.measure.spots.kernels.picture import Picture, copy_to
+from armsight.measure.spots.kernels.scan import (
     BLOCK,
-    COLUMNS,
-    GRID,
-    LEVEL,
-    SLOPE,
-    SUM_X,
-    SUM_Y,
-    WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
     block_threshold,
     bright_blocks,
     bright_blocks_mapped,
@@ -48,7 +21,6 @@ from armsight.measure.spots.kernels.detection.scan import (
     estimate_background,
     threshold_map,
 )
-from armsight.measure.spots.kernels.loops import copy_to
 
 SIGNIFICANT = 5.0
 """Threshold above the background in standard deviations of the noise: one false pixel in three frames of 1280 x 720."""
@@ -74,22 +46,19 @@ BUSY_SHARE = 0.5
 BUSY_RUNS = 4096
 """Bright runs from which it is one; counted as rises above the threshold first, of which nearly each begins a run."""
 
-# the survey (SURVEY, GRID): levels of the tiles, then backgrounds, then one row that begins with these
-NOISE, NUMBER, PROCESSED = 0, 1, 2
-SURVEY = 2 * GRID + 1
-
 
 @inner_kernel
 def survey_image(image, flip, mask, survey, thresholds):
     """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
     noise, processed = estimate_background(image, flip, mask, survey)
+    # noise that a camera has taken away is no measure of what else it does to the levels
     margin = max(SIGNIFICANT * sqrt(noise), LEAST_MARGIN)
     low, high = threshold_map(survey, margin, thresholds)
-    for i in range(GRID):
-        for j in range(GRID):
-            survey[GRID + i, j] = thresholds[i, j] - margin
-    survey[2 * GRID, NOISE] = noise
-    survey[2 * GRID, PROCESSED] = 1.0 if processed else 0.0
+    for i in range(col.GRID):
+        for j in range(col.GRID):
+            survey[col.GRID + i, j] = thresholds[i, j] - margin
+    survey[2 * col.GRID, col.NOISE] = noise
+    survey[2 * col.GRID, col.PROCESSED] = 1.0 if processed else 0.0
     return margin, low, high
 
 
@@ -107,6 +76,7 @@ def count_rising_edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, m
         for i in range(min(BLOCK, flat.size - first) - 1):
             here = np.uint8(flat[at + np.uint64(i)] ^ flip) > level
             after = np.uint8(flat[at + np.uint64(i + 1)] ^ flip) > level
+            # nearly each rise begins a run: counted in vector code before anything is labelled
             rises += after and not here
         count += rises
         if count > most:
@@ -115,18 +85,17 @@ def count_rising_edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, m
 
 
 @inner_kernel
-def label_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
+def label_components(picture, thresholds, mapped, blocks, n_blocks, likely, most):
     """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
     runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
     while True:
-        table = np.empty((runs_most, COLUMNS))
+        table = np.empty((runs_most, col.COLUMNS))
         runs = np.empty((runs_most, 3), np.int32)
         parent = np.empty(runs_most, np.int32)
-        n = connected_components(
-            image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table
-        )
+        n = connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, parent, table)
         if n >= 0 or runs_most >= most:
             return table, n
+        # labelled once more, with room for eight times as many
         runs_most *= 8
 
 
@@ -134,31 +103,33 @@ def label_components(image, flip, mask, saturation, thresholds, mapped, blocks, 
 def classify_areas(comps, state, options, w, h, window, margin):
     """Fill STATUS of all areas: what is refused before any fit."""
     for i in range(comps.shape[0]):
-        what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
-        if state[i, OWNER] < 0 and what != HOT and what != SMALL:
+        what = classify(comps[i], w, h, window, options[col.O_MIN_PIXELS], options[col.O_MAX_RADIUS], margin)
+        # a neighbour that nobody asked for: known, so that fits leave out its pixels, but not measured
+        if state[i, col.OWNER] < 0 and what != HOT and what != SMALL:
             what = OTHER
-        state[i, STATUS] = what
+        state[i, col.STATUS] = what
 
 
 @inner_kernel
 def ring_background(image, flip, comps, survey, w, h):
     """Fill BACKGROUND and SLOPE of areas of a processed picture, whose lights are then judged as those before a
     room."""
-    if survey[2 * GRID, PROCESSED] == 0.0:
+    if survey[2 * col.GRID, col.PROCESSED] == 0.0:
         return
     ring = np.empty(RING_SAMPLES)
     for k in range(comps.shape[0]):
-        if comps[k, SLOPE] >= 0.0:
+        if comps[k, col.SLOPE] >= 0.0:
             continue
-        i = int(comps[k, SUM_Y] / comps[k, WEIGHT]) * GRID // h
-        j = int(comps[k, SUM_X] / comps[k, WEIGHT]) * GRID // w
-        comps[k, BACKGROUND] = min(survey[GRID + i, j], comps[k, LEVEL])
-        half = 0.5 * max(comps[k, X_MAX] - comps[k, X_MIN], comps[k, Y_MAX] - comps[k, Y_MIN])
-        x = int(0.5 * (comps[k, X_MIN] + comps[k, X_MAX]))
-        y = int(0.5 * (comps[k, Y_MIN] + comps[k, Y_MAX]))
+        i = int(comps[k, col.SUM_Y] / comps[k, col.WEIGHT]) * col.GRID // h
+        j = int(comps[k, col.SUM_X] / comps[k, col.WEIGHT]) * col.GRID // w
+        comps[k, col.BACKGROUND] = min(survey[col.GRID + i, j], comps[k, col.LEVEL])
+        half = 0.5 * max(comps[k, col.X_MAX] - comps[k, col.X_MIN], comps[k, col.Y_MAX] - comps[k, col.Y_MIN])
+        x = int(0.5 * (comps[k, col.X_MIN] + comps[k, col.X_MAX]))
+        y = int(0.5 * (comps[k, col.Y_MIN] + comps[k, col.Y_MAX]))
         n = ring_level(image, flip, x, y, half + RING_GAP, ring)
-        step = ring[(3 * n) // 4] - ring[n // 4] - RING_NOISE * sqrt(survey[2 * GRID, NOISE]) if n > 4 else 0.0
-        comps[k, SLOPE] = max(step, 0.0) / (half + RING_GAP)
+        # quartiles on an even background are apart by noise alone, which is taken off
+        step = ring[(3 * n) // 4] - ring[n // 4] - RING_NOISE * sqrt(survey[2 * col.GRID, col.NOISE]) if n > 4 else 0.0
+        comps[k, col.SLOPE] = max(step, 0.0) / (half + RING_GAP)
 
 
 @inner_kernel
@@ -179,46 +150,49 @@ def locate(image, mask, options):
     automatic threshold, found without labelling all of it).
     """
     h, w = image.shape
-    flip = np.uint8(options[O_FLIP])
-    saturation = int(options[O_SATURATION])
-    survey = np.empty((SURVEY, GRID))
-    thresholds = np.empty((GRID, GRID))
+    flip = np.uint8(options[col.O_FLIP])
+    saturation = int(options[col.O_SATURATION])
+    survey = np.empty((col.SURVEY, col.GRID))
+    thresholds = np.empty((col.GRID, col.GRID))
     margin, low, high = survey_image(image, flip, mask, survey, thresholds)
-    mapped = options[O_THRESHOLD] < 0.0 and high - low > LEVEL_FRAME
+    mapped = options[col.O_THRESHOLD] < 0.0 and high - low > LEVEL_FRAME
     if not mapped:
-        low = high if options[O_THRESHOLD] < 0.0 else options[O_THRESHOLD]
-    for i in range(GRID):
-        for j in range(GRID):
+        low = high if options[col.O_THRESHOLD] < 0.0 else options[col.O_THRESHOLD]
+    for i in range(col.GRID):
+        for j in range(col.GRID):
+            # they are compared as bytes
             thresholds[i, j] = min(thresholds[i, j], 255.0) if mapped else low
+    # no level exceeds a threshold at the clipping level: everything would be missed in silence
     if low >= min(saturation, 255):
-        survey[2 * GRID, NUMBER] = survey[GRID // 2, GRID // 2]
-        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, NOTHING_ABOVE
+        survey[2 * col.GRID, col.NUMBER] = survey[col.GRID // 2, col.GRID // 2]
+        return np.empty((0, col.COLUMNS)), np.empty((0, col.STATE), np.int64), survey, NOTHING_ABOVE
     n_all = (image.size + BLOCK - 1) // BLOCK
     blocks = np.empty(n_all, np.int32)
     if mapped:
         n_blocks = bright_blocks_mapped(image.reshape(-1), flip, h, w, thresholds, blocks)
     else:
         n_blocks = bright_blocks(image.reshape(-1), flip, thresholds[0, 0], blocks)
-    survey[2 * GRID, NUMBER] = n_blocks / n_all
-    automatic = options[O_THRESHOLD] < 0.0
+    survey[2 * col.GRID, col.NUMBER] = n_blocks / n_all
+    automatic = options[col.O_THRESHOLD] < 0.0
     if automatic and n_blocks > BUSY_SHARE * n_all:
-        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+        return np.empty((0, col.COLUMNS)), np.empty((0, col.STATE), np.int64), survey, BUSY
     rises = np.int64(0)
     if automatic and mask.size == 0:
         rises = count_rising_edges(
             image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS)
         )
         if rises > BUSY_RUNS:
-            return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+            return np.empty((0, col.COLUMNS)), np.empty((0, col.STATE), np.int64), survey, BUSY
     most = BUSY_RUNS if automatic else MOST_RUNS
-    table, n = label_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
+    picture = Picture(image, flip, saturation, mask)
+    table, n = label_components(picture, thresholds, mapped, blocks, n_blocks, rises, most)
     if n < 0:
-        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
-    comps = np.empty((n, COLUMNS))
+        return np.empty((0, col.COLUMNS)), np.empty((0, col.STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
+    comps = np.empty((n, col.COLUMNS))
     for i in range(n):
-        for c in range(COLUMNS):
+        for c in range(col.COLUMNS):
             comps[i, c] = table[i, c]
-    state = np.zeros((n, STATE), np.int64)
+    state = np.zeros((n, col.STATE), np.int64)
     window = np.empty(4, np.int64)
     unbounded_window(w, h, window)
     classify_areas(comps, state, options, w, h, window, margin)
@@ -232,11 +206,12 @@ def nearest(comps, n, u, v, window, options, w, h, margin):
     best = -1
     least = 1e300
     for i in range(n):
-        what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+        what = classify(comps[i], w, h, window, options[col.O_MIN_PIXELS], options[col.O_MAX_RADIUS], margin)
         if what in (HOT, SMALL):
             continue
-        dx = comps[i, SUM_X] / comps[i, WEIGHT] - u
-        dy = comps[i, SUM_Y] / comps[i, WEIGHT] - v
+        dx = comps[i, col.SUM_X] / comps[i, col.WEIGHT] - u
+        dy = comps[i, col.SUM_Y] / comps[i, col.WEIGHT] - v
+        # px^2, further than anything in a window: what can be measured comes before what cannot
         away = dx * dx + dy * dy + (0.0 if what == ACCEPTED else 1e6)
         if away < least:
             least = away
@@ -268,8 +243,8 @@ def remove_duplicates(seen, owner, n, predicted):
 @inner_kernel
 def distance(comp, uv):
     """Return the squared distance in px^2 of a component's centre from uv (2,)."""
-    dx = comp[SUM_X] / comp[WEIGHT] - uv[0]
-    dy = comp[SUM_Y] / comp[WEIGHT] - uv[1]
+    dx = comp[col.SUM_X] / comp[col.WEIGHT] - uv[0]
+    dy = comp[col.SUM_Y] / comp[col.WEIGHT] - uv[1]
     return dx * dx + dy * dy
 
 
@@ -279,13 +254,31 @@ def crowded_window(table, count, box):
     if count < 0 or count > MOST_SEEN:
         return True
     for j in range(count):
-        wide = table[j, X_MAX] - table[j, X_MIN] + 1.0 >= box[1] - box[0]
-        high = table[j, Y_MAX] - table[j, Y_MIN] + 1.0 >= box[3] - box[2]
-        edge = table[j, X_MIN] <= box[0] or table[j, X_MAX] >= box[1] - 1
-        edge = edge or table[j, Y_MIN] <= box[2] or table[j, Y_MAX] >= box[3] - 1
-        if wide or high or (edge and table[j, AREA] > WIDE_SHARE * (box[1] - box[0]) * (box[3] - box[2])):
+        # from edge to edge, or large and cut off: a wall or a lamp, no light of a target
+        wide = table[j, col.X_MAX] - table[j, col.X_MIN] + 1.0 >= box[1] - box[0]
+        high = table[j, col.Y_MAX] - table[j, col.Y_MIN] + 1.0 >= box[3] - box[2]
+        edge = table[j, col.X_MIN] <= box[0] or table[j, col.X_MAX] >= box[1] - 1
+        edge = edge or table[j, col.Y_MIN] <= box[2] or table[j, col.Y_MAX] >= box[3] - 1
+        if wide or high or (edge and table[j, col.AREA] > WIDE_SHARE * (box[1] - box[0]) * (box[3] - box[2])):
             return True
     return count == 0
+
+
+@inner_kernel
+def set_window(u, v, half, w, h, box):
+    """Fill box (x0, x1, y0, y1; ends excluded) with the window about (u, v), cut at the image."""
+    box[0] = max(int(u + 0.5) - half, 0)
+    box[1] = min(int(u + 0.5) + half + 1, w)
+    box[2] = max(int(v + 0.5) - half, 0)
+    box[3] = min(int(v + 0.5) + half + 1, h)
+
+
+@inner_kernel
+def write_cut(comp, row):
+    """Fill row (3,) with the centre of an area that reaches beyond its window, and why it is refused."""
+    row[0] = comp[col.SUM_X] / comp[col.WEIGHT]
+    row[1] = comp[col.SUM_Y] / comp[col.WEIGHT]
+    row[2] = BEYOND
 
 
 @kernel
@@ -296,16 +289,17 @@ def locate_near(image, mask, options, predicted, half):
     nearest to two predictions belongs to the nearer one. Cut: nearest, but reaching beyond its window.
     """
     h, w = image.shape
-    flip = np.uint8(options[O_FLIP])
-    saturation = int(options[O_SATURATION])
-    survey = np.empty((SURVEY, GRID))
-    thresholds = np.empty((GRID, GRID))
+    flip = np.uint8(options[col.O_FLIP])
+    picture = Picture(image, flip, int(options[col.O_SATURATION]), mask)
+    limits = BlobLimits(WINDOW_CONTRAST, options[col.O_MIN_PIXELS], options[col.O_MAX_RADIUS])
+    survey = np.empty((col.SURVEY, col.GRID))
+    thresholds = np.empty((col.GRID, col.GRID))
     margin, _, _ = survey_image(image, flip, mask, survey, thresholds)
     most = predicted.shape[0]
-    seen = np.empty((MOST_SEEN * most, COLUMNS))
+    seen = np.empty((MOST_SEEN * most, col.COLUMNS))
     owner = np.empty(MOST_SEEN * most, np.int64)
     n = np.int64(0)
-    table = np.empty((FEW_RUNS, COLUMNS))
+    table = np.empty((FEW_RUNS, col.COLUMNS))
     runs = np.empty((FEW_RUNS, 3), np.int32)
     parent = np.empty(FEW_RUNS, np.int32)
     box = np.empty(4, np.int64)
@@ -316,58 +310,38 @@ def locate_near(image, mask, options, predicted, half):
         v = predicted[k, 1]
         if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
             continue
-        box[0] = max(int(u + 0.5) - half, 0)
-        box[1] = min(int(u + 0.5) + half + 1, w)
-        box[2] = max(int(v + 0.5) - half, 0)
-        box[3] = min(int(v + 0.5) + half + 1, h)
-        level = options[O_THRESHOLD]
+        set_window(u, v, half, w, h, box)
+        level = options[col.O_THRESHOLD]
         if level < 0.0:
-            level = thresholds[int(v + 0.5) * GRID // h, int(u + 0.5) * GRID // w]
+            level = thresholds[int(v + 0.5) * col.GRID // h, int(u + 0.5) * col.GRID // w]
         count = 0
-        if level < min(saturation, 255):
-            count = connected_components_in_window(image, flip, mask, saturation, int(level), box, runs, parent, table)
+        if level < min(picture.saturation, 255):
+            count = connected_components_in_window(picture, int(level), box, runs, parent, table)
         i = nearest(table, count, u, v, box, options, w, h, margin)
-        if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
-            if blob_near(
-                image,
-                flip,
-                saturation,
-                mask,
-                u,
-                v,
-                box,
-                WINDOW_CONTRAST,
-                options[O_MIN_PIXELS],
-                options[O_MAX_RADIUS],
-                seen[n],
-            ):
-                if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
-                    cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]
-                    cut[n_cut, 1] = seen[n, SUM_Y] / seen[n, WEIGHT]
-                    cut[n_cut, 2] = BEYOND
+        # a threshold tells a light from its background, not from a bright room: there it is grown from its peak
+        if options[col.O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
+            if blob_near(picture, u, v, box, limits, seen[n]):
+                if classify(seen[n], w, h, box, limits.min_pixels, limits.max_radius, margin) == BEYOND:
+                    write_cut(seen[n], cut[n_cut])
                     n_cut += 1
                 else:
                     owner[n] = k
                     n += 1
             continue
-        if count < 0:
-            continue
         for j in range(min(count, MOST_SEEN)):
-            what = classify(table[j], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+            what = classify(table[j], w, h, box, limits.min_pixels, limits.max_radius, margin)
             if what == BEYOND and j == i:
-                cut[n_cut, 0] = table[i, SUM_X] / table[i, WEIGHT]
-                cut[n_cut, 1] = table[i, SUM_Y] / table[i, WEIGHT]
-                cut[n_cut, 2] = BEYOND
+                write_cut(table[i], cut[n_cut])
                 n_cut += 1
             copy_to(table[j], seen[n])
             owner[n] = k if j == i and what != BEYOND else -1
             n += 1
     n = remove_duplicates(seen, owner, n, predicted)
-    comps = np.empty((n, COLUMNS))
-    state = np.zeros((n, STATE), np.int64)
+    comps = np.empty((n, col.COLUMNS))
+    state = np.zeros((n, col.STATE), np.int64)
     for i in range(n):
         copy_to(seen[i], comps[i])
-        state[i, OWNER] = owner[i]
+        state[i, col.OWNER] = owner[i]
     unbounded_window(w, h, box)
     classify_areas(comps, state, options, w, h, box, margin)
     ring_background(image, flip, comps, survey, w, h)

@@ -1,16 +1,17 @@
-"""The pixels around one bright area as the slower fits want them: values, which of them to use, and their moments."""
+"""The pixels around one bright area as the slower fits want them: values, which of them to use, moments, residuals."""
 
 from __future__ import annotations
 
 from math import atan2, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
-from armsight.measure.spots.kernels.detection.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
-from armsight.measure.spots.kernels.fitting.light_models import CLIPPED_PIXEL
-from armsight.measure.spots.kernels.loops import copy_to
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, boxes_overlap, fit_margin
+from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, ROOT_2
+from armsight.measure.spots.kernels.picture import copy_to
 
 DEEP = 2.0
 """Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of
@@ -20,20 +21,42 @@ SHALLOW = 0.04
 MOST_MAXIMA = 32
 
 
+class Patch(NamedTuple):
+    """The pixels about an area: values (ny, nx) of those in box (x0, x1, y0, y1; ends excluded).
+
+    use (ny, nx): 0 for pixels that do not count, CLIPPED_PIXEL for lower bounds, else 1.
+    """
+
+    box: Any
+    values: Any
+    use: Any
+
+
+@inner_kernel
+def new_patch(comp, h, w):
+    """Return the patch of a component in an image of this size, not filled yet."""
+    box = np.empty(4, np.int64)
+    patch_box(comp, h, w, box)
+    shape = (box[3] - box[2], box[1] - box[0])
+    return Patch(box, np.empty(shape), np.empty(shape, np.uint8))
+
+
 @inner_kernel
 def patch_box(comp, h, w, box):
     """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its tails and some background."""
-    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
+    half = 0.5 * max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN])
     margin = int(min(max(0.5 * half + 2.0, 4.0), 9.0))
-    box[0] = max(int(comp[X_MIN]) - margin, 0)
-    box[1] = min(int(comp[X_MAX]) + margin + 1, w)
-    box[2] = max(int(comp[Y_MIN]) - margin, 0)
-    box[3] = min(int(comp[Y_MAX]) + margin + 1, h)
+    box[0] = max(int(comp[col.X_MIN]) - margin, 0)
+    box[1] = min(int(comp[col.X_MAX]) + margin + 1, w)
+    box[2] = max(int(comp[col.Y_MIN]) - margin, 0)
+    box[3] = min(int(comp[col.Y_MAX]) + margin + 1, h)
 
 
 @inner_kernel
-def fill_patch(image, flip, saturation, mask, box, values, use):
-    """Fill values and use (ny, nx) from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
+def fill_patch(picture, patch):
+    """Fill values and use from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
+    image, flip, saturation, mask = picture
+    box, values, use = patch
     for j in range(values.shape[0]):
         for i in range(values.shape[1]):
             grey = np.uint8(image[box[2] + j, box[0] + i] ^ flip)
@@ -43,20 +66,22 @@ def fill_patch(image, flip, saturation, mask, box, values, use):
 
 
 @inner_kernel
-def exclude_other_area(own, other, box, use):
+def exclude_other_area(own, other, patch):
     """Set use to 0 where a pixel belongs to another component rather than to this one."""
-    ox = 0.5 * (own[X_MIN] + own[X_MAX])
-    oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
-    ow = 0.5 * (own[X_MAX] - own[X_MIN]) + 2.0
-    oh = 0.5 * (own[Y_MAX] - own[Y_MIN]) + 2.0
-    nx = 0.5 * (other[X_MIN] + other[X_MAX])
-    ny = 0.5 * (other[Y_MIN] + other[Y_MAX])
-    nw = 0.5 * (other[X_MAX] - other[X_MIN]) + 2.0
-    nh = 0.5 * (other[Y_MAX] - other[Y_MIN]) + 2.0
+    box, use = patch.box, patch.use
+    ox = 0.5 * (own[col.X_MIN] + own[col.X_MAX])
+    oy = 0.5 * (own[col.Y_MIN] + own[col.Y_MAX])
+    ow = 0.5 * (own[col.X_MAX] - own[col.X_MIN]) + 2.0
+    oh = 0.5 * (own[col.Y_MAX] - own[col.Y_MIN]) + 2.0
+    nx = 0.5 * (other[col.X_MIN] + other[col.X_MAX])
+    ny = 0.5 * (other[col.Y_MIN] + other[col.Y_MAX])
+    nw = 0.5 * (other[col.X_MAX] - other[col.X_MIN]) + 2.0
+    nh = 0.5 * (other[col.Y_MAX] - other[col.Y_MIN]) + 2.0
     for j in range(use.shape[0]):
         y = box[2] + j
         for i in range(use.shape[1]):
             x = box[0] + i
+            # in half axes of their bounds: a border between two areas whatever their sizes
             mine = ((x - ox) / ow) ** 2 + ((y - oy) / oh) ** 2
             theirs = ((x - nx) / nw) ** 2 + ((y - ny) / nh) ** 2
             if theirs < mine:
@@ -74,22 +99,23 @@ def used(use):
 
 
 @inner_kernel
-def shape_of(values, use, comp, box, level, background, shape):
+def shape_of(patch, comp, level, background, shape):
     """Fill shape (9,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
 
     8: how many pixels are above half height.
     """
-    half = background + 0.5 * (comp[PEAK] - background)
+    box, values = patch.box, patch.values
+    half = background + 0.5 * (comp[col.PEAK] - background)
     s = np.zeros(6)
     a = np.zeros(6)
     for j in range(values.shape[0]):
         y = float(box[2] + j)
-        if y < comp[Y_MIN] or y > comp[Y_MAX]:
+        if y < comp[col.Y_MIN] or y > comp[col.Y_MAX]:
             continue
         for i in range(values.shape[1]):
             x = float(box[0] + i)
             v = values[j, i] - level
-            if v <= 0.0 or x < comp[X_MIN] or x > comp[X_MAX]:
+            if v <= 0.0 or x < comp[col.X_MIN] or x > comp[col.X_MAX]:
                 continue
             s[0] += v
             s[1] += v * x
@@ -112,6 +138,7 @@ def shape_of(values, use, comp, box, level, background, shape):
         if k == 0:
             shape[0] = cx
             shape[1] = cy
+        # not below 0.1, about a pixel's own: a single column has a width
         shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
         shape[3 + 3 * k] = m[4] / total - cx * cy
         shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
@@ -133,22 +160,26 @@ def smoothed(values, use, j, i):
 
 
 @inner_kernel
-def valley(values, use, x0, y0, a, b):
+def valley(patch, a, b):
     """Return the lowest smoothed value on the straight line between two peaks (x, y, height)."""
+    x0, y0 = patch.box[0], patch.box[2]
     steps = int(max(abs(a[0] - b[0]), abs(a[1] - b[1]))) + 1
     low = 1e9
     for k in range(steps + 1):
         x = a[0] + (b[0] - a[0]) * k / steps
         y = a[1] + (b[1] - a[1]) * k / steps
-        v = smoothed(values, use, int(y + 0.5) - y0, int(x + 0.5) - x0)
+        v = smoothed(patch.values, patch.use, int(y + 0.5) - y0, int(x + 0.5) - x0)
+        # where pixels are left out nothing is known, and nothing parts the two
         if v >= 0.0:
             low = min(low, v)
     return low
 
 
 @inner_kernel
-def find_peaks(values, use, level, noise, x0, y0, peaks):
+def find_peaks(patch, level, noise, peaks):
     """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
+    box, values, use = patch
+    x0, y0 = box[0], box[2]
     found = np.empty((MOST_MAXIMA, 3))
     means = np.empty(values.shape)
     for j in range(values.shape[0]):
@@ -164,6 +195,7 @@ def find_peaks(values, use, level, noise, x0, y0, peaks):
             for a in range(-1, 2):
                 for b in range(-1, 2):
                     other = means[j + a, i + b]
+                    # of equal ones the first in reading order alone is a maximum
                     if other > v or (other == v and (a < 0 or (a == 0 and b < 0))):
                         top = False
             if top:
@@ -180,7 +212,7 @@ def find_peaks(values, use, level, noise, x0, y0, peaks):
     for k in range(n):
         parted = count < peaks.shape[0]
         for m in range(count):
-            if valley(values, use, x0, y0, found[k], peaks[m]) > found[k, 2] - depth:
+            if valley(patch, found[k], peaks[m]) > found[k, 2] - depth:
                 parted = False
         if parted:
             copy_to(found[k], peaks[count])
@@ -191,23 +223,66 @@ def find_peaks(values, use, level, noise, x0, y0, peaks):
 @inner_kernel
 def principal(xx, xy, yy):
     """Return the larger and the smaller second moment, and the angle of the larger."""
+    # eigenvalues and direction of [[xx, xy], [xy, yy]]
     mean = 0.5 * (xx + yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
 
 
 @inner_kernel
-def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtract, box, values, use):
+def make_patch(picture, comps, state, i, hot, subtract, patch):
     """Fill the patch of component i: pixels of hot pixels and of neighbours left out (all, or those not subtracted)."""
-    fill_patch(image, flip, saturation, mask, box, values, use)
-    for k in range(n_hot):
+    fill_patch(picture, patch)
+    box, use = patch.box, patch.use
+    for k in range(hot.shape[0]):
         x = hot[k, 0] - box[0]
         y = hot[k, 1] - box[2]
         if 0 <= x < use.shape[1] and 0 <= y < use.shape[0]:
             use[y, x] = 0
     for j in range(comps.shape[0]):
-        status = state[j, STATUS]
+        status = state[j, col.STATUS]
+        # the light of a neighbour that was measured is taken off instead
         if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
             continue
         if boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + 2.0):
-            exclude_other_area(comps[i], comps[j], box, use)
+            exclude_other_area(comps[i], comps[j], patch)
+
+
+@inner_kernel
+def residual_autocorrelation(residuals):
+    """Return the sum of products of neighbouring residuals, and that over its own standard deviation
+    (round_gaussian.residual_sums)."""
+    products = 0.0
+    spread = 0.0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            r = residuals[j, i]
+            left = residuals[j, i - 1] if i > 0 else 0.0
+            above = residuals[j - 1, i] if j > 0 else 0.0
+            # of independent residuals the sum has the sum of the products' squares as its variance
+            products += r * (left + above)
+            spread += r * r * (left * left + above * above)
+    return products, products / sqrt(spread) if spread > 0.0 else 0.0
+
+
+@inner_kernel
+def antisymmetric_part(residuals, use, u, v, antisymmetric):
+    """Fill antisymmetric with the part of the residuals that changes sign under reflection at (u, v), times root 2.
+
+    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. Returns
+    the sum of its squares and how many pixels it has. u and v count from the patch's first pixel.
+    """
+    turn_x = int(np.round(2.0 * u))
+    turn_y = int(np.round(2.0 * v))
+    squares = 0.0
+    count = 0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            antisymmetric[j, i] = 0.0
+            a = turn_y - j
+            b = turn_x - i
+            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
+                antisymmetric[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
+                squares += antisymmetric[j, i] ** 2
+                count += 1
+    return squares, count

@@ -46,13 +46,14 @@ def bend_outline(k, x, y, z, nx, ny, nz, radius, uv):
 
 
 @inner_kernel
-def see_light(k, R, t, p, radius, normal, uv, J):
+def see_light(camera, p, radius, normal, uv, J):
     """Fill uv (2,), J (2, 3) = d uv / d p for a light at p (3,) in rig axes; False behind the camera.
 
     radius > 0: a flat disc with the unit normal (3,) in rig axes; uv is then the centre of its outline. The dual
     conic of the outline is r^2 (I - n n') - c c', whose centre is the image of c + (r^2 / c_z) (n_z n - e_z).
     Its change with p is that of the point: the rest is below r^2 / z^2 of it.
     """
+    k, R, t = camera
     x = R[0, 0] * p[0] + R[0, 1] * p[1] + R[0, 2] * p[2] + t[0]
     y = R[1, 0] * p[0] + R[1, 1] * p[1] + R[1, 2] * p[2] + t[1]
     z = R[2, 0] * p[0] + R[2, 1] * p[1] + R[2, 2] * p[2] + t[2]

@@ -1,0 +1,118 @@
+"""Bright areas before and after the fit: which are worth one, where it starts, and whether its answer is believed."""
+
+from __future__ import annotations
+
+from math import exp, log, pi, sqrt
+
+import numpy as np
+
+from armsight._numba import inner_kernel
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
+
+# what became of a bright area
+ACCEPTED, HOT, SMALL, BORDER, LARGE, FAILED, SATURATED, MANY, UNRESOLVED, UNLIKE, BEYOND, OTHER, UNUSED = range(13)
+# how an accepted spot was measured
+AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
+# what may be tried
+AUTO, ONLY_GAUSSIAN, ONLY_ELLIPSE = range(3)
+
+UNLIKE_SHARE = 0.15
+"""Residual, as a share of the height, above which it is no light that we know."""
+WORST_SIGMA_PX = 0.5
+"""A centre worse than this is no measurement."""
+CROWDED_SIGMA = 0.35
+"""A touching spot's centre must be known to this share of the width, or it is not told apart."""
+
+
+@inner_kernel
+def classify(comp, w, h, window, min_pixels, max_radius, margin):
+    """Return ACCEPTED or why a component is refused before any fit. window (4,): x0, x1, y0, y1 that were searched."""
+    if comp[col.AREA] < min_pixels:
+        lone = comp[col.AREA] <= 2.0 and comp[col.PEAK] - comp[col.LEVEL] > margin
+        return HOT if lone else SMALL
+    if comp[col.X_MIN] < 1.0 or comp[col.Y_MIN] < 1.0 or comp[col.X_MAX] > w - 2.0 or comp[col.Y_MAX] > h - 2.0:
+        return BORDER
+    if max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN]) > 2.0 * max_radius:
+        return LARGE
+    inside = comp[col.X_MIN] > window[0] and comp[col.X_MAX] < window[1] - 1
+    if not (inside and comp[col.Y_MIN] > window[2] and comp[col.Y_MAX] < window[3] - 1):
+        return BEYOND
+    return ACCEPTED
+
+
+@inner_kernel
+def boxes_overlap(a, b, reach):
+    """Tell whether the bounds of component b, widened by reach, meet those of a."""
+    return (
+        b[col.X_MIN] - reach <= a[col.X_MAX]
+        and b[col.X_MAX] + reach >= a[col.X_MIN]
+        and b[col.Y_MIN] - reach <= a[col.Y_MAX]
+        and b[col.Y_MAX] + reach >= a[col.Y_MIN]
+    )
+
+
+@inner_kernel
+def fit_margin(comp):
+    """Return how far beyond a component's bounds its fit looks, in px."""
+    return 0.9 * max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN]) / 2.0 + 4.0
+
+
+@inner_kernel
+def round_start(comp, background, saturation, start):
+    """Fill start (u, v, A, q, b) for a round Gaussian from a component's sums.
+
+    The area above a grey level L is 2 pi q ln(A / L); with clipped pixels the areas above the threshold and
+    above the clipping level together give A and q.
+    """
+    start[0] = comp[col.SUM_X] / comp[col.WEIGHT]
+    start[1] = comp[col.SUM_Y] / comp[col.WEIGHT]
+    low = max(comp[col.LEVEL] + 0.5 - background, 0.5)
+    if comp[col.CLIPPED] > 3.0:
+        high = saturation - background
+        q = (comp[col.AREA] - comp[col.CLIPPED]) / (2.0 * pi * log(max(high / low, 1.05)))
+        q = max(q, 0.2)
+        start[2] = high * exp(min(comp[col.CLIPPED] / (2.0 * pi * q), 4.0))
+    else:
+        start[2] = max(comp[col.PEAK] - background, 1.1 * low)
+        q = comp[col.AREA] / (2.0 * pi * log(start[2] / low))
+    start[3] = min(max(q, 0.2), 200.0)
+    start[4] = background
+
+
+@inner_kernel
+def check_fit(comp, rows, lights, saturated, noise):
+    """Return ACCEPTED, or why these lights of one component are refused."""
+    for k in range(lights):
+        row = rows[k]
+        a = max(row[col.S_RSS] / max(row[col.S_DOF], 1.0), PIXEL_VARIANCE)
+        worst = sqrt(a * max(row[col.S_CH], row[col.S_CH + 2]))
+        inside = (
+            comp[col.X_MIN] - 2.0 <= row[col.S_U] <= comp[col.X_MAX] + 2.0
+            and comp[col.Y_MIN] - 2.0 <= row[col.S_V] <= comp[col.Y_MAX] + 2.0
+        )
+        if lights > 1 and not (inside and worst < CROWDED_SIGMA * row[col.S_SIZE] and row[col.S_PEAK] > 4.0 * sqrt(a)):
+            return UNRESOLVED
+        if not worst < WORST_SIGMA_PX:
+            return SATURATED if saturated else FAILED
+        if not (inside and row[col.S_PEAK] > 0.0):
+            return FAILED
+        if sqrt(a) > UNLIKE_SHARE * row[col.S_PEAK] and a > 9.0 * noise:
+            return UNLIKE
+    return ACCEPTED
+
+
+@inner_kernel
+def hot_pixels(comps, state, hot):
+    """Fill hot (2 n, 2) with the pixels x, y of the areas that are hot pixels; return how many."""
+    n = np.int64(0)
+    for i in range(comps.shape[0]):
+        if state[i, col.STATUS] == HOT:
+            hot[n, 0] = int(comps[i, col.X_MIN])
+            hot[n, 1] = int(comps[i, col.Y_MIN])
+            n += 1
+            if comps[i, col.AREA] == 2.0:
+                hot[n, 0] = int(comps[i, col.X_MAX])
+                hot[n, 1] = int(comps[i, col.Y_MAX])
+                n += 1
+    return n

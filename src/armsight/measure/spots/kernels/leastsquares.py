@@ -1,0 +1,394 @@
+"""One damped least-squares fit for all models of a light, and what the centre's covariance is made of.
+
+That is the noise's constant and shot parts, and the background's slope.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from armsight._numba import inner_kernel, inner_sum_kernel
+from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.light_models import (
+    CLIPPED_PIXEL,
+    ELLIPSE,
+    add_prior,
+    grid_of,
+    is_feasible,
+    light_and_slopes,
+)
+from armsight.measure.spots.kernels.picture import copy_to
+
+STEPS = 40
+CLOSE = 3e-3
+"""Stop where a step lowers chi-square by less than this share of the noise variance."""
+
+
+@inner_sum_kernel
+def dot(a, b):
+    """Return the sum of the products of a and b."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@inner_sum_kernel
+def subtract_model(values, background, m, r):
+    """Fill r with values less background and light m."""
+    for i in range(r.shape[0]):
+        r[i] = values[i] - background - m[i]
+
+
+@inner_sum_kernel
+def products(a, b, ab):
+    """Fill ab with the products of a and b."""
+    for i in range(a.shape[0]):
+        ab[i] = a[i] * b[i]
+
+
+@inner_kernel
+def unused(use):
+    """Return the positions of the pixels of a patch (ny, nx) that are not used for what they are."""
+    nx = use.shape[1]
+    count = 0
+    for j in range(use.shape[0]):
+        for i in range(nx):
+            count += use[j, i] != 1
+    out = np.empty(count, np.int64)
+    k = 0
+    for j in range(use.shape[0]):
+        for i in range(nx):
+            if use[j, i] != 1:
+                out[k] = j * nx + i
+                k += 1
+    return out
+
+
+@inner_kernel
+def patch_grid(patch):
+    """Return the Grid of a Patch."""
+    return grid_of(patch.box[0], patch.box[2], patch.values.shape[1], patch.values.shape[0])
+
+
+@inner_kernel
+def evaluate(kind, p, n, patch, special, grid, J, m, r):
+    """Fill light m, derivatives J (n, pixels) and residuals r of a patch (values less model).
+
+    Zero in J and r, and so in every sum, where use is 0, and where it is CLIPPED_PIXEL and the model is brighter than
+    the value: the light is at least as bright there, and a model that is brighter costs nothing.
+    """
+    light_and_slopes(kind, p, n, grid, J, m)
+    subtract_model(patch.values.reshape(-1), p[0], m, r)
+    marks = patch.use.reshape(-1)
+    for k in special:
+        if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
+            r[k] = 0.0
+            m[k] = 0.0
+            for a in range(n):
+                J[a, k] = 0.0
+
+
+@inner_sum_kernel
+def four_dots(a0, a1, b0, b1):
+    """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
+    t00 = 0.0
+    t01 = 0.0
+    t10 = 0.0
+    t11 = 0.0
+    for i in range(a0.shape[0]):
+        t00 += a0[i] * b0[i]
+        t01 += a0[i] * b1[i]
+        t10 += a1[i] * b0[i]
+        t11 += a1[i] * b1[i]
+    return t00, t01, t10, t11
+
+
+@inner_kernel
+def gram(J, n, H):
+    """Fill H (n, n) = J J', in blocks of two rows and two columns: each number is loaded half as often."""
+    for a in range(0, n - 1, 2):
+        for b in range(0, a + 1, 2):
+            t00, t01, t10, t11 = four_dots(J[a], J[a + 1], J[b], J[b + 1])
+            H[a, b] = t00
+            H[b, a] = t00
+            H[a + 1, b] = t10
+            H[b, a + 1] = t10
+            H[a + 1, b + 1] = t11
+            H[b + 1, a + 1] = t11
+            if b < a:
+                H[a, b + 1] = t01
+                H[b + 1, a] = t01
+    if n % 2 == 1:
+        for b in range(n):
+            H[n - 1, b] = dot(J[n - 1], J[b])
+            H[b, n - 1] = H[n - 1, b]
+
+
+@inner_kernel
+def normal_equations(J, r, n, H, g):
+    """Fill H (n, n), g (n,) of a patch that was evaluated; return the sum of squares."""
+    gram(J, n, H)
+    for a in range(n):
+        g[a] = -dot(J[a], r)
+    return dot(r, r)
+
+
+@inner_kernel
+def fit_model(kind, p, n, patch, count, residuals):
+    """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge.
+
+    residuals (ny, nx): values less model, 0 where unused; filled where it converges.
+    """
+    g = np.empty(n)
+    step = np.empty(n)
+    trial = np.empty(n)
+    H = np.empty((n, n))
+    H2 = np.empty((n, n))
+    g2 = np.empty(n)
+    start = np.empty(n)
+    copy_to(p[:n], start)
+    if not is_feasible(kind, p, n):
+        return -1.0
+    grid = patch_grid(patch)
+    special = unused(patch.use)
+    pixels = patch.values.size
+    J = np.empty((n, pixels))
+    m = np.empty(pixels)
+    r = np.empty(pixels)
+    best = residuals.reshape(-1)
+    evaluate(kind, p, n, patch, special, grid, J, m, best)
+    extra = 0.0
+    rss = normal_equations(J, best, n, H, g)
+    # at the start, which the priors are about, they add nothing to the squares
+    add_prior(kind, p, start, n, H, g)
+    damping = 1e-3
+    for _ in range(STEPS):
+        if not solve_damped(H, g, damping, step):
+            return -1.0
+        for i in range(n):
+            trial[i] = p[i] + step[i]
+        # what is not feasible counts as worse
+        new = rss + 1.0
+        new_extra = 0.0
+        if is_feasible(kind, trial, n):
+            evaluate(kind, trial, n, patch, special, grid, J, m, r)
+            new = normal_equations(J, r, n, H2, g2)
+            new_extra = add_prior(kind, trial, start, n, H2, g2)
+            new += new_extra
+        # written so that NaN is no improvement
+        if not new <= rss:
+            damping *= 10.0
+            if damping > 1e6:
+                return -1.0
+            continue
+        gain = rss - new
+        rss = new
+        extra = new_extra
+        copy_to(trial, p)
+        copy_to(r, best)
+        copy_to(g2, g)
+        for i in range(n):
+            copy_to(H2[i], H[i])
+        # the small gain of a damped step says nothing of the minimum
+        if gain < CLOSE * rss / count and damping <= 1e-3:
+            return rss - extra
+        damping = max(0.1 * damping, 1e-9)
+    return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
+
+
+@inner_kernel
+def evaluate_patch(kind, p, n, patch, residuals):
+    """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
+    grid = patch_grid(patch)
+    J = np.empty((n, patch.values.size))
+    m = np.empty(patch.values.size)
+    evaluate(kind, p, n, patch, unused(patch.use), grid, J, m, residuals.reshape(-1))
+    return J, m, grid
+
+
+@inner_kernel
+def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
+    """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
+
+    tilt (n + 3, 2): see leastsquares.uncertainty, about (u, v).
+    """
+    work = grid.work[0]
+    for a in range(n):
+        products(J[a], m, work)
+        for b in range(a + 1):
+            G[a, b] = dot(work, J[b])
+            G[b, a] = G[a, b]
+    r = residuals.reshape(-1)
+    products(r, r, work)
+    out3[0] = dot(J[0], m)
+    out3[1] = dot(work, m)
+    out3[2] = dot(m, m)
+    # J[0], by the background, is 1 in pixels that count and 0 in others
+    dx = grid.work[1]
+    dy = grid.work[2]
+    for i in range(m.shape[0]):
+        dx[i] = (grid.x[i] - u) * J[0, i]
+        dy[i] = (grid.y[i] - v) * J[0, i]
+    for a in range(n):
+        tilt[a, 0] = dot(J[a], dx)
+        tilt[a, 1] = dot(J[a], dy)
+    tilt[n, 0] = dot(dx, dx)
+    tilt[n, 1] = dot(dx, dy)
+    tilt[n + 1, 0] = 0.0
+    tilt[n + 1, 1] = dot(dy, dy)
+    tilt[n + 2, 0] = dot(r, dx)
+    tilt[n + 2, 1] = dot(r, dy)
+
+
+@inner_kernel
+def add_light_to_patch(kind, p, n, patch, sign):
+    """Add sign times the model's light to the patch's values."""
+    m = np.empty(patch.values.size)
+    light_and_slopes(kind, p, n, patch_grid(patch), np.empty((n, patch.values.size)), m)
+    flat = patch.values.reshape(-1)
+    for i in range(flat.size):
+        flat[i] += sign * m[i]
+
+
+@inner_kernel
+def slope_prior(levels, y, x, w, h, noise, prior):
+    """Fill prior (4,): slope of the background per px along x and y at pixel (x, y), and how well it is known.
+
+    The middle one of three rows' (columns') central differences; its standard deviation is their spread plus the step's
+    unevenness plus the sample's own noise.
+    """
+    i = y * col.GRID // h
+    j = x * col.GRID // w
+    three = np.empty(3)
+    for axis in range(2):
+        size = (w if axis == 0 else h) / col.GRID
+        c = j if axis == 0 else i
+        o = i if axis == 0 else j
+        lo = max(c - 1, 0)
+        hi = min(c + 1, col.GRID - 1)
+        known = 0
+        bend = 0.0
+        for k in range(max(o - 1, 0), min(o + 2, col.GRID)):
+            a = levels[k, lo] if axis == 0 else levels[lo, k]
+            b = levels[k, c] if axis == 0 else levels[c, k]
+            d = levels[k, hi] if axis == 0 else levels[hi, k]
+            if a < 0.0 or b < 0.0 or d < 0.0:
+                continue
+            three[known] = (d - a) / ((hi - lo) * size)
+            # the second difference: how far the slope changes from tile to tile
+            if k == o and hi - lo == 2:
+                bend = abs(d - 2.0 * b + a) / size
+            known += 1
+        prior[axis] = 0.0
+        prior[2 + axis] = 1.0
+        if known > 1:
+            low = min(three[0], three[1]) if known == 2 else min(three[0], three[1], three[2])
+            high = max(three[0], three[1]) if known == 2 else max(three[0], three[1], three[2])
+            middle = 0.5 * (low + high)
+            if known == 3:
+                middle = three[0] + three[1] + three[2] - low - high
+            prior[axis] = middle
+            prior[2 + axis] = high - low + bend + 0.25 * sqrt(noise) / size + 1e-4
+
+
+LEAST_SLOPE = 0.05
+"""Slope (grey levels per px) that a background before which nothing is seen to change may still have."""
+
+
+@inner_kernel
+def ring_prior(slope, prior):
+    """Fill prior (4,) as slope_prior does where a ring about the light tells how much the background changes."""
+    prior[0] = 0.0
+    prior[1] = 0.0
+    prior[2] = slope + LEAST_SLOPE
+    prior[3] = slope + LEAST_SLOPE
+
+
+MISFIT = 4.0
+"""Neighbouring residuals correlated by more than this many standard deviations say that the model is wrong."""
+MOST_CORRELATED = 0.9
+LEVERAGE = 1.3
+"""What a round fit takes of the sum of m^2, over what it takes of the sum of m; 1.295-1.30 for sigma 1.5-4 px."""
+
+
+@inner_kernel
+def variance_inflation(run, products, squares):
+    """Return the factor of the covariance for residuals that hang together: wrong model, or noise that is not white.
+
+    For residuals whose neighbours correlate by rho along both axes, as of first order, the information of a smooth
+    light falls by (1 - rho) / (1 + rho) along each. products: sum of r times its left and upper neighbour.
+    """
+    if run < MISFIT or squares <= 0.0:
+        return 1.0
+    rho = min(0.5 * products / squares, MOST_CORRELATED)
+    return ((1.0 + rho) / (1.0 - rho)) ** 2
+
+
+@inner_kernel
+def remaining_square(square, signal, left):
+    """Return the sum of m^2 less the fit's take, from that of the sum of m (signal, of which `left` is left)."""
+    return square * max(1.0 - LEVERAGE * (1.0 - left / signal), 0.1) if signal > 0.0 else 0.0
+
+
+@inner_kernel
+def uncertainty(H, G, tilt, prior, noise, signal, out):
+    """Write C_H, C_G into out (6,), correct the centre for the background's slope; return signal less the fit's take.
+
+    With noise variance a + g m at a pixel of model height m, the covariance of the centre is a C_H + g C_G (C_G =
+    H^-1 G H^-1), and the residuals' expectation is (1 - leverage) (a + g m). The background's slope (per px along x
+    and y) is one linear step of a fit with prior (4,): mean x, y, standard deviation x, y. tilt (n + 3, 2): the sums of
+    J dx, J dy (n rows), of (dx, dy)'(dx, dy) (2 rows) and of r dx, r dy. The centre's shift goes to out[6:8].
+    NaN where H cannot be inverted.
+    """
+    n = H.shape[0]
+    C = np.empty((n, n))
+    if not invert_spd(H, C):
+        return np.nan
+    # trace of H^-1 G, the light of each pixel times its leverage: what the fit takes of the signal
+    trace = 0.0
+    for i in range(n):
+        for j in range(n):
+            trace += C[i, j] * G[i, j]
+    CG = np.zeros((2, n))
+    CB = np.zeros((n, 2))
+    for j in range(n):
+        for i in range(n):
+            CG[0, j] += C[0, i] * G[i, j]
+            CG[1, j] += C[1, i] * G[i, j]
+            CB[j, 0] += C[j, i] * tilt[i, 0]
+            CB[j, 1] += C[j, i] * tilt[i, 1]
+    # the slope's two parameters beside the others: the Schur complement of H in the larger matrix, and their prior
+    kx = noise / (prior[2] * prior[2])
+    ky = noise / (prior[3] * prior[3])
+    xx = tilt[n, 0] + kx
+    xy = tilt[n, 1]
+    yy = tilt[n + 1, 1] + ky
+    for i in range(n):
+        xx -= tilt[i, 0] * CB[i, 0]
+        xy -= tilt[i, 0] * CB[i, 1]
+        yy -= tilt[i, 1] * CB[i, 1]
+    det = xx * yy - xy * xy
+    if not det > 0.0:
+        return np.nan
+    hx = tilt[n + 2, 0] + kx * prior[0]
+    hy = tilt[n + 2, 1] + ky * prior[1]
+    slope_x = (yy * hx - xy * hy) / det
+    slope_y = (xx * hy - xy * hx) / det
+    k = 0
+    for a in range(2):
+        out[6 + a] = -(CB[a, 0] * slope_x + CB[a, 1] * slope_y)
+        for b in range(a, 2):
+            # the centre with the slope unknown: C + CB S^-1 CB', S the complement (xx, xy, yy)
+            out[k] = C[a, b]
+            out[k] += (CB[a, 0] * CB[b, 0] * yy - (CB[a, 0] * CB[b, 1] + CB[a, 1] * CB[b, 0]) * xy) / det
+            out[k] += CB[a, 1] * CB[b, 1] * xx / det
+            t = 0.0
+            for j in range(n):
+                t += CG[a, j] * C[j, b]
+            out[k + 3] = t
+            k += 1
+    return signal - trace
