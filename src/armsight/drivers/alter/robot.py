@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.alter.frames import SEQUENCES, FrameSplitter, StateFrame, answer
-from armsight.drivers.alter.settings import AlterSettings, ArmOnLink, alter_settings
+from armsight.drivers.alter.settings import AlterSettings, ArmOnLink
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.joint_goals import JointLimits
 from armsight.drivers.pose_goals import PoseGoals, between
 from armsight.drivers.robot import Sent
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
@@ -80,18 +78,15 @@ class AlterRobot(CyclicRobot):
     takes_poses = True
 
     def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
-        self.settings: AlterSettings = alter_settings(settings or {})
+        self.settings = AlterSettings.checked(settings)
         self.port = device
-        limits = JointLimits(
-            lower=np.array(self.settings.lower_rad or [-math.inf] * 6),
-            upper=np.array(self.settings.upper_rad or [math.inf] * 6),
-            max_speed=np.full(6, self.settings.max_speed_rad_s),
-        )
         cycle_s = self.settings.cycle_s
         times = LinkTimes(cycle_s=cycle_s, stale_s=STALE_CYCLES * cycle_s, silent_s=SILENT_CYCLES * cycle_s)
         name = f"alter:{device}"
         poses = PoseGoals(name, self.settings.speed_m_s, self.settings.speed_rad_s, cycle_s)
-        super().__init__(name, limits=limits, times=times, clock=clock or SystemClock(), poses=poses)
+        super().__init__(
+            name, limits=self.settings.joint_limits(6), times=times, clock=clock or SystemClock(), poses=poses
+        )
         self._arm: ArmOnLink | None = self.settings.arm
         self.counts = AlterCounts()
         self._last: StateFrame | None = None

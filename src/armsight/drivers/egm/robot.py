@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import LinkTimes
+from armsight.clock import Clock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
-from armsight.drivers.egm.settings import EgmSettings, egm_settings
 from armsight.drivers.given_goals import GivenGoals
-from armsight.drivers.joint_goals import JointLimits
-from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, udp_port
-from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
+from armsight.drivers.link_settings import Positive
+from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, UdpSettings
 from armsight.units import MS
 
 Array = NDArray[np.float64]
+
+
+class EgmSettings(UdpSettings):
+    """Settings of an EGM link, beside those of every link by UDP.
+
+    cycle_s: EGMActJoint's and EGMActPose's SampleRate. joints: how many the arm has. guidance: what the controller's
+    program runs, EGMRunJoint or EGMRunPose. silent_s: silence after which the link is lost, CommTimeout of EGMSetupUC.
+    """
+
+    link: ClassVar[str] = "the EGM link"
+
+    joints: Annotated[int, Field(ge=1, le=12)] = 6
+    guidance: Literal["joint", "pose"] = "joint"
+    silent_s: Positive = 1.0
 
 
 class EgmRobot(UdpRobot[ControllerPacket]):
@@ -29,26 +39,13 @@ class EgmRobot(UdpRobot[ControllerPacket]):
     device: the UDP port. settings: see EgmSettings. Raises UsageError for a port or a setting that cannot be.
     """
 
+    scheme, usual_port = "egm", 6510
     guided_by = "set guidance to joint and run EGMRunJoint on the controller"
+    to_begin = "Give this computer's address and port to the controller (UDPUC device) and start its EGM program"
 
     def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
-        self.settings: EgmSettings = egm_settings(settings or {})
-        n = self.settings.joints
-        limits = JointLimits(
-            lower=_each(self.settings.lower_rad, -math.inf, n),
-            upper=_each(self.settings.upper_rad, math.inf, n),
-            max_speed=np.full(n, self.settings.max_speed_rad_s),
-        )
-        times = LinkTimes(cycle_s=self.settings.cycle_s, stale_s=self.settings.stale_s, silent_s=self.settings.silent_s)
-        super().__init__(
-            f"egm:{device}",
-            udp_port(device, "egm:6510"),
-            self.settings,
-            limits=limits,
-            times=times,
-            clock=clock or SystemClock(),
-        )
-        self.takes_poses = self.settings.guidance == "pose"
+        kept = self.settings = EgmSettings.checked(settings)
+        super().__init__(device, kept, n=kept.joints, silent_s=kept.silent_s, guidance=kept.guidance, clock=clock)
         self._given = GivenGoals()
         self._answers = 0
 
@@ -59,18 +56,8 @@ class EgmRobot(UdpRobot[ControllerPacket]):
         super()._rebase(q)
         self._given.start()
 
-    def _not_opened(self, nobody: str) -> DeviceFailed:
-        return DeviceNotFound(
-            nobody,
-            consequence="The robot is not opened",
-            cure="Give this computer's address and port to the controller (UDPUC device) and start its EGM program",
-        )
-
-    def _parse(self, data: bytes) -> ControllerPacket:
-        packet = parse(data, self.n_joints)
-        if self.takes_poses and packet.T_base_flange is None:
-            raise Inconsistent("a packet has no measured pose")
-        return packet
+    def _decode(self, data: bytes) -> ControllerPacket:
+        return parse(data, self.n_joints)
 
     def _cycles_between(self, last: ControllerPacket, state: ControllerPacket) -> int:
         return state.sequence - last.sequence
@@ -84,7 +71,6 @@ class EgmRobot(UdpRobot[ControllerPacket]):
         self._behind_sequence = -1
         if state.why_still or self._held:
             self._halt(state.why_still, state.q)
-        self._heard(state.q, self._clock.now_s())
 
     def _hear_old(self, state: ControllerPacket, newest: ControllerPacket, sender: Sender) -> None:
         """Note a link that has started anew.
@@ -96,20 +82,10 @@ class EgmRobot(UdpRobot[ControllerPacket]):
         if state.tm_ms > newest.tm_ms or self._behind >= RESTART_PACKETS:
             self._lose("its controller, or EGM on it, has started anew")
 
-    def _answer(self, state: ControllerPacket, sender: Sender) -> None:
+    def _encode(self, state: ControllerPacket) -> bytes:
         tm_ms = int(self._clock.now_s() / MS)
         q, pose = self._goals.sent, self._poses.sent
         self._given.give(pose if self.takes_poses else q)
         data = answer_pose(self._answers, tm_ms, pose) if self.takes_poses else answer_joints(self._answers, tm_ms, q)
         self._answers += 1
-        with contextlib.suppress(OSError):  # a controller that is gone is told by its silence
-            self._socket.sendto(data, sender)
-
-
-def _each(values: list[float] | None, otherwise: float, n: int) -> Array:
-    """Return one value for each joint, (n,)."""
-    if values is None:
-        return np.full(n, otherwise)
-    if len(values) != n:
-        raise UsageError(f"{len(values)} joint limits are given for {n} joints", cure=f"Give {n}")
-    return np.array(values, dtype=float)
+        return data

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -11,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import LinkTimes
-from armsight.drivers.joint_goals import JointLimits
+from armsight.clock import Clock
 from armsight.drivers.pose_goals import between
 from armsight.drivers.rsi.messages import RobMessage, answer, correction, parse
-from armsight.drivers.rsi.settings import RsiSettings, RsiTags, read_tags, rsi_settings
-from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, udp_port
-from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
+from armsight.drivers.rsi.settings import RsiSettings, RsiTags, read_tags
+from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot
+from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
 
 Array = NDArray[np.float64]
@@ -34,23 +31,16 @@ class RsiRobot(UdpRobot[RobMessage]):
     UsageError for a port or a setting that cannot be, BadFile for the RSI Ethernet file.
     """
 
+    scheme, usual_port = "rsi", 49152
     guided_by = "let RSI on the controller take AK corrections"
+    to_begin = "Give this computer's address and port in the RSI Ethernet file, and start RSI on the controller"
 
     def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
-        self.settings: RsiSettings = rsi_settings(settings or {})
-        self.tags = RsiTags() if self.settings.rsi_config is None else read_tags(self.settings.rsi_config)
-        limits = JointLimits(
-            lower=np.array(self.settings.lower_rad or [-math.inf] * 6),
-            upper=np.array(self.settings.upper_rad or [math.inf] * 6),
-            max_speed=np.full(6, self.settings.max_speed_rad_s),
-        )
-        cycle_s = self.settings.cycle_s
+        kept = self.settings = RsiSettings.checked(settings)
+        self.tags = RsiTags() if kept.rsi_config is None else read_tags(kept.rsi_config)
         # the controller ends RSI after so many late packets; until then it only holds
-        silent_s = self.settings.late_limit * cycle_s if self.settings.silent_s is None else self.settings.silent_s
-        times = LinkTimes(cycle_s=cycle_s, stale_s=self.settings.stale_s, silent_s=silent_s)
-        port = udp_port(device, "rsi:49152")
-        super().__init__(f"rsi:{device}", port, self.settings, limits=limits, times=times, clock=clock or SystemClock())
-        self.takes_poses = self._guidance() == "pose"
+        silent_s = kept.late_limit * kept.cycle_s if kept.silent_s is None else kept.silent_s
+        super().__init__(device, kept, n=6, silent_s=silent_s, guidance=self._guidance(), clock=clock)
         self._start_q: Array | None = None
         self._start_pose: RigidTransform | None = None
         self._answered_ipoc: int | None = None
@@ -79,17 +69,10 @@ class RsiRobot(UdpRobot[RobMessage]):
                 consequence="The robot is not opened: an answer from zero on would pull the arm back",
                 cure="End RSI on the controller and start it again",
             )
-        return DeviceNotFound(
-            nobody,
-            consequence="The robot is not opened",
-            cure="Give this computer's address and port in the RSI Ethernet file, and start RSI on the controller",
-        )
+        return super()._not_opened(nobody)
 
-    def _parse(self, data: bytes) -> RobMessage:
-        message = parse(data)
-        if self.takes_poses and message.T_base_flange is None:
-            raise Inconsistent("a packet has no RIst")
-        return message
+    def _decode(self, data: bytes) -> RobMessage:
+        return parse(data)
 
     def _cycles_between(self, last: RobMessage, state: RobMessage) -> int:
         ahead_ms = state.ipoc - last.ipoc
@@ -153,7 +136,6 @@ class RsiRobot(UdpRobot[RobMessage]):
         if state.n_late is not None:
             self._first_late = state.n_late if self._first_late is None else self._first_late
             self.counts.late = max(0, state.n_late - self._first_late)
-        self._heard(state.q, self._clock.now_s())
 
     def _hear_old(self, state: RobMessage, newest: RobMessage, sender: Sender) -> None:
         """Answer the same once more as before, for a controller that waits.
@@ -167,13 +149,12 @@ class RsiRobot(UdpRobot[RobMessage]):
         if self._behind >= RESTART_PACKETS:
             self._lose("its controller, or RSI on it, has started anew (IPOC went back)")
 
-    def _answer(self, state: RobMessage, sender: Sender) -> None:
+    def _encode(self, state: RobMessage) -> bytes | None:
         if self._lost or self._start_q is None:
-            return
+            return None
         if self.takes_poses and self._start_pose is not None:
-            data = answer(self.tags, state.ipoc, pose=correction(self._start_pose, self._poses.sent))
-        else:
-            data = answer(self.tags, state.ipoc, joint_deg=np.degrees(self._goals.sent - self._start_q))
-        with contextlib.suppress(OSError):  # a controller that is gone is told by its silence
-            self._socket.sendto(data, sender)
-            self._answered_ipoc, self._late_when_answered = state.ipoc, state.n_late
+            return answer(self.tags, state.ipoc, pose=correction(self._start_pose, self._poses.sent))
+        return answer(self.tags, state.ipoc, joint_deg=np.degrees(self._goals.sent - self._start_q))
+
+    def _answered(self, state: RobMessage) -> None:
+        self._answered_ipoc, self._late_when_answered = state.ipoc, state.n_late

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from armsight._files import read_file
-from armsight.errors import BadFile, UsageError
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+from armsight.drivers.link_settings import Positive
+from armsight.drivers.udp import UdpSettings
+from armsight.errors import BadFile
 
 JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
@@ -23,33 +21,23 @@ LARGEST_FILE = 100_000
 """Bytes of an RSI Ethernet file at most; KUKA's own examples have 3000."""
 
 
-class RsiSettings(BaseModel):
-    """Settings of an RSI link.
+class RsiSettings(UdpSettings):
+    """Settings of an RSI link, beside those of every link by UDP.
 
     rsi_config: the controller's RSI Ethernet XML file, whose Sen type and tags are used. cycle_s: 0.004 (IPO_FAST) or
     0.012 (IPO). guidance: joint (AK) or pose (RKorr); left out, what the file takes, joints first. late_limit: late
-    packets after which the controller ends RSI, its ETHERNET object's Timeout, or more. stale_s: age of a reading that
-    is stale. silent_s: silence after which the link is lost; left out, as long as late_limit cycles. controller: the
-    only address that is listened to; empty: the first that speaks. bind: the own address to listen at.
-    max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of the flange in pose guidance.
+    packets after which the controller ends RSI, its ETHERNET object's Timeout, or more. silent_s: silence after which
+    the link is lost; left out, as long as late_limit cycles.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    link: ClassVar[str] = "the RSI link"
 
     rsi_config: Path | None = None
-    cycle_s: Positive = 0.004
     guidance: Literal["joint", "pose"] | None = None
     late_limit: Annotated[int, Field(ge=1)] = 100
-    stale_s: Positive = 0.02
     silent_s: Positive | None = None
-    controller: str = ""
-    bind: str = "0.0.0.0"
-    open_s: Positive = 5.0
-    max_speed_rad_s: Positive = math.pi / 3
     lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
-    speed_m_s: Positive = 0.1
-    speed_rad_s: Positive = math.pi / 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,20 +48,6 @@ class RsiTags:
     joint: str = "AK"
     pose: str = "RKorr"
     sends_pose: bool = True
-
-
-def rsi_settings(values: Mapping[str, Any]) -> RsiSettings:
-    """Return checked settings. Raises UsageError that names the wrong key."""
-    try:
-        return RsiSettings.model_validate(dict(values))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise UsageError(
-            f"the setting {key!r} of the RSI link cannot be: {first['msg']}",
-            consequence="The robot is not opened",
-            cure=f"Known are: {', '.join(RsiSettings.model_fields)}",
-        ) from error
 
 
 def read_tags(path: Path) -> RsiTags:

@@ -6,20 +6,20 @@ import contextlib
 import math
 import threading
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
 from armsight.drivers.given_goals import GivenGoals
-from armsight.drivers.joint_goals import JointLimits
+from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable
 from armsight.drivers.rtde.worker import PLAYING
-from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent
 from armsight.priority import control_first
 
 Array = NDArray[np.float64]
@@ -41,10 +41,8 @@ SAFETY_STOPS = {
 LARGEST_RAD = 100.0
 """No joint of a robot turns 16 times: a larger value is not a reading."""
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
-
-class RtdeSettings(BaseModel):
+class RtdeSettings(LinkSettings):
     """Settings of an RTDE link.
 
     cycle_s: 0.002 with an e-Series, 0.008 with a CB3. lookahead_s, gain: of servoj: how smoothly and how tightly the
@@ -54,7 +52,7 @@ class RtdeSettings(BaseModel):
     max_speed_rad_s, lower_rad, upper_rad: of each joint.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    link: ClassVar[str] = "the RTDE link"
 
     cycle_s: Annotated[float, Field(ge=0.002, le=0.1)] = 0.002
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
@@ -75,21 +73,9 @@ class RtdeRobot(CyclicRobot):
     """
 
     def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
-        try:
-            self.settings = RtdeSettings.model_validate(dict(settings or {}))
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise UsageError(
-                f"the setting {'.'.join(map(str, first['loc']))!r} of the RTDE link cannot be: {first['msg']}",
-                consequence="The robot is not opened",
-                cure=f"Known are: {', '.join(RtdeSettings.model_fields)}",
-            ) from error
+        self.settings = RtdeSettings.checked(settings)
         self.host, self.port = address(device)
-        limits = JointLimits(
-            lower=np.array(self.settings.lower_rad),
-            upper=np.array(self.settings.upper_rad),
-            max_speed=np.full(JOINTS, self.settings.max_speed_rad_s),
-        )
+        limits = self.settings.joint_limits(JOINTS)
         cycle_s = self.settings.cycle_s
         times = LinkTimes(cycle_s=cycle_s, stale_s=self.settings.stale_s, silent_s=self.settings.silent_s)
         super().__init__(f"rtde:{device}", limits=limits, times=times, clock=clock or SystemClock())
