@@ -38,15 +38,15 @@ import numpy as np
 import websockets.frames
 
 import armsight
-from armsight.app.robot.channels import JointTrack
 from armsight.app.robot.event_log import RecordingLog
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
 from armsight.app.robot.models import arm_model
 from armsight.app.robot.opening import open_robot
-from armsight.app.robot.service import Service
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
+from armsight.control.session.channels import JointTrack
+from armsight.control.session.service import Service
 from armsight.control.setpoints import JointGoal
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, StaleData

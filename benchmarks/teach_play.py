@@ -38,9 +38,10 @@ from armsight.app.teach.job import TeachJob
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.paths import smoothed
 from armsight.control.play import PathPlan, PathSource, PlaySettings, Weave, plan_path
+from armsight.control.status import RobotStatus
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
 from armsight.sim.live import live_cell
@@ -180,7 +181,7 @@ def run_weld(robot: Any, clock: ManualClock, arm: Arm, plan: PathPlan, T_flange_
     source, tips = PathSource(plan), []
     loop = ControlLoop(robot, Guard(arm, Limits(), robot.cycle_s), source, clock, enabled=lambda: True)
 
-    def until(status: LoopStatus) -> bool:
+    def until(status: RobotStatus) -> bool:
         at = source.progress
         if at.stage == "path" and at.s_m > 0.002:
             T = robot.true.T_world_base * robot.true_flange(status.t_s) * T_flange_tip

@@ -12,8 +12,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.app.robot.service import Service
 from armsight.clock import ManualClock
+from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.server import auth as doors
 from armsight.server.serving import background

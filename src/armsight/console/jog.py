@@ -57,7 +57,7 @@ def _show(robot: RobotCell, labels: list[TextElement]) -> None:
         q = robot.joints() if labels else ()
     except ArmsightError:
         return
-    arm = robot.seat.arm
+    arm = robot.session.arm
     for axis, (label, value) in enumerate(zip(labels, q, strict=True)):
         slides = arm is not None and not arm.revolute[axis]
         now = texts.SLIDE_NOW.format(value=value / MM) if slides else texts.JOINT_NOW.format(value=value / DEG)

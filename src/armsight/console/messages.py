@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from armsight.app.operator.operator_session import Push
+from armsight.control.session.operator_session import Push
 from armsight.drivers.remote.protocol import MAX_JOINTS
 from armsight.errors import UsageError
 
@@ -37,7 +37,7 @@ class JogKey(_Said):
     sense: Literal["-1", "1"]  # as text, since true is the number 1 to a literal
 
     def held(self) -> Push:
-        """Return the key as the seat takes it."""
+        """Return the key as the session takes it."""
         return Push(frame=self.frame, axis=self.axis, sense=float(self.sense))
 
 

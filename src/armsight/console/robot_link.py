@@ -13,15 +13,16 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
 from starlette.requests import HTTPConnection
 
-from armsight.app.operator.operator_session import OperatorSession, Person
 from armsight.console import texts
 from armsight.console.layout import SIGNS
 from armsight.console.messages import BROWSER, Beat, Override, Reset, Stop, robot_message
 from armsight.console.state import Console
+from armsight.control.session.operator_session import OperatorSession, Person
+from armsight.drivers import RobotState
 from armsight.errors import ArmsightError, UsageError
 
-TELL_S = 0.1
-"""Time between two states told to a browser."""
+STATE_S = 0.1
+"""Time between two states sent to a browser."""
 
 IDENTITY = "armsight.identity"
 """Where the server that lets callers in puts who they are into a request's scope."""
@@ -42,7 +43,7 @@ def add_robot_link(server: FastAPI, console: Console) -> None:
     @server.post("/console/stop", include_in_schema=False)
     async def stop(request: Request) -> Response:
         if console.robot is not None:
-            console.robot.seat.stop(person_of(request))
+            console.robot.session.stop(person_of(request))
         return Response(status_code=204)
 
     @server.websocket("/console/robot")
@@ -51,31 +52,31 @@ def add_robot_link(server: FastAPI, console: Console) -> None:
             await socket.close(code=1008)
             return
         await socket.accept()
-        await RobotLink(console.robot.seat, socket, browser).serve()
+        await RobotLink(console.robot.session, socket, browser).serve()
 
 
 class RobotLink:
-    """One browser's connection to the seat."""
+    """One browser's connection to the operator's session."""
 
-    def __init__(self, seat: OperatorSession, socket: WebSocket, browser: str) -> None:
-        self._seat, self._socket, self._browser = seat, socket, browser
+    def __init__(self, session: OperatorSession, socket: WebSocket, browser: str) -> None:
+        self._session, self._socket, self._browser = session, socket, browser
         self._person = person_of(socket)
-        self._key = secrets.token_hex(16)  # names its enable on the line for stops, while the seat lets it
+        self._key = secrets.token_hex(16)  # names its enable on the line for stops, while the session lets it
         self._refused = ""
-        self._told_s = -math.inf
+        self._sent_s = -math.inf
 
     async def serve(self) -> None:
         """Take what the browser says until its connection ends; then the robot is let go of first of all."""
-        teller = asyncio.create_task(self._tell())
+        sender = asyncio.create_task(self._send_states())
         try:
             while (said := await self._socket.receive())["type"] == "websocket.receive":
                 sent_after_s = said.get(SENT_AFTER)
                 self.take(said.get("text"), 0.0 if sent_after_s is None else time.monotonic() - sent_after_s)
         finally:
-            self._seat.leave(self._browser)
-            teller.cancel()
+            self._session.leave(self._browser)
+            sender.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await teller
+                await sender
 
     def take(self, text: str | None, age_s: float = 0.0) -> None:
         """Do what a message asked age_s ago; what is refused, or is no message, is told with the next state."""
@@ -84,9 +85,9 @@ class RobotLink:
                 case Beat() as beat:
                     self._beat(beat, age_s)
                 case Stop():
-                    self._seat.stop(self._person)
+                    self._session.stop(self._person)
                 case Reset():
-                    self._seat.reset(self._browser, self._person)
+                    self._session.reset(self._browser, self._person)
                     self._refused = ""
                 case Override(share=share):
                     self._override(share)
@@ -95,44 +96,46 @@ class RobotLink:
 
     def _beat(self, beat: Beat, age_s: float) -> None:
         seen_s = -math.inf if beat.seen is None else beat.seen
-        if beat.enable and seen_s > self._told_s:  # it would stay fresh however long it lay in a buffer
+        if beat.enable and seen_s > self._sent_s:  # it would stay fresh however long it lay in a buffer
             raise UsageError("the page saw a state that it was not told", consequence="Nothing was done")
         push = None if beat.push is None else beat.push.held()
         said = {"enable": beat.enable, "seen_s": seen_s, "age_s": age_s, "push": push, "number": beat.number}
-        self._seat.beat(self._browser, self._person, key=self._key, **said)  # type: ignore[arg-type]
+        self._session.beat(self._browser, self._person, key=self._key, **said)  # type: ignore[arg-type]
         if beat.enable:
             self._refused = ""
 
     def _override(self, share: float) -> None:
         """Take another speed, from who drives or may do so while nobody does."""
-        if self._person.role == "drive" and self._seat.browser in ("", self._browser):
-            self._seat.override = share
+        if self._person.role == "drive" and self._session.browser in ("", self._browser):
+            self._session.override = share
 
-    async def _tell(self) -> None:
+    async def _send_states(self) -> None:
         while True:
-            self._seat.look()
+            self._session.look()
             await self._socket.send_text(json.dumps(self.state()))
-            await asyncio.sleep(TELL_S)
+            await asyncio.sleep(STATE_S)
 
     def state(self) -> dict[str, Any]:
         """Return what the page is told."""
+        session = self._session
         try:
-            now = self._seat.state(self._browser)
+            with session.lock:  # who drives and what the robot does belong to one moment
+                now, mine, enabled = session.status(), session.drives(self._browser), session.enabled(self._browser)
         except ArmsightError as error:
             return {"level": "bad", "words": str(error), "refused": self._refused, "mine": False, "enabled": False}
-        self._told_s = now.t_s
-        level, words = texts.robot_words(now.robot, now.guard, now.why, now.driver, mine=now.mine)
+        self._sent_s = now.t_s
+        level, words = texts.robot_words(now, mine=mine)
         return {
             "t": now.t_s,
-            "instance": now.instance,
+            "instance": session.service.authority.instance,
             "level": level,
             "words": f"{SIGNS[level]} {words}",
             "refused": self._refused,
-            "stopped": now.robot == "stopped",
-            "mine": now.mine,
-            "enabled": now.enabled,
-            "override": now.override,
+            "stopped": now.robot is RobotState.STOPPED,
+            "mine": mine,
+            "enabled": enabled,
+            "override": session.override,
             "drives": self._person.role == "drive",
-            "line": self._seat.service.stop_port,
+            "line": session.service.stop_port,
             "key": self._key,
         }

@@ -82,7 +82,7 @@ class Scene:
         self._console = console
         cell, folder = console.cell, console.folder
         rig_file, target_file = (cell_path(folder, getattr(cell, name), name) for name in ("rig", "target"))
-        self._arm = None if console.robot is None else console.robot.seat.arm
+        self._arm = None if console.robot is None else console.robot.session.arm
         self._q: Array | None = self._joints()
         placed = rig_pose(folder, cell, self._arm, self._q)
         if placed is None and rig_file is not None:

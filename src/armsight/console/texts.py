@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from armsight.control.guard import GuardState
+from armsight.control.status import RobotStatus
+from armsight.drivers import RobotState
+
 TITLE = "armsight"
 PAGES = {
     "live": "Live",
@@ -31,21 +35,21 @@ ROBOT = {
     "lost": "Robot is not reached",
     "closed": "Robot is not open",
 }
+ROBOT_LEVELS = {"ready": "good", "moving": "warn"}
 HOLDING = "Robot is held: {why}"
 STOPPED_WHY = "Robot is stopped: {why}"
 DRIVES = "{who} drives; you can watch, and stop"
 
 
-def robot_words(robot: str, guard: str, why: str, driver: str, *, mine: bool) -> tuple[str, str]:
-    """Return the level (good, warn, bad, idle) and the words of a robot's state."""
-    level = {"ready": "good", "moving": "warn"}.get(robot, "bad")
-    words = ROBOT[robot]
-    if robot == "stopped" and why:
-        words = STOPPED_WHY.format(why=why)
-    elif guard == "holding" and why:
-        level, words = "warn", HOLDING.format(why=why)
-    if driver and not mine:
-        words = f"{words}. {DRIVES.format(who=driver)}"
+def robot_words(status: RobotStatus, *, mine: bool) -> tuple[str, str]:
+    """Return the level (good, warn, bad, idle) and the words of a robot's status; mine: whether who reads it drives."""
+    level, words = ROBOT_LEVELS.get(status.robot, "bad"), ROBOT[status.robot]
+    if status.robot is RobotState.STOPPED and status.why:
+        words = STOPPED_WHY.format(why=status.why)
+    elif status.guard is GuardState.HOLDING and status.why:
+        level, words = "warn", HOLDING.format(why=status.why)
+    if status.driver and not mine:
+        words = f"{words}. {DRIVES.format(who=status.driver)}"
     return level, words
 
 

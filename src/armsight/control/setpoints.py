@@ -35,6 +35,23 @@ class JointVelocity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointStep:
+    """A step (n,) in rad or m from where the robot was last told to go; no further than one cycle allows."""
+
+    step: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "step", frozen_array("step", self.step, (None,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FlangePose:
+    """T_base_flange towards which the flange moves, as far as one cycle allows."""
+
+    T_base_flange: RigidTransform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToolPose:
     """T_base_tool for the end of this cycle: a point of a path that is already timed."""
 
@@ -66,6 +83,10 @@ class Finished:
 
 
 SetPoint = JointGoal | JointVelocity | ToolPose | ToolTwist | Hold | Finished
+"""What a source asks for, cycle by cycle."""
+
+Motion = JointGoal | JointVelocity | JointStep | FlangePose | ToolTwist
+"""What a driver asks for, over a network or from a page; steps and poses become goals of the joints."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

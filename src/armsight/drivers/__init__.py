@@ -11,7 +11,7 @@ from armsight.drivers.prefetch import cores, ordered_map
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
 from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
-from armsight.drivers.robot import Robot, RobotState, Sent
+from armsight.drivers.robot import Robot, RobotState, RobotTraits, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
 
 __all__ = [
@@ -41,6 +41,7 @@ __all__ = [
     "ReplayRobot",
     "Robot",
     "RobotState",
+    "RobotTraits",
     "Sent",
     "Skew",
     "SplitImages",

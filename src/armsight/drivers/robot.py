@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,3 +111,24 @@ class Robot(Protocol):
     def reset(self) -> None:
         """Take commands again after a stop, from where it stands. Raises DeviceFailed where closed, DeviceLost."""
         ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotTraits:
+    """What only some robots are or know; a robot that says nothing of it is as the defaults are.
+
+    takes_joints: step_joints moves it; else move_pose alone does. guarded: it is behind a loop with a guard of its own.
+    arm_mapping: returns the arm that its controller computes with, as arm.yaml has it. true_joints: returns where its
+    joints (n,) really were at a time of the clock, as only a simulated robot knows.
+    """
+
+    takes_joints: bool = True
+    guarded: bool = False
+    arm_mapping: Callable[[], Mapping[str, Any]] | None = None
+    true_joints: Callable[[float], NDArray[np.float64]] | None = None
+
+    @classmethod
+    def of(cls, robot: Robot) -> RobotTraits:
+        """Return the traits of a robot, which has them as attributes of these names; none of them is needed."""
+        found = {field.name: getattr(robot, field.name) for field in fields(cls) if hasattr(robot, field.name)}
+        return cls(**found)

@@ -9,8 +9,8 @@ from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.event_log import RecordingLog
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
 from armsight.app.robot.models import arm_model
-from armsight.app.robot.service import Service
 from armsight.control.guard import Limits
+from armsight.control.session.service import Service
 from armsight.errors import Cancelled
 from armsight.server.serving import serve
 from armsight.server.web_server import ServeOptions, check_options

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 from fastapi import FastAPI
 
-from armsight.app.robot.service import Service
+from armsight.control.session.service import Service
 from armsight.priority import SERVES, give_way
 from armsight.server.application import create_app
 from armsight.server.auth import Authenticator

@@ -24,8 +24,8 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from armsight.app.robot.channels import granted
-from armsight.app.robot.host import LoopEvent
+from armsight.control.session.channels import granted
+from armsight.control.session.host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
 from armsight.priority import listen_first
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
     from multiprocessing.synchronize import Event
 
-    from armsight.app.robot.channels import LineChannels
-    from armsight.app.robot.service import Service
+    from armsight.control.session.channels import LineChannels
+    from armsight.control.session.service import Service
 
 ORPHAN_S = 0.2
 """How often it looks whether the server that started it lives."""

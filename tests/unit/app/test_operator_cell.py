@@ -13,9 +13,9 @@ from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.placing import arm_points, flange_pose, rig_pose
 from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
-from armsight.app.robot.channels import JointTrack
 from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import ManualClock
+from armsight.control.session.channels import JointTrack
 from armsight.errors import DeviceFailed, NotEnoughData, StaleData, UsageError
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm

@@ -27,7 +27,7 @@ class Page:
         prepare_simulated("sim:webcam-cell", folder)
         self.arm = load_arm(str(folder / "arm.yaml"))
         self.q = np.array([0.1, -1.2, 1.4, -0.3, 0.2, 0.0])
-        robot = SimpleNamespace(seat=SimpleNamespace(arm=self.arm), joints=lambda: self.q)
+        robot = SimpleNamespace(session=SimpleNamespace(arm=self.arm), joints=lambda: self.q)
         self.console = Console.of_folder(folder, robot)  # type: ignore[arg-type]
         self.sent: list[tuple[str, list[Any]]] = []
         self.scene = Scene(self.console)

@@ -64,7 +64,7 @@ def test_a_goal_is_reached_and_the_loop_ends_at_rest(cell) -> None:
     timing = loop.run(until=lambda now: now.finished, for_s=20.0)
     assert np.abs(loop.status.q_sent - goal).max() < 1e-6
     assert timing.missed == timing.late == 0
-    assert timing.n_cycles == loop.status.n_cycles
+    assert timing.n_cycles == loop.status.cycle
     assert gc.isenabled()
 
 
@@ -169,7 +169,7 @@ def test_what_it_does_is_in_the_recording(cell, tmp_path: Path) -> None:
         loop.run(for_s=0.6)
     with Recording(tmp_path / "run.mcap") as recording:
         events = [event.message for event in recording.events()]
-        assert len(list(recording.commands())) == loop.status.n_cycles
+        assert len(list(recording.commands())) == loop.status.cycle
     assert events[0] == "running"
     assert events[1].startswith("disabled: no enable")
 
@@ -265,7 +265,7 @@ def test_the_loop_may_be_stopped_from_another_thread(cell) -> None:
     begun.wait()
     loop.stop()
     thread.join()
-    assert loop.status.state is GuardState.STOPPED and loop.status.at_rest
+    assert loop.status.guard is GuardState.STOPPED and loop.status.at_rest
 
 
 class Cyclic(CyclicRobot):
@@ -341,7 +341,7 @@ def test_a_step_that_was_not_taken_goes_out_again_and_none_is_added(paced) -> No
     ask()
     cycle()
     assert robot.goals[-1] - before == pytest.approx(0.001)
-    assert loop.status.state is GuardState.RUNNING
+    assert loop.status.guard is GuardState.RUNNING
 
 
 def test_a_command_that_came_late_waits_for_a_cycle_of_its_own(paced) -> None:

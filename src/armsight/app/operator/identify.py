@@ -85,7 +85,7 @@ class IdentifyRequest:
 
 def proposed_ranges(robot: RobotCell) -> tuple[Range, ...]:
     """Return a range about where each joint stands, within what the joint can. Raises DeviceLost, NotEnoughData."""
-    arm, q = robot.seat.arm, robot.joints()
+    arm, q = robot.session.arm, robot.joints()
     if arm is None:
         raise NotEnoughData("the arm's joints are not known", consequence="No range is proposed")
     made = []
@@ -116,7 +116,7 @@ def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> Plan
     Raises UsageError, Inconsistent, Degenerate, NotEnoughData where the arm's place before the cameras is not known.
     """
     clock = SystemClock()
-    still = SessionRobot(robot.seat, lambda: "", clock, waits=False, cancelled=lambda: True)
+    still = SessionRobot(robot.session, lambda: "", clock, waits=False, cancelled=lambda: True)
     done = _identify(asked, robot, station, still, OperatorCallbacks(), Silent(), clock, propose=True)
     return done.plan if isinstance(done, ProposedPlanOutput) else PlanOutput.model_validate(done.plan)
 
@@ -127,7 +127,7 @@ def run(asked: IdentifyRequest, robot: RobotCell, station: Station, work: Backgr
     Raises as run_identify_live.
     """
     clock = SystemClock()
-    moved = SessionRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    moved = SessionRobot(robot.session, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
     person = OperatorCallbacks(confirm=work.ask)
     done = _identify(asked, robot, station, moved, person, work, clock, propose=False)
     if not isinstance(done, IdentifyOutput):
@@ -147,7 +147,7 @@ def _identify(
     propose: bool,
 ) -> IdentifyOutput | ProposedPlanOutput:
     job, light = prepared(asked, robot, propose=propose)
-    pace = Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames)
+    pace = Pace(speed=_pace(asked, robot.session.override), frames=asked.frames)
     job = replace(job, pace=pace, around_px=around_px(station.shown, light))
     observer = StationObserver(station, read_rig(job.rig), light, clock)
     with moved:
@@ -170,7 +170,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
     Raises UsageError, BadFile, NotEnoughData.
     """
     rig, target_file = (_needed(asked, name) for name in ("rig", "target"))
-    target, arm = target_of(target_file), robot.seat.arm
+    target, arm = target_of(target_file), robot.session.arm
     if arm is None or len(asked.ranges) != arm.n:
         raise UsageError("a range is needed for every joint", consequence="Nothing is moved")
     if target.is_board:

@@ -100,7 +100,7 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
         raise UsageError("the cameras ride on the arm", cure="Put them beside it: they have to see where the arm goes")
     if not (asked.cycles >= FEWEST_VISITS and asked.speed_mm_s > 0.0 and asked.side_mm >= 0.0):
         raise UsageError(f"at least {FEWEST_VISITS} cycles, and a speed above 0, are needed")
-    arm = robot.seat.arm
+    arm = robot.session.arm
     handeye = cell_path(asked.folder, asked.cell.handeye, "handeye")
     T_world_rig = rig_pose(asked.folder, asked.cell, arm, None)
     if arm is None or handeye is None or T_world_rig is None:
@@ -218,10 +218,10 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, work: BackgroundJ
     if not work.ask(f"The arm visits five poses in a cube of {side_mm:.0f} mm, {asked.cycles} times. Is the way free?"):
         raise NotEnoughData("it was not begun", consequence="Nothing was moved")
     clock = SystemClock()
-    moved = SessionRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    moved = SessionRobot(robot.session, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
     out = asked.folder / time.strftime("iso-%Y%m%d-%H%M%S")
     with moved:
-        override = max(robot.seat.override, 0.01)
+        override = max(robot.session.override, 0.01)
         visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, work)
     return judged(made, asked, visits, ended, out)
 

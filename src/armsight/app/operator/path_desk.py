@@ -131,21 +131,21 @@ def check_path(asked: PlayRequest, robot: RobotCell) -> PathCheckOutput:
 def play(
     asked: PlayRequest, robot: RobotCell, desk: PathDesk, station: Station | None, work: BackgroundJob
 ) -> PlayOutput:
-    """Run the path while the operator holds the enable, at the seat's override; station: watches it where it can.
+    """Run the path while the operator holds the enable, at the session's override; station: watches it where it can.
 
     Raises as run_play.
     """
     desk.require()
     clock = SystemClock()
-    seat = robot.seat
-    moved = SessionRobot(seat, lambda: work.browser, clock, waits=False, cancelled=work.cancelled)
+    session = robot.session
+    moved = SessionRobot(session, lambda: work.browser, clock, waits=False, cancelled=work.cancelled)
     job = PlayJob(
         robot=robot.robot,
         path=asked.folder / FILE,
         out=asked.folder / time.strftime("played-%Y%m%d-%H%M%S"),
         arm=_arm(asked),
         limits=cell_path(asked.folder, asked.cell.limits, "limits"),
-        override=seat.override,
+        override=session.override,
         path_speed_m_s=asked.speed_mm_s * MM,
         blend_m=asked.blend_mm * MM,
         keep_rotation=asked.keep_rotation,
@@ -156,8 +156,8 @@ def play(
         desk.source = source
 
     def follow_override(*_: object) -> None:
-        if desk.source is not None and not np.isclose(desk.source.override, seat.override):
-            desk.source.override = seat.override
+        if desk.source is not None and not np.isclose(desk.source.override, session.override):
+            desk.source.override = session.override
 
     try:
         return run_play(
@@ -165,9 +165,9 @@ def play(
             work.ask,
             follow_override,
             work,
-            opened=(moved, clock, watcher_of(asked.folder, asked.cell, seat.arm, station, clock)),
+            opened=(moved, clock, watcher_of(asked.folder, asked.cell, session.arm, station, clock)),
             begun=begun,
-            enabled=lambda: seat.enabled(work.browser),
+            enabled=lambda: session.enabled(work.browser),
         )
     finally:
         desk.source = None

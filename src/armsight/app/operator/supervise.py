@@ -12,7 +12,6 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.operator_session import Person
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach import LEAST_CYCLE_S
@@ -21,6 +20,7 @@ from armsight.app.schemas.verify_live import VerifyLiveOutput
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
+from armsight.control.session.operator_session import Person
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.joint_history import JointHistory
@@ -127,7 +127,7 @@ class StationSupervisor:
 
     def _read(self) -> None:
         try:
-            reading = self._robot.service.host.snapshot().reading
+            reading = self._robot.service.host.status().reading
         except ArmsightError:
             return
         if reading is not None:
@@ -142,7 +142,7 @@ class StationSupervisor:
             self._log.raised(alarm)
             self._why = alarm.why
             if alarm.level is Level.STOP:
-                self._robot.seat.stop(SUPERVISION)
+                self._robot.session.stop(SUPERVISION)
                 self._log.stopped = True
         if self._watch.level is Level.GOOD:
             self._why = ""
@@ -173,7 +173,7 @@ def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
     if cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
     handeye = cell_path(folder, cell.handeye, "handeye")
-    arm = robot.seat.arm
+    arm = robot.session.arm
     T_world_rig = rig_pose(folder, cell, arm, None)
     if arm is None or handeye is None or T_world_rig is None:
         raise NotEnoughData(

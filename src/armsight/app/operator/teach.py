@@ -107,7 +107,7 @@ class TeachDesk:
         last: LiveView | None = None
         while not self._ended.wait(LOOK_S):
             try:
-                reading = self._robot.service.host.snapshot().reading
+                reading = self._robot.service.host.status().reading
             except ArmsightError:
                 reading = None
             if reading is not None:
@@ -144,7 +144,7 @@ def seen(view: LiveView) -> TargetPose:
 
 def _place(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPlace:
     """Return where the rig is in world at a moment."""
-    arm = robot.seat.arm
+    arm = robot.session.arm
     handeye = cell_path(folder, cell.handeye, "handeye")
     placed = rig_pose(folder, cell, arm, robot.joints())
     if placed is None or arm is None:

@@ -8,16 +8,16 @@ from armsight.app.schemas.play import PlayMeasuredOutput, PlayOutput
 from armsight.control.events import QueueSink
 from armsight.control.guard import GuardState
 from armsight.control.jitter import Timing
-from armsight.control.loop import LoopStatus
 from armsight.control.play import PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolPose
+from armsight.control.status import RobotStatus
 from armsight.geometry import xyz_quat
 from armsight.records import PoseStatus
 
 STUCK_S = 5.0
 """A path that the guard has held for so long, though the operator's enable was there, is given up."""
 
-Show = Callable[[LoopStatus, PlayProgress, WatchFigures | None], None]
+Show = Callable[[RobotStatus, PlayProgress, WatchFigures | None], None]
 """Is told now and then of a cycle, of where the path is, and of what the cameras saw."""
 
 
@@ -68,25 +68,25 @@ class PlayTally:
     def __init__(self, source: PathSource, watch: PlayWatch | None, cancelled: Callable[[], bool]) -> None:
         self.cycles = 0
         self.holds: list[str] = []
-        self.last: LoopStatus | None = None
+        self.last: RobotStatus | None = None
         self.began_s: float | None = None
         self._source, self._watch, self._cancelled = source, watch, cancelled
         self._held_s: float | None = None
         self._stuck = False
 
-    def __call__(self, status: LoopStatus) -> bool:
+    def __call__(self, status: RobotStatus) -> bool:
         """Take a cycle; tell whether it was the last: at the end, let go of, stopped, or held for too long."""
         self.last = status
         self.cycles += 1
         self.began_s = status.t_s if self.began_s is None else self.began_s
         if status.why and status.reason not in self.holds:
             self.holds.append(status.reason)
-        if status.state is not GuardState.HOLDING:
+        if status.guard is not GuardState.HOLDING:
             self._held_s = None
         elif self._held_s is None:
             self._held_s = status.t_s
         self._stuck = self._held_s is not None and status.t_s - self._held_s > STUCK_S
-        return status.finished or self._cancelled() or status.state is GuardState.STOPPED or self._stuck
+        return status.finished or self._cancelled() or status.guard is GuardState.STOPPED or self._stuck
 
     @property
     def took_s(self) -> float:
@@ -121,7 +121,7 @@ def play_output(
     """Return the figures of a path that ended."""
     plan = source.plan
     return PlayOutput(
-        state="disabled" if tally.last is None else tally.last.state.value,
+        state="disabled" if tally.last is None else tally.last.guard.value,
         n_cycles=timing.n_cycles,
         late=timing.late,
         missed=timing.missed,

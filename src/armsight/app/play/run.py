@@ -26,8 +26,9 @@ from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard
 from armsight.control.jitter import Timing
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.play import PathPlan, PathSource, PlayWatch
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.records import Progress, Silent
@@ -108,7 +109,7 @@ class PlaySession:
             if loop.status is not None:
                 show(loop.status, at, None if self._watch is None else self._watch.figures)
 
-        def until(status: LoopStatus) -> bool:
+        def until(status: RobotStatus) -> bool:
             if self._watch is not None and self._watch.exceeded:
                 loop.stop(self._watch.exceeded)
             return tally(status) or self._failed() is not None
@@ -117,7 +118,7 @@ class PlaySession:
             return run_with_progress(lambda: loop.run(until=until), tell)
         every = max(1, round(TOLD_S / self._guard.cycle_s))
 
-        def telling(status: LoopStatus) -> bool:
+        def telling(status: RobotStatus) -> bool:
             if tally.cycles % every == 0:
                 tell()
             return until(status)

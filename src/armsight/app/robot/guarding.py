@@ -14,7 +14,7 @@ from armsight.app.kinematics import load_arm
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.fit import check_fit
 from armsight.control.guard.space import Space
-from armsight.drivers import Robot
+from armsight.drivers import Robot, RobotTraits
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping
@@ -43,7 +43,7 @@ def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None,
             cure="Give for instance 0.2",
         )
     kept = Limits() if limits is None else read_limits(limits)
-    if getattr(robot, "guarded", False):  # the loop that moves it watches its readings and cycles itself
+    if RobotTraits.of(robot).guarded:  # the loop that moves it watches its readings and cycles itself
         cycles = BEHIND_LOOP_S / robot.cycle_s
         kept = replace(kept, silent_cycles=max(kept.silent_cycles, cycles), late_cycles=max(kept.late_cycles, cycles))
     known = arm_of(robot, arm)
@@ -80,7 +80,7 @@ def _of_file(file: Path | None) -> Iterator[None]:
 
 def standing(robot: Robot, n: int) -> Array:
     """Return the readings (n,) at which an open robot was last told to stand; by its own where it takes only poses."""
-    if not getattr(robot, "takes_joints", True):
+    if not RobotTraits.of(robot).takes_joints:
         return robot.read().q
     return robot.step_joints(np.zeros(n)).q
 
@@ -113,11 +113,11 @@ def beside_outside(outside: str) -> Iterator[None]:
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:
-    """Return the arm of the file or preset, or the one that the robot tells; None where neither is there.
+    """Return the arm of the file or preset, or the one that the robot knows; None where neither is there.
 
     Raises BadFile, UsageError.
     """
     if arm is not None:
         return load_arm(str(arm))
-    told = getattr(robot, "arm_mapping", None)
-    return None if told is None else arm_from_mapping(told(), robot.name)
+    mapping = RobotTraits.of(robot).arm_mapping
+    return None if mapping is None else arm_from_mapping(mapping(), robot.name)

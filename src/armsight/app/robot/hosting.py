@@ -19,13 +19,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import JointTrack, LineChannels
-from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
-from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
 from armsight.app.robot.opening import open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
+from armsight.control.session.channels import JointTrack, LineChannels
+from armsight.control.session.host import LoopEvent, LoopRecord
+from armsight.control.session.loop_side import Channels, lateness_s, run_loop
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, UsageError
@@ -98,7 +99,7 @@ class _LoopHost:
         """Return how many cycles began how much too late, in the bins of loop_side.lateness_s."""
         return np.frombuffer(self._channels.lateness, dtype=np.uint64).copy()
 
-    def snapshot(self) -> Snapshot:
+    def status(self) -> RobotStatus:
         """Return the newest state. Raises DeviceLost where the loop has ended or hangs."""
         found = self._newest()
         if found is None or self._ended or not self._runs() or self.now_s() - found.t_s > LOST_S:
@@ -173,9 +174,9 @@ class _LoopHost:
         else:
             self._kept.append(record)
 
-    def _newest(self) -> Snapshot | None:
+    def _newest(self) -> RobotStatus | None:
         data = self._channels.state.read()
-        found: Snapshot | None = None if data is None else pickle.loads(data)
+        found: RobotStatus | None = None if data is None else pickle.loads(data)
         return found
 
     def _wait(self) -> None:

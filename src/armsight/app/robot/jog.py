@@ -21,8 +21,9 @@ from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Guard, GuardState
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.sources import GoalSource
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Progress, Silent
@@ -67,14 +68,14 @@ class _Watcher:
         self.limited: list[str] = []
         self.stuck = False
 
-    def __call__(self, status: LoopStatus) -> bool:
+    def __call__(self, status: RobotStatus) -> bool:
         self.limited += [name for name in status.limited if name not in self.limited]
-        ended = status.finished or status.state is not GuardState.RUNNING
+        ended = status.finished or status.guard is not GuardState.RUNNING
         self._cycles = self._cycles + 1 if status.at_rest and ended else 0
         stands = not ended and np.array_equal(status.q_sent, self._sent)
         self._stood, self._sent = self._stood + 1 if stands else 0, status.q_sent
         self.stuck |= self._stood * self._cycle_s > STUCK_S
-        longest_s = STUCK_S if status.state is GuardState.HOLDING else SETTLE_S
+        longest_s = STUCK_S if status.guard is GuardState.HOLDING else SETTLE_S
         return self.stuck or self._cycles * self._cycle_s > longest_s
 
 
@@ -191,7 +192,7 @@ def _check_range(job: JogJob, guard: Guard, start: float, outside: str) -> None:
         )
 
 
-def _check_end(status: LoopStatus | None, robot: Robot, *, stuck: bool = False) -> None:
+def _check_end(status: RobotStatus | None, robot: Robot, *, stuck: bool = False) -> None:
     """Raise where the guard did not let the motion come to its end, or the robot did not go."""
     if stuck:
         raise DeviceFailed(
@@ -199,11 +200,11 @@ def _check_end(status: LoopStatus | None, robot: Robot, *, stuck: bool = False) 
             consequence="It was stopped before its goal",
             cure="Look at the speed override and the limits of its controller; a driver's Sent.q is where it goes",
         )
-    if status is None or status.state is GuardState.RUNNING:
+    if status is None or status.guard is GuardState.RUNNING:
         return
-    if status.state is GuardState.DISABLED:
+    if status.guard is GuardState.DISABLED:
         raise Cancelled("stopped", consequence=f"{robot.name} came to rest before its goal")
-    if status.state is GuardState.HOLDING:
+    if status.guard is GuardState.HOLDING:
         raise Inconsistent(
             status.why,
             consequence=f"{robot.name} came to rest before its goal",

@@ -18,8 +18,9 @@ from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.enable import Enable
 from armsight.control.guard import Guard, GuardState
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.sources import JogFrame, JogSource
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.drivers.jog_inputs import JogInput, open_jog_input
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
@@ -91,10 +92,10 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
     limited: list[str] = []
     resting_since_s: list[float] = []
 
-    def done(status: LoopStatus) -> bool:
+    def done(status: RobotStatus) -> bool:
         limited.extend(name for name in status.limited if name not in limited)
         if not hand.ended or not status.at_rest:
-            return status.state is GuardState.STOPPED
+            return status.guard is GuardState.STOPPED
         resting_since_s.append(status.t_s)
         return status.t_s - resting_since_s[0] >= SETTLE_S
 
@@ -103,7 +104,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
         if progress.cancelled():
             hand.end()
         if status is not None:
-            progress.update(float(status.n_cycles), 0.0, status.why)
+            progress.update(float(status.cycle), 0.0, status.why)
 
     hand.start()
     try:
@@ -114,7 +115,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
     if hand.error is not None:
         raise hand.error
     status = loop.status
-    if status is not None and status.state is GuardState.STOPPED:
+    if status is not None and status.guard is GuardState.STOPPED:
         raise DeviceFailed(
             status.why,
             consequence="The robot was stopped",

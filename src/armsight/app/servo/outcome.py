@@ -18,12 +18,12 @@ from armsight.app.servo.vision import Vision
 from armsight.control.events import QueueSink
 from armsight.control.guard import GuardState, TargetState
 from armsight.control.jitter import Timing
-from armsight.control.loop import LoopStatus
 from armsight.control.servo import Gain, ServoSource
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
+from armsight.control.status import RobotStatus
 from armsight.records import PoseStatus
 
-Show = Callable[[LoopStatus, float | None], None]
+Show = Callable[[RobotStatus, float | None], None]
 """Is told now and then of a cycle, and of the error of place in m where the target is followed."""
 
 
@@ -63,18 +63,18 @@ class Tally:
     def __init__(self, source: ServoSource, cancelled: Callable[[], bool]) -> None:
         self.cycles = self.followed = 0
         self.holds: list[str] = []
-        self.last: LoopStatus | None = None
+        self.last: RobotStatus | None = None
         self.last_m = self.last_rad = 0.0
         self._source = source
         self._cancelled = cancelled
         self._sum_m2 = self._max_m = 0.0
 
-    def __call__(self, status: LoopStatus) -> bool:
+    def __call__(self, status: RobotStatus) -> bool:
         """Take a cycle; tell whether it was the last one: the operator let go, or the guard stopped."""
         self.last = status
         self.cycles += 1
         error = self._source.error
-        if status.state is GuardState.RUNNING and error is not None:
+        if status.guard is GuardState.RUNNING and error is not None:
             self.followed += 1
             self.last_m = float(np.linalg.norm(error.translation_m))
             self.last_rad = float(np.linalg.norm(error.rotation_rad))
@@ -82,7 +82,7 @@ class Tally:
             self._max_m = max(self._max_m, self.last_m)
         elif status.why and status.reason not in self.holds:
             self.holds.append(status.reason)
-        return self._cancelled() or status.state is GuardState.STOPPED
+        return self._cancelled() or status.guard is GuardState.STOPPED
 
     @property
     def error_m(self) -> float | None:
@@ -106,7 +106,7 @@ class Tally:
         """Return why the loop ended."""
         if self._cancelled():
             return "operator"
-        stopped = self.last is not None and self.last.state is GuardState.STOPPED
+        stopped = self.last is not None and self.last.guard is GuardState.STOPPED
         return self.last.why if stopped and self.last is not None else "time"
 
 
@@ -117,7 +117,7 @@ def servo_output(
     took = np.array(vision.took_ms)
     counts = vision.counts
     return ServoOutput(
-        state="disabled" if tally.last is None else tally.last.state.value,
+        state="disabled" if tally.last is None else tally.last.guard.value,
         n_cycles=timing.n_cycles,
         late=timing.late,
         missed=timing.missed,

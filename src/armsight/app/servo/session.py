@@ -18,9 +18,10 @@ from armsight.app.servo.outcome import RecordedSource, Show, Tally, servo_output
 from armsight.app.servo.vision import Beside, Vision, VisionThread, probe
 from armsight.control.guard import Guard
 from armsight.control.jitter import Timing
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.servo import Gain, ServoSettings, ServoSource, chosen_gain
-from armsight.drivers import Robot
+from armsight.control.status import RobotStatus
+from armsight.drivers import Robot, RobotTraits
 from armsight.errors import ArmsightError, Cancelled, Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import Arm
@@ -119,7 +120,7 @@ class ServoSession:
             if loop.status is not None:
                 show(loop.status, tally.error_m)
 
-        def until(status: LoopStatus) -> bool:
+        def until(status: RobotStatus) -> bool:
             ended = tally(status)
             return ended or self._failed() is not None
 
@@ -127,7 +128,7 @@ class ServoSession:
             return run_with_progress(lambda: loop.run(for_s=for_s, until=until), tell)
         every = max(1, round(TOLD_S / self._guard.cycle_s))
 
-        def telling(status: LoopStatus) -> bool:
+        def telling(status: RobotStatus) -> bool:
             if tally.cycles % every == 0:
                 tell()
             return until(status)
@@ -137,7 +138,7 @@ class ServoSession:
 
 def check_arm(robot: Robot, arm: Arm) -> None:
     """Raise Inconsistent where the controller computes another pose of the flange than the arm's file does."""
-    if not getattr(robot, "takes_joints", True):
+    if not RobotTraits.of(robot).takes_joints:
         return
     sent = robot.step_joints(np.zeros(arm.n))
     if sent.pose is None:

@@ -61,7 +61,7 @@ class _Identify:
             self._scene = self._made_scene()
         with self._found:
             self._table = ui.element("div")
-            Working(self._robot.bench, WORK, self._show)
+            Working(self._robot.jobs, WORK, self._show)
 
     def _made_scene(self) -> Scene | None:
         try:
@@ -128,7 +128,7 @@ class _Identify:
     def _run(self) -> None:
         try:
             asked, station = self._asked(), self._console.require_station()
-            self._robot.bench.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
+            self._robot.jobs.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
             self._tell_left_out()
         except ArmsightError as error:
             self._tell(str(error), "bad")
@@ -142,7 +142,7 @@ class _Identify:
         done: IdentifyOutput = work.result
         self._table.clear()
         with self._table:
-            _entries_table(work_of.entries(done, self._robot.seat.arm))
+            _entries_table(work_of.entries(done, self._robot.session.arm))
             for note in done.notes:
                 text_of("p", note).classes("hint")
             text_of("p", texts.SAVED_ARM.format(file=f"{FOLDER}/arm.yaml"), testid="verdict")

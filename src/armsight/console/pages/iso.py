@@ -49,7 +49,7 @@ class _Iso:
                 button(texts.ISO_RUN, self._run, testid="iso-run")
             self._said = text_of("p", role="alert", testid="iso-said").classes("hint")
             self._table = ui.element("div").classes("scroll")
-            Working(self._robot.bench, WORK, self._show)
+            Working(self._robot.jobs, WORK, self._show)
 
     def _asked(self) -> IsoRequest:
         return IsoRequest(
@@ -72,7 +72,7 @@ class _Iso:
     def _run(self) -> None:
         try:
             asked, station = self._asked(), self._console.require_station()
-            self._robot.bench.begin(WORK, self._browser, partial(iso_run.run, asked, self._robot, station))
+            self._robot.jobs.begin(WORK, self._browser, partial(iso_run.run, asked, self._robot, station))
             self._tell("", "good")
         except ArmsightError as error:
             self._tell(str(error), "bad")

@@ -236,7 +236,7 @@ class _Play:
             self._said = text_of("p", role="status", testid="verdict").classes("hint")
             self._issues = ui.element("div")
             self._at = text_of("p", testid="play-at").style("font-size: 1.3rem; font-weight: 700")
-            Working(self._robot.bench, WORK, self._ended)
+            Working(self._robot.jobs, WORK, self._ended)
         ui.timer(TICK_S, self._tick)
 
     def _asked(self) -> PlayRequest:
@@ -272,7 +272,7 @@ class _Play:
     def _play(self) -> None:
         try:
             act = partial(path_desk.play, self._asked(), self._robot, self._desk, self._console.station)
-            self._robot.bench.begin(WORK, self._browser, act)
+            self._robot.jobs.begin(WORK, self._browser, act)
             _tell(self._said, "")
         except ArmsightError as error:
             _tell(self._said, str(error), "bad")

@@ -9,12 +9,27 @@ from contextlib import contextmanager
 from threading import RLock
 from typing import Any, Protocol
 
-from armsight.app.robot.control_authority import AuthorityLog, ControlAuthority
-from armsight.app.robot.host import Host, LoopCommand, LoopEvent
-from armsight.app.robot.synchronized import synchronized
-from armsight.app.robot.token_bucket import TokenBucket
-from armsight.drivers.remote import protocol as say
+from armsight.control.session.authority import AuthorityLog, ControlAuthority
+from armsight.control.session.host import Host, LoopCommand, LoopEvent, synchronized
 from armsight.records import JointReading
+
+
+class TokenBucket:
+    """Holds burst tokens at most, and gets per_s of them a second. Times in s, of one clock that does not run back."""
+
+    def __init__(self, per_s: float, burst: float, now_s: float) -> None:
+        self._per_s, self._burst = per_s, burst
+        self._tokens, self._filled_s = burst, now_s
+
+    def pay(self, now_s: float, tokens: float = 1.0) -> bool:
+        """Take tokens and return True; where there are too few take none."""
+        self._tokens = min(self._burst, self._tokens + max(0.0, now_s - self._filled_s) * self._per_s)
+        self._filled_s = now_s
+        if self._tokens < tokens:
+            return False
+        self._tokens -= tokens
+        return True
+
 
 EVENTS = 100
 """Events that wait for a client; of a client that is slower the oldest are dropped."""
@@ -49,13 +64,13 @@ class Subscription:
     """The events for one client."""
 
     def __init__(self) -> None:
-        self._waiting: deque[say.EventMessage] = deque(maxlen=EVENTS)
+        self._waiting: deque[LoopEvent] = deque(maxlen=EVENTS)
 
-    def add(self, event: say.EventMessage) -> None:
+    def add(self, event: LoopEvent) -> None:
         """Add an event; the oldest is dropped where the client is too slow."""
         self._waiting.append(event)
 
-    def take(self) -> list[say.EventMessage]:
+    def take(self) -> list[LoopEvent]:
         """Return those that came since this was last asked."""
         events = list(self._waiting)
         self._waiting.clear()
@@ -95,7 +110,7 @@ class Service:
         self._log = log
         self._subscriptions: set[Subscription] = set()
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, BURST, host.now_s()), 0
-        self._tell_dropped, self._told_failed = 1, False
+        self._note_dropped_at, self._noted_failed = 1, False
         self.authority = ControlAuthority(host, self, instance=secrets.token_hex(8), lock=self.lock)
 
     @contextmanager
@@ -140,16 +155,16 @@ class Service:
 
     def _keep(self, t_s: float, level: str, message: str) -> None:
         self._log.event(t_s, level, message)
-        shown = say.EventMessage.model_validate({"t_s": t_s, "level": level, "message": message[:2000]})
+        event = LoopEvent(t_s=t_s, level=level, message=message)
         for subscription in self._subscriptions:
-            subscription.add(shown)
+            subscription.add(event)
 
     def _look_at_the_log(self) -> None:
-        """Tell where records were dropped, ten times as many as told before, and where the disk failed."""
+        """Note where records were dropped, ten times as many as noted before, and where the disk failed."""
         now_s, dropped = self.host.now_s(), self._log.dropped
-        if dropped >= self._tell_dropped:
-            self._tell_dropped = 10 * dropped
+        if dropped >= self._note_dropped_at:
+            self._note_dropped_at = 10 * dropped
             self._keep(now_s, "warning", f"{dropped} commands and readings were not recorded: too slow a disk")
-        if self._log.failed and not self._told_failed:
-            self._told_failed = True
+        if self._log.failed and not self._noted_failed:
+            self._noted_failed = True
             self._keep(now_s, "error", f"nothing is recorded any more: {self._log.failed}")

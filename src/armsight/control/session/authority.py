@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import RLock
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.host import Host, Snapshot, flange_pose
-from armsight.app.robot.synchronized import synchronized
-from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.guard import GuardState
+from armsight.control.session.commands import Beat, Command, Reset, Stop, Taken, logged
+from armsight.control.session.host import Host, flange_pose, synchronized
+from armsight.control.setpoints import (
+    FlangePose,
+    Hold,
+    JointGoal,
+    JointStep,
+    JointVelocity,
+    Motion,
+    SetPoint,
+    ToolTwist,
+)
+from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
-from armsight.drivers.remote import protocol as say
+from armsight.drivers.remote.protocol import RobotDescription
 from armsight.errors import DeviceFailed, Inconsistent, StaleData, UsageError
-from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.units import MS
 
 Array = NDArray[np.float64]
@@ -27,8 +37,6 @@ SILENT_S = 10.0
 
 LEAD_S = 0.2
 """Steps lead the robot by no more than a joint's way in so long: else it went on long after the last of them."""
-
-STOPPED = "stopped"
 
 RANGE_MARGIN = 1e-9
 """A goal so little (rad or m) beyond a limit is at it: rounding."""
@@ -91,7 +99,7 @@ class ControlAuthority:
         self._speed = np.array([joint.max_speed for joint in joints])
 
     @property
-    def robot(self) -> say.RobotDescription:
+    def robot(self) -> RobotDescription:
         """What robot it is."""
         return self._host.description
 
@@ -138,8 +146,8 @@ class ControlAuthority:
         self.note("warning", f"stopped by {who}")
 
     @synchronized
-    def perform(self, lease: Lease, command: say.Command, *, age_s: float = 0.0) -> say.Accepted:
-        """Do what the driver asked age_s ago and return where it leads.
+    def perform(self, lease: Lease, command: Command, *, seq: int = 1, age_s: float = 0.0) -> Taken:
+        """Do what the driver asked age_s ago and return where it leads; seq: number of their message, for the log.
 
         Raises DeviceFailed where the robot is stopped, not enabled, or driven by another; StaleData for a set point
         that was too long under way; Inconsistent and UsageError for what it cannot do; DeviceLost where the loop has
@@ -150,49 +158,24 @@ class ControlAuthority:
                 f"{lease.who} no longer drives", consequence="Nothing was done", cure="Open the connection again"
             )
         now_s = self._host.now_s()
-        if not isinstance(command, say.Heartbeat):
-            self._log.command(
-                now_s, lease.who, command.type, command.model_dump(exclude={"session", "type"}, mode="json")
-            )
-        now = self._host.snapshot()
+        if not isinstance(command, Beat):
+            kind, values = logged(command)
+            self._log.command(now_s, lease.who, kind, {"seq": seq, **values})
+        now = self._host.status()
         q, limited = self._done(lease, command, now, age_s)
         T = flange_pose(self._host.arm, q) if q is not None and self.robot.takes_poses else None
-        return say.Accepted(
-            reply_to=command.seq,
-            t_s=now_s,
-            cycle=now.cycle,
-            q=None if q is None else q.tolist(),
-            T_base_flange=None if T is None else pose_message(T),
-            limited=list(limited),
-        )
+        return Taken(t_s=now_s, cycle=now.cycle, q=q, T_base_flange=T, limited=limited)
 
     @synchronized
-    def state(self, reply_to: int | None = None) -> say.StateMessage:
-        """Return the state for a client. Raises DeviceLost where the loop has ended."""
-        now, now_s = self._host.snapshot(), self._host.now_s()
-        reading = None
-        if now.reading is not None:
-            reading = say.ReadingMessage(
-                q=now.reading.q.tolist(),
-                t_s=now.reading.t_s,
-                age_s=now_s - now.reading.t_s,
-                sequence=now.reading.sequence,
-            )
-        lease = self._lease
-        return say.StateMessage(
-            reply_to=reply_to,
-            instance=self.instance,
+    def status(self) -> RobotStatus:
+        """Return the robot's status as it counts here and now. Raises DeviceLost where the loop has ended."""
+        now, now_s, lease = self._host.status(), self._host.now_s(), self._lease
+        return replace(
+            now,
             t_s=now_s,
-            cycle=now.cycle,
-            robot=self._robot_state(now).value,
-            guard=now.guard,
-            why=now.why,
-            reading=reading,
-            q_sent=now.q_sent.tolist(),
-            enabled=now.enabled,
-            driver=None if lease is None else say.Driver(who=lease.who, since_s=now_s - lease.since_s),
-            late=now.late,
-            missed=now.missed,
+            robot=self._robot_state(now),
+            driver="" if lease is None else lease.who,
+            driver_s=0.0 if lease is None else now_s - lease.since_s,
             lateness_p99_s=self._host.lateness_p99_s(),
         )
 
@@ -202,51 +185,51 @@ class ControlAuthority:
         self._log.event(self._host.now_s(), level, message)
 
     def _done(
-        self, lease: Lease, command: say.Command, now: Snapshot, age_s: float
+        self, lease: Lease, command: Command, now: RobotStatus, age_s: float
     ) -> tuple[Array | None, tuple[str, ...]]:
         """Do what is asked; return the joint values it leads to (n,), and the limits that cut it."""
         match command:
-            case say.Heartbeat():
+            case Beat():
                 self._beat(lease, command, age_s)
-            case say.HoldMessage():
+            case Hold():
                 self._post(Hold(why=f"{lease.who} asked for it"), age_s)
-            case say.StopMessage():
+            case Stop():
                 self.stop(lease.who)
-            case say.ResetMessage():
+            case Reset():
                 self._reset(lease, now)
-            case say.ReadMessage():
-                raise UsageError("read is no command of a driver", consequence="Nothing was done")
             case _:
                 return self._move(command, now, age_s)
         return None, ()
 
-    def _move(self, command: say.Motion, now: Snapshot, age_s: float) -> tuple[Array | None, tuple[str, ...]]:
+    def _move(self, command: Motion, now: RobotStatus, age_s: float) -> tuple[Array | None, tuple[str, ...]]:
         """Do what sets the robot in motion, where that is allowed; return as _done."""
         self._allow(now, age_s)
         match command:
-            case say.JointVelocityMessage():
-                self._post(JointVelocity(qd=self._joints("qd", command.qd)), age_s)
-            case say.ToolTwistMessage(velocity_m_s=v, angular_rad_s=w):
+            case JointVelocity(qd=qd):
+                self._check_joints("qd", qd)
+                self._post(command, age_s)
+            case ToolTwist():
                 self._need_poses()
-                self._post(ToolTwist(velocity_m_s=np.array(v), angular_rad_s=np.array(w)), age_s)
-            case say.JointGoalMessage():
-                return self._go(self._reachable(command.q), now, age_s), ()
-            case say.JointStepMessage():
-                begin, step = self._begin_cycle(now), self._joints("step", command.step)
+                self._post(command, age_s)
+            case JointGoal(q=q):
+                return self._go(self._reachable(q), now, age_s), ()
+            case JointStep(step=step):
+                self._check_joints("step", step)
+                begin = self._begin_cycle(now)
                 return self._cut((begin if self._goal is None else self._goal) + step, now, age_s)
-            case say.FlangePoseMessage():
-                return self._cut(self._joints_of(command.T_base_flange, self._begin_cycle(now)), now, age_s)
+            case FlangePose(T_base_flange=T):
+                return self._cut(self._joints_of(T, self._begin_cycle(now)), now, age_s)
         return None, ()
 
-    def _beat(self, lease: Lease, said: say.Heartbeat, age_s: float) -> None:
+    def _beat(self, lease: Lease, beat: Beat, age_s: float) -> None:
         """Take an enable, or its end; it counts from when it was sent."""
-        self._reenable = self._reenable and said.enable
-        self._beat_s, self._enabled = self._host.now_s() - age_s, said.enable and not self._reenable
-        if not said.enable:
+        self._reenable = self._reenable and beat.enable
+        self._beat_s, self._enabled = self._host.now_s() - age_s, beat.enable and not self._reenable
+        if not beat.enable:
             self._goal = None
-        self._host.beat(enable=said.enable, age_s=age_s, lease=lease.number, number=said.number)
+        self._host.beat(enable=beat.enable, age_s=age_s, lease=lease.number, number=beat.number)
 
-    def _reset(self, lease: Lease, now: Snapshot) -> None:
+    def _reset(self, lease: Lease, now: RobotStatus) -> None:
         self._host.reset()
         self._stopped, self._goal, self._reset_cycle = False, None, now.cycle
         self._enabled, self._reenable = False, True  # who still holds the enable must let go of it first
@@ -256,12 +239,12 @@ class ControlAuthority:
         self._goal = None
         self._host.post(setpoint, age_s=age_s)
 
-    def _go(self, q: Array, now: Snapshot, age_s: float) -> Array:
+    def _go(self, q: Array, now: RobotStatus, age_s: float) -> Array:
         self._host.post(JointGoal(q=q), age_s=age_s)
         self._goal, self._dropped = q, now.dropped
         return q
 
-    def _cut(self, goal: Array, now: Snapshot, age_s: float) -> tuple[Array, tuple[str, ...]]:
+    def _cut(self, goal: Array, now: RobotStatus, age_s: float) -> tuple[Array, tuple[str, ...]]:
         """Go towards joint values (n,) as far as one cycle allows, all joints alike, within their range."""
         joints = self.robot.joints
         way = goal - self._from
@@ -279,7 +262,7 @@ class ControlAuthority:
         ends = tuple(f"range of {j.name}" for j, a, b in zip(joints, near, q, strict=True) if a != b)
         return self._go(q, now, age_s), slow + far + ends
 
-    def _begin_cycle(self, now: Snapshot) -> Array:
+    def _begin_cycle(self, now: RobotStatus) -> Array:
         """Return where this cycle's steps begin: together they lead no further from there than a cycle's way."""
         if self._dropped != now.dropped:
             self._goal = None  # the loop forgot it on the way
@@ -288,7 +271,7 @@ class ControlAuthority:
             self._from = now.q_sent if self._goal is None else self._goal
         return self._from
 
-    def _allow(self, now: Snapshot, age_s: float) -> None:
+    def _allow(self, now: RobotStatus, age_s: float) -> None:
         """Raise DeviceFailed where motion is not allowed now, StaleData for what was asked too long ago."""
         if self._robot_state(now) is RobotState.LOST:
             raise DeviceFailed(f"the link to {self.robot.name} is lost", consequence="Nothing was sent")
@@ -314,26 +297,26 @@ class ControlAuthority:
                 cure=f"Drive over a line whose round trip is well below {longest_s / MS:.0f} ms",
             )
 
-    def _robot_state(self, now: Snapshot) -> RobotState:
+    def _robot_state(self, now: RobotStatus) -> RobotState:
         """Return the robot's state; what was stopped or reset here counts before the loop has told so."""
         if now.robot is RobotState.LOST:
             return RobotState.LOST
-        if self._stopped or (now.guard == STOPPED and now.cycle > self._reset_cycle + 1):
+        if self._stopped or (now.guard is GuardState.STOPPED and now.cycle > self._reset_cycle + 1):
             return RobotState.STOPPED
         return RobotState.READY if now.robot in (RobotState.STOPPED, RobotState.CLOSED) else now.robot
 
-    def _joints(self, name: str, values: ArrayLike) -> Array:
-        array = np.asarray(values, dtype=float)
-        if array.shape != (self.robot.n_joints,):
+    def _check_joints(self, name: str, values: Array) -> None:
+        """Raise UsageError where the robot has another number of joints."""
+        if values.shape != (self.robot.n_joints,):
             raise UsageError(
-                f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {array.size} values",
+                f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {values.size} values",
                 consequence="Nothing was sent",
                 cure=f"Give {self.robot.n_joints} values",
             )
-        return array
 
-    def _reachable(self, values: ArrayLike) -> Array:
-        q = self._joints("q", values)
+    def _reachable(self, q: Array) -> Array:
+        """Return joint values (n,) that are within the range. Raises Inconsistent, UsageError."""
+        self._check_joints("q", q)
         for value, joint, low, high in zip(q, self.robot.joints, self._lower, self._upper, strict=True):
             if not low - RANGE_MARGIN <= value <= high + RANGE_MARGIN:
                 raise Inconsistent(
@@ -349,13 +332,12 @@ class ControlAuthority:
                 f"{self.robot.name} takes no poses here", consequence="Nothing was sent", cure="Send joint values"
             )
 
-    def _joints_of(self, pose: say.PoseMessage, near: Array) -> Array:
+    def _joints_of(self, T_base_flange: RigidTransform, near: Array) -> Array:
         """Return the joint values (n,) that bring the flange to a pose, nearest to near (n,)."""
         self._need_poses()
         arm = self._host.arm
         if arm is None:
             return near
-        T_base_flange = pose_from_quat(pose.xyz_m, pose.quat_xyzw)
         found = arm.ik(arm.T_world_base * T_base_flange * arm.T_flange_tool, arm.values(near))
         if not found:
             raise Inconsistent(
@@ -364,9 +346,3 @@ class ControlAuthority:
                 cure="Give a pose within its reach",
             )
         return arm.readings(found[0].q)
-
-
-def pose_message(T: RigidTransform) -> say.PoseMessage:
-    """Return a pose as messages have it."""
-    xyz, quat = xyz_quat(T)
-    return say.PoseMessage(xyz_m=xyz.tolist(), quat_xyzw=quat.tolist())

@@ -6,21 +6,22 @@ import math
 import os
 import pickle
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import RawArray
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import JointTrack, LineChannels, Newest, Queue, granted
-from armsight.app.robot.host import SETPOINT_S, LoopCommand, LoopEvent, Snapshot
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
+from armsight.control.session.channels import JointTrack, LineChannels, Newest, Queue, granted
+from armsight.control.session.host import SETPOINT_S, LoopCommand, LoopEvent
 from armsight.control.setpoints import CycleState, JointGoal, SetPoint
 from armsight.control.sources.client import ClientSource
-from armsight.drivers import Robot
+from armsight.control.status import RobotStatus
+from armsight.drivers import Robot, RobotTraits
 from armsight.drivers.remote.protocol import JointDescription, RobotDescription
 from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
@@ -35,6 +36,9 @@ ARRIVED = 1e-12
 RECORD_BYTES = 768
 """Longest record: a command of 16 joints has 500."""
 
+STATUS_BYTES = 8192
+"""Longest status: of 16 joints, each cut by three limits, with the longest reason in letters of four bytes."""
+
 BINS_PER_OCTAVE = 32
 OCTAVES = 20
 LEAST_S = 1e-6
@@ -43,6 +47,10 @@ LEAST_S = 1e-6
 
 def _up() -> Queue:
     return Queue(8192, RECORD_BYTES)
+
+
+def _newest_status() -> Newest:
+    return Newest(STATUS_BYTES)
 
 
 def _histogram() -> Any:
@@ -60,7 +68,7 @@ class Channels:
     orders: Queue = field(default_factory=lambda: Queue(1024, 1024))
     line: LineChannels = field(default_factory=LineChannels)
     records: Queue = field(default_factory=_up)
-    state: Newest = field(default_factory=Newest)
+    state: Newest = field(default_factory=_newest_status)
     lateness: Any = field(default_factory=_histogram)
     track: JointTrack | None = None
 
@@ -98,7 +106,6 @@ class RecordSink:
     def __init__(self, records: Queue) -> None:
         self._records = records
         self.dropped = 0
-        self.reading: JointReading | None = None
 
     def event(self, t_s: float, message: str, level: str, name: str) -> None:
         """Tell an event."""
@@ -110,7 +117,6 @@ class RecordSink:
 
     def joints(self, reading: JointReading) -> None:
         """Tell a reading."""
-        self.reading = reading
         self._put(reading)
 
     def _put(self, record: object) -> None:
@@ -122,7 +128,7 @@ class RecordSink:
 class OrderSource:
     """Set points and heartbeats of whoever drives, from the queues of orders: the loop's source, and its enable.
 
-    Places are followed until they are reached, velocities for SETPOINT_S; all is forgotten when the enable ends, the
+    Goals are followed until they are reached, velocities for SETPOINT_S; all is forgotten when the enable ends, the
     driver leaves or the guard stops. The enable comes by two ways, the server's and the line for stops; whichever is
     first counts. dropped: how often it forgot. was_enabled: what enabled() said last.
     """
@@ -159,7 +165,7 @@ class OrderSource:
         if not self._alive():
             self.drop()
         if self._goal is not None:
-            self._client.post(self._goal, now.t_s)  # a place does not age
+            self._client.post(self._goal, now.t_s)  # a goal does not age
             if np.abs(now.q_sent - self._goal.q).max() <= ARRIVED and not now.qd_sent.any():
                 self._forget()
         return self._client.next(now)
@@ -248,8 +254,8 @@ def run_loop(
             loop = ControlLoop(robot, guard, source, counted, enabled=source.enabled, sink=sink)
             source.attach(loop)
             channels.records.put(pickle.dumps(("described", describe(robot, guard, driver).model_dump())))
-            tell = Teller(channels.state, source, sink).tell
-            loop.run(until=tell if channels.track is None else tracked(tell, robot, channels.track, clock))
+            publish = StatusPublisher(channels.state, source).publish
+            loop.run(until=publish if channels.track is None else tracked(publish, robot, channels.track, clock))
     except ArmsightError as error:
         channels.records.put(pickle.dumps(error))
     except Exception as error:  # whatever ended it, the server tells it
@@ -258,45 +264,32 @@ def run_loop(
 
 
 def tracked(
-    tell: Callable[[LoopStatus], bool], robot: Robot, track: JointTrack, clock: Clock
-) -> Callable[[LoopStatus], bool]:
-    """Return tell, with the joints of a simulated robot written into the track after each cycle, as they truly are."""
-    true_joints = getattr(robot, "true_joints", None)
+    publish: Callable[[RobotStatus], bool], robot: Robot, track: JointTrack, clock: Clock
+) -> Callable[[RobotStatus], bool]:
+    """Return publish, with a simulated robot's joints written into the track after each cycle, as they truly are."""
+    true_joints = RobotTraits.of(robot).true_joints
 
-    def told(status: LoopStatus) -> bool:
+    def publish_tracked(status: RobotStatus) -> bool:
         now_s = clock.now_s()
         track.write(now_s, status.q if true_joints is None else true_joints(now_s))
-        return tell(status)
+        return publish(status)
 
-    return told
+    return publish_tracked
 
 
-class Teller:
-    """Tells the newest state after each cycle."""
+class StatusPublisher:
+    """Publishes the newest status after each cycle."""
 
-    def __init__(self, state: Newest, source: OrderSource, sink: RecordSink) -> None:
+    def __init__(self, state: Newest, source: OrderSource) -> None:
         self._state = state
         self._source = source
-        self._sink = sink
 
-    def tell(self, status: LoopStatus) -> bool:
-        """Tell it; never ends the loop."""
-        if status.state is GuardState.STOPPED:
+    def publish(self, status: RobotStatus) -> bool:
+        """Publish it with what the source of orders forgot; never ends the loop."""
+        if status.guard is GuardState.STOPPED:
             self._source.drop()
-        snapshot = Snapshot(
-            t_s=status.t_s,
-            cycle=status.n_cycles,
-            robot=status.robot,
-            guard=status.state.value,
-            why=status.why[:500],
-            reading=self._sink.reading,
-            q_sent=status.q_sent,
-            enabled=self._source.was_enabled,
-            dropped=self._source.dropped,
-            late=status.late,
-            missed=status.missed,
-        )
-        self._state.write(pickle.dumps(snapshot, protocol=5))
+        published = replace(status, why=status.why[:500], dropped=self._source.dropped)
+        self._state.write(pickle.dumps(published, protocol=5))
         return False
 
 

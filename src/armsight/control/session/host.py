@@ -2,46 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import wraps
+from threading import RLock
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.channels import LineChannels
+from armsight.control.session.channels import LineChannels
 from armsight.control.setpoints import SetPoint
-from armsight.drivers import RobotState
+from armsight.control.status import RobotStatus
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.kinematics import Arm
 from armsight.records import JointReading
 
 Array = NDArray[np.float64]
 
+
+class HasLock(Protocol):
+    """An object with a lock of its own, or one that it shares with others."""
+
+    lock: RLock
+
+
+Params = ParamSpec("Params")
+Result = TypeVar("Result")
+Owner = TypeVar("Owner", bound=HasLock)
+
+
+def synchronized(method: Callable[Concatenate[Owner, Params], Result]) -> Callable[Concatenate[Owner, Params], Result]:
+    """Return the method, which waits until no other thread is in one under the same lock."""
+
+    @wraps(method)
+    def locked(self: Owner, *args: Params.args, **kwargs: Params.kwargs) -> Result:
+        with self.lock:
+            return method(self, *args, **kwargs)
+
+    return cast(Callable[Concatenate[Owner, Params], Result], locked)
+
+
 SETPOINT_S = 0.25
-"""A velocity holds so long; a place holds until it is reached."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Snapshot:
-    """The loop as it was in its newest cycle.
-
-    t_s: of the cycle, on the loop's clock. guard: the guard's state, and why it is in it. reading: the newest, its time
-    on the same clock; None before the first. q_sent (n,): where the robot was last told to go, in rad or m.
-    dropped: how often the loop forgot what was asked of it, because it held, stopped or was told to.
-    """
-
-    t_s: float
-    cycle: int
-    robot: RobotState
-    guard: str
-    why: str
-    reading: JointReading | None
-    q_sent: Array
-    enabled: bool
-    dropped: int
-    late: int
-    missed: int
+"""A velocity holds so long, in s; a goal holds until it is reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,8 +94,8 @@ class Host(Protocol):
         """Return the time on the loop's clock."""
         ...
 
-    def snapshot(self) -> Snapshot:
-        """Return the newest state. Raises DeviceLost where the loop has ended."""
+    def status(self) -> RobotStatus:
+        """Return the loop's newest cycle. Raises DeviceLost where the loop has ended."""
         ...
 
     def lateness_p99_s(self) -> float:

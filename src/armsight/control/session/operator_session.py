@@ -1,4 +1,4 @@
-"""Who drives the robot from a page, and whether the enable is held: the browsers' side of the robot's desk."""
+"""Who drives the robot from a page, and whether the enable is held: the browsers' side of the control authority."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.operator.placing import flange_pose
-from armsight.app.robot.control_authority import EnableLost, Lease
-from armsight.app.robot.host import Snapshot
-from armsight.app.robot.service import Service
-from armsight.app.robot.synchronized import synchronized
-from armsight.control.setpoints import CycleState, JointVelocity, ToolTwist
+from armsight.control.session.authority import EnableLost, Lease
+from armsight.control.session.commands import Beat, Command, Reset, Taken
+from armsight.control.session.host import flange_pose, synchronized
+from armsight.control.session.service import Service
+from armsight.control.setpoints import CycleState, Hold, JointStep, JointVelocity, SetPoint, ToolTwist
 from armsight.control.sources import JogFrame, JogSource
-from armsight.drivers.remote import protocol as say
+from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.kinematics import Arm
 
@@ -54,38 +53,17 @@ class Push:
     sense: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionState:
-    """The robot as a page shows it.
-
-    t_s: now, on the loop's clock. robot: ready, moving, stopped, lost. why: the guard's words. driver: who drives,
-    empty for nobody; mine: whether that is this browser. enabled: whether its enable is alive. q: the newest reading
-    (n,), None before the first.
-    """
-
-    t_s: float
-    instance: str
-    robot: str
-    guard: str
-    why: str
-    driver: str
-    mine: bool
-    enabled: bool
-    override: float
-    q: tuple[float, ...] | None
-
-
 class OperatorSession:
     """The robot as browsers drive it, one at a time. Every browser has a name of its own; any thread may call this.
 
-    The browser that holds the enable has the desk's right to drive; it keeps it until another takes it after ten
+    The browser that holds the enable has the right to drive; it keeps it until another takes it after ten
     silent seconds, or until its connection ends. Nothing here moves the robot without its beats.
     """
 
     def __init__(self, service: Service) -> None:
         self.service = service
         self.lock: RLock = service.lock
-        self._desk, self._host = service.authority, service.host
+        self._authority, self._host = service.authority, service.host
         self._browser = ""
         self._lease: Lease | None = None
         self._line_key = ""
@@ -140,7 +118,7 @@ class OperatorSession:
         drives where another does, and at every beat of an enable that does not count; UsageError for whom may only
         watch, DeviceLost.
         """
-        if browser != self._browser or self._desk.driver is not self._lease:
+        if browser != self._browser or self._authority.driver is not self._lease:
             if not enable:
                 self._lost.discard(browser)
                 self._vain.discard(browser)
@@ -157,7 +135,7 @@ class OperatorSession:
         self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
         if not self._held:
             self._let_line("")  # first, so that nothing that comes there brings it back
-        self._perform(say.Heartbeat(session="", seq=1, enable=self._held, number=number), age_s)
+        self._perform(Beat(enable=self._held, number=number), age_s)
         if self._held:
             self._let_line(key)
         if stale and enable:
@@ -188,18 +166,19 @@ class OperatorSession:
         """Stop the robot until it is reset; legal for everyone, always; never raises."""
         self._held, self._pushed = False, None
         self._let_line("")
-        self._desk.stop(person.who)
+        self._authority.stop(person.who)
 
     @synchronized
     def reset(self, browser: str, person: Person) -> None:
         """Take commands again after a stop; the enable has to be held anew. Raises DeviceFailed, UsageError."""
-        if browser != self._browser or self._desk.driver is not self._lease:
+        if browser != self._browser or self._authority.driver is not self._lease:
             self._take(browser, person)
         self._let_line("")
-        self._perform(say.ResetMessage(session="", seq=1))
+        self._perform(Reset())
         self._held, self._again = False, self._pressed
-        if not self._pressed:  # browsers are silent while nothing is held: the desk waits to hear that it was let go of
-            self._perform(say.Heartbeat(session="", seq=1, enable=False))
+        if not self._pressed:
+            # browsers are silent while nothing is held, and the authority waits to hear that it was let go of
+            self._perform(Beat(enable=False))
 
     @synchronized
     def enabled(self, browser: str) -> bool:
@@ -214,43 +193,31 @@ class OperatorSession:
         """
         if not self.enabled(browser):
             raise EnableLost("the enable is not held", consequence="Nothing was sent", cure="Hold the enable")
-        done = self._perform(say.JointStepMessage(session="", seq=1, step=np.asarray(step).tolist()))
-        return np.array(done.q), tuple(done.limited)
+        taken = self._perform(JointStep(step=step))
+        return np.array(taken.q), taken.limited
 
     @synchronized
     def hold(self, browser: str) -> None:
         """Let the robot come to rest where this browser drives it."""
         if browser == self._browser:
             with suppress(ArmsightError):
-                self._perform(say.HoldMessage(session="", seq=1))
+                self._perform(Hold())
 
-    def snapshot(self) -> Snapshot:
-        """Return the loop's newest state. Raises DeviceLost where it has ended."""
-        return self._host.snapshot()
+    def status(self) -> RobotStatus:
+        """Return the robot's status as it counts now. Raises DeviceLost where the loop has ended."""
+        return self._authority.status()
 
     @synchronized
-    def state(self, browser: str) -> SessionState:
-        """Return what a browser shows. Raises DeviceLost where the loop has ended."""
-        now = self._desk.state()
-        return SessionState(
-            t_s=now.t_s,
-            instance=now.instance,
-            robot=now.robot,
-            guard=now.guard,
-            why=now.why,
-            driver="" if now.driver is None else now.driver.who,
-            mine=browser == self._browser and now.driver is not None,
-            enabled=self.enabled(browser),
-            override=self._override,
-            q=None if now.reading is None else tuple(now.reading.q),
-        )
+    def drives(self, browser: str) -> bool:
+        """Return whether this browser has the right to drive."""
+        return browser == self._browser and self._authority.driver is not None
 
     def _check_let_go(self, browser: str) -> None:
         """Raise DeviceFailed where an enable is held on that did not count when it was pressed."""
         if browser in self._lost:
             raise DeviceFailed("the connection was lost", consequence="The robot was stopped", cure=LET_GO)
         if browser in self._vain:
-            driver = self._desk.driver
+            driver = self._authority.driver
             cause = "another drove when you pressed the enable" if driver is None else f"{driver.who} drives"
             raise DeviceFailed(cause, consequence="The robot is not moved", cure=LET_GO)
 
@@ -261,7 +228,7 @@ class OperatorSession:
                 consequence="The robot is not moved",
                 cure="Ask for a token that may drive",
             )
-        self._lease = self._desk.take(person.who)
+        self._lease = self._authority.take(person.who)
         self._line_key = self._lease.key  # a page's enable counts only as long as it does here
         self._let_line("")
         self._browser, self._held, self._again, self._pressed, self._pushed = browser, False, False, False, None
@@ -274,13 +241,13 @@ class OperatorSession:
 
     def _lose(self, why: str) -> None:
         """Stop the robot, and let anybody drive who releases the stop; who is lost has to let the enable go first."""
-        self._desk.stop(why)
+        self._authority.stop(why)
         self._lost = {self._browser}
         self._let_go(why)
 
     def _let_go(self, why: str) -> None:
         if self._lease is not None:
-            self._desk.leave(self._lease, why)
+            self._authority.leave(self._lease, why)
         self._browser, self._lease, self._line_key = "", None, ""
         self._held, self._again, self._pressed, self._pushed = False, False, False, None
 
@@ -289,43 +256,42 @@ class OperatorSession:
         if push is None:
             if self._pushed is not None:
                 self._pushed = None
-                self._perform(say.HoldMessage(session="", seq=1))
+                self._perform(Hold())
             return
         self._pushed = push
         self.pushes += 1
         wanted = self._velocity(push)
-        match wanted:
-            case JointVelocity(qd=qd):
-                self._perform(say.JointVelocityMessage(session="", seq=1, qd=qd.tolist()))
-            case ToolTwist(velocity_m_s=v, angular_rad_s=w):
-                message = say.ToolTwistMessage(session="", seq=1, velocity_m_s=v.tolist(), angular_rad_s=w.tolist())
-                self._perform(message)
+        if isinstance(wanted, JointVelocity | ToolTwist):
+            self._perform(wanted)
 
-    def _velocity(self, push: Push) -> object:
-        n = self._desk.robot.n_joints
+    def _velocity(self, push: Push) -> SetPoint:
+        """Return what a jog key asks for. Raises UsageError where there is no such axis."""
+        n = self._authority.robot.n_joints
         source = JogSource(n, push.frame)
         axes = n if source.frame is JogFrame.JOINTS else 6
         if not 0 <= push.axis < axes:
             raise UsageError(f"there is no axis {push.axis + 1}", consequence="Nothing is moved")
         values = np.zeros(axes)
         values[push.axis] = self._override * float(np.sign(push.sense))
-        arm, now = self.arm, self._host.snapshot()
-        T_base_tool = RigidTransform.identity()  # of joints it is not asked; where poses are not taken the desk refuses
-        if arm is not None:
-            T_base_tool = arm.T_world_base.inv() * flange_pose(arm, now.q_sent) * arm.T_flange_tool
+        arm, now = self.arm, self._host.status()
+        T_base_flange = flange_pose(arm, now.q_sent)
+        # of joints it is not asked; where poses are not taken the authority refuses
+        T_base_tool = RigidTransform.identity()
+        if arm is not None and T_base_flange is not None:
+            T_base_tool = T_base_flange * arm.T_flange_tool
         source.push(values.tolist(), now.t_s)
         return source.next(
             CycleState(
                 t_s=now.t_s,
-                cycle_s=self._desk.robot.cycle_s,
-                q=now.q_sent if now.reading is None else now.reading.q,
+                cycle_s=self._authority.robot.cycle_s,
+                q=now.q,
                 q_sent=now.q_sent,
                 qd_sent=np.zeros(n),
                 T_base_tool=T_base_tool,
             )
         )
 
-    def _perform(self, command: say.Command, age_s: float = 0.0) -> say.Accepted:
+    def _perform(self, command: Command, age_s: float = 0.0) -> Taken:
         if self._lease is None:
             raise DeviceFailed("nobody drives", consequence="Nothing was done", cure="Hold the enable")
-        return self._desk.perform(self._lease, command, age_s=age_s)
+        return self._authority.perform(self._lease, command, age_s=age_s)

@@ -1,0 +1,97 @@
+"""The only place where commands, states and events turn into the protocol's messages, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armsight.control.session.commands import Beat, Command, Reset, Stop, Taken
+from armsight.control.session.host import LoopEvent
+from armsight.control.setpoints import FlangePose, Hold, JointGoal, JointStep, JointVelocity, Motion, ToolTwist
+from armsight.control.status import RobotStatus
+from armsight.drivers.remote import protocol as say
+from armsight.errors import UsageError
+from armsight.geometry import pose_from_quat, xyz_quat
+
+LONGEST_EVENT = 2000
+"""Characters of an event's text at most, as the protocol has it."""
+
+
+def command_of(message: say.Command) -> Command:
+    """Return what a driver's message asks for. Raises UsageError for a read, Inconsistent for a pose that is none."""
+    match message:
+        case say.Heartbeat(enable=enable, number=number):
+            return Beat(enable=enable, number=number)
+        case say.HoldMessage():
+            return Hold()
+        case say.StopMessage():
+            return Stop()
+        case say.ResetMessage():
+            return Reset()
+        case say.ReadMessage():
+            raise UsageError("read is no command of a driver", consequence="Nothing was done")
+        case _:
+            return _motion_of(message)
+
+
+def _motion_of(message: say.Motion) -> Motion:
+    match message:
+        case say.JointGoalMessage(q=q):
+            return JointGoal(q=np.array(q))
+        case say.JointVelocityMessage(qd=qd):
+            return JointVelocity(qd=np.array(qd))
+        case say.JointStepMessage(step=step):
+            return JointStep(step=np.array(step))
+        case say.FlangePoseMessage(T_base_flange=pose):
+            return FlangePose(T_base_flange=pose_from_quat(pose.xyz_m, pose.quat_xyzw))
+        case say.ToolTwistMessage(velocity_m_s=v, angular_rad_s=w):
+            return ToolTwist(velocity_m_s=np.array(v), angular_rad_s=np.array(w))
+
+
+def accepted(taken: Taken, reply_to: int) -> say.Accepted:
+    """Return the answer to a command that was taken."""
+    pose = None
+    if taken.T_base_flange is not None:
+        xyz, quat = xyz_quat(taken.T_base_flange)
+        pose = say.PoseMessage(xyz_m=xyz.tolist(), quat_xyzw=quat.tolist())
+    return say.Accepted(
+        reply_to=reply_to,
+        t_s=taken.t_s,
+        cycle=taken.cycle,
+        q=None if taken.q is None else taken.q.tolist(),
+        T_base_flange=pose,
+        limited=list(taken.limited),
+    )
+
+
+def state_message(status: RobotStatus, instance: str, reply_to: int | None = None) -> say.StateMessage:
+    """Return a status as a client gets it. instance: of this run of the server."""
+    reading = None
+    if status.reading is not None:
+        reading = say.ReadingMessage(
+            q=status.reading.q.tolist(),
+            t_s=status.reading.t_s,
+            age_s=status.t_s - status.reading.t_s,
+            sequence=status.reading.sequence,
+        )
+    return say.StateMessage(
+        reply_to=reply_to,
+        instance=instance,
+        t_s=status.t_s,
+        cycle=status.cycle,
+        robot=status.robot.value,
+        guard=status.guard.value,
+        why=status.why,
+        reading=reading,
+        q_sent=status.q_sent.tolist(),
+        enabled=status.enabled,
+        driver=say.Driver(who=status.driver, since_s=status.driver_s) if status.driver else None,
+        late=status.late,
+        missed=status.missed,
+        lateness_p99_s=status.lateness_p99_s,
+    )
+
+
+def event_message(event: LoopEvent) -> say.EventMessage:
+    """Return an event as a client gets it."""
+    fields = {"t_s": event.t_s, "level": event.level, "message": event.message[:LONGEST_EVENT]}
+    return say.EventMessage.model_validate(fields)
