@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from armsight.control.guard import GuardState
-from armsight.control.status import RobotStatus
-from armsight.drivers import RobotState
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # a page of words is shown while all else is still being loaded
+    from armsight.control.status import RobotStatus
 
 TITLE = "armsight"
 PAGES = {
@@ -44,9 +45,9 @@ DRIVES = "{who} drives; you can watch, and stop"
 def robot_words(status: RobotStatus, *, mine: bool) -> tuple[str, str]:
     """Return the level (good, warn, bad, idle) and the words of a robot's status; mine: whether who reads it drives."""
     level, words = ROBOT_LEVELS.get(status.robot, "bad"), ROBOT[status.robot]
-    if status.robot is RobotState.STOPPED and status.why:
+    if status.robot == "stopped" and status.why:
         words = STOPPED_WHY.format(why=status.why)
-    elif status.guard is GuardState.HOLDING and status.why:
+    elif status.guard == "holding" and status.why:
         level, words = "warn", HOLDING.format(why=status.why)
     if status.driver and not mine:
         words = f"{words}. {DRIVES.format(who=status.driver)}"

@@ -73,7 +73,7 @@ def test_a_stop_is_taken_in_the_next_cycle_and_lasts_until_the_reset(cell) -> No
     states = []
 
     def until(now) -> bool:
-        states.append(now.state)
+        states.append(now.guard)
         if len(states) == 20:
             loop.stop("enough")
         if len(states) == 120:
@@ -107,9 +107,9 @@ def test_a_source_that_fails_is_a_hold_and_the_loop_goes_on(cell) -> None:
     seen = []
     loop = ControlLoop(robot, guard_for(robot), Failing(), clock, enabled=lambda: True)
     loop.run(until=lambda now: bool(seen.append(now)) or len(seen) == 60)
-    assert seen[19].state is GuardState.HOLDING
+    assert seen[19].guard is GuardState.HOLDING
     assert seen[19].why == "the source failing failed: float division by zero"
-    assert seen[-1].state is GuardState.RUNNING
+    assert seen[-1].guard is GuardState.RUNNING
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_the_loop_may_be_stopped_from_another_thread(cell) -> None:
 
     def until(now) -> bool:
         begun.set()
-        return now.state is GuardState.STOPPED
+        return now.guard is GuardState.STOPPED
 
     thread = threading.Thread(target=loop.run, kwargs={"until": until})
     thread.start()
