@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from armsight.clock import Clock
 from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Decision, Guard, GuardState, Inputs, TargetState
-from armsight.control.jitter import Jitter, Timing
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, SetPointSource
-from armsight.control.status import RobotStatus
+from armsight.control.status import Jitter, RobotStatus, Timing
 from armsight.drivers import Pace, Paced, Robot, RobotState, RobotTraits, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData
 from armsight.records import JointReading

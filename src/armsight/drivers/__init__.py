@@ -5,14 +5,23 @@ from armsight.drivers.cyclic import Pace, Paced
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
+from armsight.drivers.opening import (
+    CAMERAS,
+    CELLS,
+    ROBOTS,
+    SCENARIOS,
+    SETS,
+    is_live,
+    known,
+    load,
+    open_pairs,
+    open_source,
+    open_split,
+)
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
-from armsight.drivers.prefetch import cores, ordered_map
-from armsight.drivers.protocols import FrameSource, PairSource, Skew
-from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, known, load
+from armsight.drivers.protocols import FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent, Skew
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
-from armsight.drivers.robot import Robot, RobotState, RobotTraits, Sent
-from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
+from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, ordered_map
 
 __all__ = [
     "AS_THEY_ARE",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from armsight.drivers.joint_goals import JointLimits
+from armsight.drivers.goals import JointLimits
 from armsight.errors import UsageError
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]

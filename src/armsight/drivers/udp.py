@@ -16,9 +16,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.goals import PoseGoals, between
 from armsight.drivers.link_settings import LinkSettings, Positive
-from armsight.drivers.pose_goals import PoseGoals, between
-from armsight.drivers.robot import Sent
+from armsight.drivers.protocols import Sent
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading

@@ -20,11 +20,11 @@ from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocit
 from armsight.control.enable import Enable
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, Limits
-from armsight.control.jitter import Jitter
 from armsight.control.loop import ControlLoop
 from armsight.control.sources import ClientSource, GoalSource, JogFrame, JogSource
+from armsight.control.status import Jitter
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.joint_goals import JointLimits
+from armsight.drivers.goals import JointLimits
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.recording import Recording

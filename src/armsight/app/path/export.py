@@ -26,7 +26,7 @@ from armsight.control.paths import (
     urscript,
     with_approach,
 )
-from armsight.control.paths.jumps import PathJump, path_jumps
+from armsight.control.paths.outliers import PathJump, path_jumps
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.records import TaughtPath

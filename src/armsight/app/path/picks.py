@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.schemas.base import PointStd
 from armsight.app.schemas.paths import PathPicksOutput, PickedPointOutput, RefusedPickOutput
-from armsight.control.paths.scene import along_edges, path_through_points
+from armsight.control.paths.along import along_edges, path_through_points
 from armsight.drivers.images import read_image
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.measure.correspondence import Correspondence, PatchSettings, StereoViews, find_in_other_view

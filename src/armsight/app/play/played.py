@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 from armsight.app.schemas.play import PlayMeasuredOutput, PlayOutput
 from armsight.control.events import QueueSink
 from armsight.control.guard import GuardState
-from armsight.control.jitter import Timing
 from armsight.control.play import PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolPose
-from armsight.control.status import RobotStatus
+from armsight.control.status import RobotStatus, Timing
 from armsight.geometry import xyz_quat
 from armsight.records import PoseStatus
 

@@ -25,10 +25,9 @@ from armsight.app.servo.session import TOLD_S, Confirm, check_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard
-from armsight.control.jitter import Timing
 from armsight.control.loop import ControlLoop
 from armsight.control.play import PathPlan, PathSource, PlayWatch
-from armsight.control.status import RobotStatus
+from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.records import Progress, Silent

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
 from armsight.control.guard import Guard, Limits
-from armsight.control.guard.fit import check_fit
+from armsight.control.guard.limits import check_fit
 from armsight.control.guard.space import Space
 from armsight.drivers import Robot, RobotTraits
 from armsight.errors import Inconsistent, UsageError

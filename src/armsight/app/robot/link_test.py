@@ -10,8 +10,8 @@ from armsight.app.robot.opening import open_robot
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
 from armsight.clock import Clock, SystemClock
-from armsight.control.jitter import Jitter
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
+from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, StaleData, UsageError
 from armsight.records import JointReading, Progress, Silent

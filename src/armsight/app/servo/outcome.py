@@ -17,10 +17,9 @@ from armsight.app.schemas.servo import (
 from armsight.app.servo.vision import Vision
 from armsight.control.events import QueueSink
 from armsight.control.guard import GuardState, TargetState
-from armsight.control.jitter import Timing
 from armsight.control.servo import Gain, ServoSource
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
-from armsight.control.status import RobotStatus
+from armsight.control.status import RobotStatus, Timing
 from armsight.records import PoseStatus
 
 Show = Callable[[RobotStatus, float | None], None]

@@ -17,10 +17,9 @@ from armsight.app.servo.job import ServoDevices, ServoJob
 from armsight.app.servo.outcome import RecordedSource, Show, Tally, servo_output
 from armsight.app.servo.vision import Beside, Vision, VisionThread, probe
 from armsight.control.guard import Guard
-from armsight.control.jitter import Timing
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Gain, ServoSettings, ServoSource, chosen_gain
-from armsight.control.status import RobotStatus
+from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot, RobotTraits
 from armsight.errors import ArmsightError, Cancelled, Inconsistent
 from armsight.geometry import pose_difference

@@ -2,8 +2,8 @@
 
 from armsight.control.play.plan import PathPlan, PlaySettings, plan_path
 from armsight.control.play.source import PathSource, PlayProgress
+from armsight.control.play.track import Weave, WeaveKind
 from armsight.control.play.watch import CameraPlacement, PlayWatch, WatchFigures
-from armsight.control.play.weave import Weave, WeaveKind
 
 __all__ = [
     "CameraPlacement",

@@ -11,10 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
-from armsight.control.paths.jumps import SAME_M, distinct_rows, of_rows, path_jumps
-from armsight.control.play.pace import SPEED_SHARE, timed
-from armsight.control.play.track import Leg, Track, Way, quats
-from armsight.control.play.weave import Weave, WeaveKind
+from armsight.control.paths.outliers import SAME_M, distinct_rows, of_rows, path_jumps
+from armsight.control.play.track import SPEED_SHARE, Leg, Track, Way, Weave, WeaveKind, quats, timed
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.kinematics.target import target_matrices

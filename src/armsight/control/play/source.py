@@ -8,9 +8,8 @@ import numpy as np
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 from scipy.spatial.transform import RigidTransform
 
-from armsight.control.play.pace import PATH_ACCELERATION_M_S2, PATH_JERK_M_S3
 from armsight.control.play.plan import PathPlan
-from armsight.control.play.track import ARM_M, Leg, Way
+from armsight.control.play.track import ARM_M, PATH_ACCELERATION_M_S2, PATH_JERK_M_S3, Leg, Way
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, ToolPose
 from armsight.errors import UsageError
 from armsight.geometry import pose_difference

@@ -11,10 +11,16 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
-from armsight.control.servo.delay import ArmLag, CameraDelay
-from armsight.control.servo.lateness import Lateness
-from armsight.control.servo.law import ServoError, cross, delay_cycles, servo_error, servo_twist, stability_gain
-from armsight.control.servo.reaction import Reaction
+from armsight.control.servo.delay import ArmLag, CameraDelay, Lateness
+from armsight.control.servo.law import (
+    Reaction,
+    ServoError,
+    cross,
+    delay_cycles,
+    servo_error,
+    servo_twist,
+    stability_gain,
+)
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.errors import Inconsistent, StaleData

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from armsight.clock import Clock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
-from armsight.drivers.given_goals import GivenGoals
+from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import Positive
 from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, UdpSettings
 from armsight.units import MS

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
-from armsight.drivers.pose_goals import between
+from armsight.drivers.goals import between
 from armsight.drivers.rsi.messages import RobMessage, answer, correction, parse
 from armsight.drivers.rsi.settings import RsiSettings, RsiTags, read_tags
 from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot

@@ -17,8 +17,8 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers.alter.frames import SEQUENCES, FrameSplitter, StateFrame, answer
 from armsight.drivers.alter.settings import AlterSettings, ArmOnLink
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.pose_goals import PoseGoals, between
-from armsight.drivers.robot import Sent
+from armsight.drivers.goals import PoseGoals, between
+from armsight.drivers.protocols import Sent
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.given_goals import GivenGoals
+from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
+from armsight.drivers.protocols import RobotState, Sent
 from armsight.drivers.remote import protocol as say
 from armsight.drivers.remote.link import Heart, Link
 from armsight.drivers.remote.wire import ServerAddress
-from armsight.drivers.robot import RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import JointReading
