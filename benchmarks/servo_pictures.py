@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.job import ServoDevices
-from armsight.app.servo.stepped import SteppedClock
+from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.servo.vision import Vision
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, Limits

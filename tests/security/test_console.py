@@ -17,16 +17,16 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.console import application, texts, uploads
-from armsight.console.headers import SAID
+from armsight.console import application, texts
+from armsight.console import routes as uploads
+from armsight.console.routes import SAID
 from armsight.console.state import Console
 from armsight.control.guard import Limits
 from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
 from armsight.server.application import create_app
-from armsight.server.auth import COOKIE, Authenticator
+from armsight.server.auth import COOKIE, Authenticator, Gate
 from armsight.server.connections import Connections
-from armsight.server.gate import Gate
 from armsight.server.serving import background
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, web_server
@@ -369,7 +369,7 @@ def test_a_rule_that_is_taken_away_is_seen(
     served: Any, reports: Path, monkeypatch: pytest.MonkeyPatch, rule: str
 ) -> None:
     if rule == "headers":
-        monkeypatch.setattr("armsight.console.headers.SAID", {})
+        monkeypatch.setattr("armsight.console.routes.SAID", {})
         assert "content-security-policy" not in ask(served, "GET", "/live", served.drive).headers
     elif rule == "sandbox":
         monkeypatch.setattr(uploads, "REPORT_POLICY", "default-src *")

@@ -15,7 +15,7 @@ import typer
 from typer.main import get_command
 
 from armsight import _files
-from armsight.app.operator.one_console import one_console
+from armsight.app.operator.robot_cell import one_console
 from armsight.cli import command_ui
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.commands import app as commands

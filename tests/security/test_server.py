@@ -16,8 +16,8 @@ from armsight.clock import ManualClock
 from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.server import auth as doors
+from armsight.server.messages import Session
 from armsight.server.serving import background
-from armsight.server.session import Session
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token, read_tokens
 

@@ -99,9 +99,9 @@ def play(
     The whole way is checked first; before anything moves it is told in mm and degrees, and asked for.
     """
     with CommandUI(as_json=json) as face, ExitStack() as stack:
-        from armsight.app.play.job import PlayJob
-        from armsight.app.play.run import run_play
-        from armsight.app.robot.keys import listening
+        from armsight.app.play.play_job import PlayJob
+        from armsight.app.play.play_path import run_play
+        from armsight.app.robot.jog_by_hand import listening
 
         job = PlayJob(
             robot=robot,

@@ -93,8 +93,8 @@ def servo(
 ) -> None:
     """Follow a target that the cameras see, through the guard. Ctrl-C brings the arm to rest."""
     with CommandUI(as_json=json, until_stopped=seconds is None) as face:
-        from armsight.app.servo.job import ServoJob
-        from armsight.app.servo.run import run_servo
+        from armsight.app.servo.run_servo import run_servo
+        from armsight.app.servo.servo_job import ServoJob
 
         job = ServoJob(
             robot=robot,

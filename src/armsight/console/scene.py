@@ -19,7 +19,7 @@ from armsight.app.operator.identify import SweepFit
 from armsight.app.operator.placing import arm_points, rig_pose
 from armsight.app.schemas.live import LiveView
 from armsight.console import texts
-from armsight.console.curves import Curve, Ruler
+from armsight.console.plots import Curve, Ruler
 from armsight.console.state import Console
 from armsight.console.tracks import Ticks
 from armsight.errors import ArmsightError

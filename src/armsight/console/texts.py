@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:  # a page of words is shown while all else is still being loaded
-    from armsight.control.status import RobotStatus
-
 TITLE = "armsight"
 PAGES = {
     "live": "Live",
@@ -36,23 +31,9 @@ ROBOT = {
     "lost": "Robot is not reached",
     "closed": "Robot is not open",
 }
-ROBOT_LEVELS = {"ready": "good", "moving": "warn"}
 HOLDING = "Robot is held: {why}"
 STOPPED_WHY = "Robot is stopped: {why}"
 DRIVES = "{who} drives; you can watch, and stop"
-
-
-def robot_words(status: RobotStatus, *, mine: bool) -> tuple[str, str]:
-    """Return the level (good, warn, bad, idle) and the words of a robot's status; mine: whether who reads it drives."""
-    level, words = ROBOT_LEVELS.get(status.robot, "bad"), ROBOT[status.robot]
-    if status.robot == "stopped" and status.why:
-        words = STOPPED_WHY.format(why=status.why)
-    elif status.guard == "holding" and status.why:
-        level, words = "warn", HOLDING.format(why=status.why)
-    if status.driver and not mine:
-        words = f"{words}. {DRIVES.format(who=status.driver)}"
-    return level, words
-
 
 JOG = "Move the robot by hand"
 JOG_HELP = "Hold a key to move; it is its own enable. Speed is set above."

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.event_log import RecordingLog
+from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.models import arm_model
+from armsight.app.robot.opening import driver_settings
+from armsight.app.robot.recorder import RecordingLog
 from armsight.control.guard import Limits
 from armsight.control.session.service import Service
 from armsight.errors import Cancelled

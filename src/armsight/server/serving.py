@@ -12,9 +12,8 @@ from fastapi import FastAPI
 from armsight.control.session.service import Service
 from armsight.priority import SERVES, give_way
 from armsight.server.application import create_app
-from armsight.server.auth import Authenticator
+from armsight.server.auth import Authenticator, Gate
 from armsight.server.connections import Connections
-from armsight.server.gate import Gate
 from armsight.server.stop_line import stop_line
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, check_options, web_server

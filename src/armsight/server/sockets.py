@@ -20,8 +20,7 @@ from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.server.auth import Authenticator, Caller, Denied, Identity
 from armsight.server.limited import LimitedWebSocket, age_of, connection_of, known_as
-from armsight.server.messages import accepted, command_of, event_message, state_message
-from armsight.server.session import VIOLATIONS, Session
+from armsight.server.messages import VIOLATIONS, Session, accepted, command_of, event_message, state_message
 
 STATE_S = 0.05
 """How often a client is told the state without asking: as often as a person sees a change."""

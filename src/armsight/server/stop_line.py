@@ -32,7 +32,7 @@ from armsight.priority import listen_first
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
 from armsight.server.connections import LINE, Connections
 from armsight.server.limited import age_of, known_as
-from armsight.server.session import Session
+from armsight.server.messages import Session
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, web_server
 

@@ -15,8 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
-from armsight.app.guided.charts import figures_of
-from armsight.app.guided.desk import StepDesk
+from armsight.app.guided.desk import StepDesk, figures_of
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Shown

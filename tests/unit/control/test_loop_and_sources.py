@@ -17,11 +17,10 @@ from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.clock import ManualClock
 from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
-from armsight.control.enable import Enable
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
-from armsight.control.sources import ClientSource, GoalSource, JogFrame, JogSource
+from armsight.control.sources import ClientSource, Enable, GoalSource, JogFrame, JogSource
 from armsight.control.status import Jitter
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
 from armsight.drivers.goals import JointLimits

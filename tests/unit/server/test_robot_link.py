@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armsight.console import robot_link
-from armsight.console.messages import LONGEST, Beat, JogKey
-from armsight.console.robot_link import RobotLink, add_robot_link
+from armsight.console.robot_link import LONGEST, Beat, JogKey, RobotLink, add_robot_link
 from armsight.control.session.operator_session import OperatorSession
 
 NOW = 100.0

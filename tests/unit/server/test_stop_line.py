@@ -17,7 +17,7 @@ from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
 from armsight.server.auth import COOKIE, Authenticator, Caller, Denied, Identity
 from armsight.server.limited import CONNECTION
-from armsight.server.session import Session
+from armsight.server.messages import Session
 from armsight.server.stop_line import StopLine, stop_line
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token

@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
-from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.event_log import RecordingLog, default_log
+from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.models import arm_model
-from armsight.app.robot.opening import SIM
+from armsight.app.robot.opening import SIM, driver_settings
+from armsight.app.robot.recorder import RecordingLog, default_log
 from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
 from armsight.control.guard import Limits
 from armsight.control.session.channels import JointTrack
 from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
+from armsight.drivers.lock import DeviceLock
 from armsight.errors import NotEnoughData
 from armsight.records import JointReading
+from armsight.store.atomic import disk_errors
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
 from armsight.store.limits_file import read_limits
 
@@ -129,3 +130,18 @@ def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
     )
     write_cell(folder, cell)
     return read_cell(folder)
+
+
+def one_console(folder: Path) -> DeviceLock:
+    """Return what a console holds while it serves a cell's folder, which is made where it is missing.
+
+    Raises DeviceFailed where it cannot be made, and on entering where another console serves it.
+    """
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return DeviceLock(
+        "the console of this folder",
+        folder=folder,
+        consequence="Two consoles would write over each other's files; nothing is served",
+        cure=f"Open the page of the other one, stop it, or choose another folder than {folder}",
+    )

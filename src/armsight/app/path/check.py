@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from armsight.app.kinematics import load_arm, reading_values
-from armsight.app.play.job import tipped
+from armsight.app.play.play_job import tipped
 from armsight.app.schemas.paths import PathCheckOutput, PathIssueOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, PathIssue, check_path

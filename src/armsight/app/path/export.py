@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm, reading_values
-from armsight.app.play.job import tipped
+from armsight.app.play.play_job import tipped
 from armsight.app.schemas.paths import PathExportOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import (

@@ -1,4 +1,4 @@
-"""The guard of a robot: from the arm's file, from the robot itself, or from its joints alone."""
+"""The guard of a robot and its arm's model: from the arm's file, from the robot itself, or from its joints alone."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
+from armsight.app.robot.opening import open_robot
+from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.limits import check_fit
 from armsight.control.guard.space import Space
@@ -121,3 +123,20 @@ def arm_of(robot: Robot, arm: Path | None) -> Arm | None:
         return load_arm(str(arm))
     mapping = RobotTraits.of(robot).arm_mapping
     return None if mapping is None else arm_from_mapping(mapping(), robot.name)
+
+
+def arm_model(robot: str, arm: str | None) -> Arm:
+    """Return the arm of a robot DRIVER:DEVICE: the given file's or preset's; a simulated robot brings its own.
+
+    Nothing is opened. Raises UsageError where none is given, and as load_arm and open_robot do.
+    """
+    if arm is not None:
+        return load_arm(arm)
+    told = arm_of(open_robot(robot, SystemClock()), None)
+    if told is None:
+        raise UsageError(
+            f"the arm behind {robot} is not known",
+            consequence="The guard cannot keep the limits of its tool, so it is not served",
+            cure="Give --arm with its arm.yaml, its .urdf or a preset's name",
+        )
+    return told

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
-from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import JogOutput

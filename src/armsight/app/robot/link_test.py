@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
 from armsight.clock import Clock, SystemClock

@@ -13,12 +13,10 @@ from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest,
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
-from armsight.console.fields import number, ticked, whole_number
-from armsight.console.jog import jog_card
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.working import Working
+from armsight.console.widgets import Working, jog_card, number, ticked, whole_number
 from armsight.errors import ArmsightError
 from armsight.units import DEG, MM
 

@@ -31,14 +31,14 @@ def krl(program: Program) -> str:
     A turns about z, B about the new y, C about the new x: R = Rz(A) Ry(B) Rx(C). The tool is a number of TOOL_DATA.
     Raises UsageError where tool or weld output are no numbers that KRL takes.
     """
-    tool, output = _krl_number("tool", program.tool, 1, 16), program.weld_output
+    tool, output = _number("tool", program.tool, 1, 16), program.weld_output
     if tool is None:
         raise UsageError(
             "KRL names its tool by number, and none is given",
             consequence="No program is written",
             cure="Give the number of TOOL_DATA that holds this tool (--tool)",
         )
-    weld = _krl_number("weld output", output, 1, 4096)
+    weld = _number("weld output", output, 1, 4096)
     lines = [
         "&ACCESS RVP",
         f"DEF {program.name}()",
@@ -65,15 +65,13 @@ def krl(program: Program) -> str:
             if move.blend_m > 0.0 and move.blend_m != blend:
                 blend = move.blend_m
                 lines.append(f"$APO.CDIS={decimals(blend / MM, 4)}")
-            lines.append(
-                f"LIN {_krl_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}"
-            )
+            lines.append(f"LIN {_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}")
         if move.tag:
             lines += _krl_tag(move.tag, weld)
     return "\r\n".join([*lines, "END", ""])
 
 
-def _krl_frame(T: RigidTransform) -> str:
+def _frame(T: RigidTransform) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # at B = 90 degrees only A - C is fixed, and C = 0 is as good
         a, b, c = in_degrees(np.asarray(T.rotation.as_euler("ZYX")))
@@ -84,10 +82,10 @@ def _krl_frame(T: RigidTransform) -> str:
 def _krl_tool_note(T: RigidTransform | None, tool: int) -> list[str]:
     if T is None:
         return [f"; TOOL_DATA[{tool}] must be the tool the path was taught with."]
-    return [f"; TOOL_DATA[{tool}] must be {_krl_frame(T)}"]
+    return [f"; TOOL_DATA[{tool}] must be {_frame(T)}"]
 
 
-def _krl_number(what: str, text: str | None, lowest: int, highest: int) -> int | None:
+def _number(what: str, text: str | None, lowest: int, highest: int) -> int | None:
     if text is None:
         return None
     if not (text.isascii() and text.isdecimal() and lowest <= int(text) <= highest):
@@ -148,7 +146,7 @@ def rapid(program: Program) -> str:
         if number or program.start is None:
             speed = f"[{decimals(move.speed_m_s / MM, 3)},{decimals(program.turn_rad_s / DEG, 3)},{REST}]"
             target = f"[{_rapid_pose(RigidTransform.from_matrix(move.T_base_tip))},[0,0,0,0],{NO_AXES}]"
-            lines.append(f"    MoveL {target},{speed},{_rapid_zone(move.blend_m)},{program.tool}\\WObj:=wobj0;")
+            lines.append(f"    MoveL {target},{speed},{_zone(move.blend_m)},{program.tool}\\WObj:=wobj0;")
         if move.tag:
             lines += _rapid_tag(move.tag, program.weld_output)
     return "\r\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])
@@ -160,7 +158,7 @@ def _rapid_pose(T: RigidTransform) -> str:
     return f"[{place}],[{','.join(decimals(float(value), 9) for value in (w, x, y, z))}]"
 
 
-def _rapid_zone(radius_m: float) -> str:
+def _zone(radius_m: float) -> str:
     if radius_m <= 0.0:
         return "fine"
     place, turn, angle = (decimals(share * radius_m / MM, 4) for share in (1.0, 1.5, 0.15))

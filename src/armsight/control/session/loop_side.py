@@ -19,7 +19,7 @@ from armsight.control.loop import ControlLoop
 from armsight.control.session.channels import JointTrack, LineChannels, Newest, Queue, granted
 from armsight.control.session.host import SETPOINT_S, LoopCommand, LoopEvent
 from armsight.control.setpoints import CycleState, JointGoal, SetPoint
-from armsight.control.sources.client import ClientSource
+from armsight.control.sources import ClientSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import Robot, RobotTraits
 from armsight.drivers.remote.protocol import JointDescription, RobotDescription

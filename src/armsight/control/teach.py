@@ -7,17 +7,54 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.control.teach.place import RigPlace
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.geometry import moved_parent_covariance
+from armsight.kinematics import Arm
 from armsight.records import PoseStatus, TargetPose, TaughtPath
+from armsight.records.joint_history import JointHistory
 
 Array = NDArray[np.float64]
+
+
+class RigPlace(Protocol):
+    """Tells T_world_rig at a moment."""
+
+    def __call__(self, t_s: float) -> RigidTransform:
+        """Return T_world_rig at t_s. Raises StaleData where it is not known."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StandingRig:
+    """A rig beside the robot, or without one."""
+
+    T_world_rig: RigidTransform
+
+    def __call__(self, t_s: float) -> RigidTransform:
+        """Return T_world_rig, the same at any moment."""
+        return self.T_world_rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CarriedRig:
+    """A rig on the flange of an arm whose readings come into history; T_flange_rig: by hand-eye calibration."""
+
+    arm: Arm
+    history: JointHistory
+    T_flange_rig: RigidTransform
+
+    def __call__(self, t_s: float) -> RigidTransform:
+        """Return T_world_rig with the joints interpolated to t_s. Raises StaleData where they are not known there."""
+        arm = self.arm
+        T_world_tool = RigidTransform.from_matrix(arm.fk(arm.values(self.history.at(t_s).q)))
+        return T_world_tool * arm.T_flange_tool.inv() * self.T_flange_rig
+
 
 TAG = re.compile(r"[\w.-]{1,40}")
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.servo.job import LATENCY_S, ServoJob
+from armsight.app.servo.servo_job import LATENCY_S, ServoJob
 from armsight.control.guard import Guard, Limits
 from armsight.control.play import CameraPlacement, PathPlan, PlaySettings, Weave, plan_path
 from armsight.control.servo import Mount
