@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.drivers.rsi import RsiRobot
-from armsight.drivers.rsi.messages import parse
-from armsight.drivers.rsi.settings import read_tags
+from armsight.drivers.rsi.messages import parse, read_tags
 from armsight.errors import BadFile, DataRefused, DeviceFailed, DeviceLost, UsageError
 
 CYCLE_S = 0.004

@@ -61,7 +61,7 @@ def serve(
     with CommandUI(as_json=False, until_stopped=True) as face:
         from armsight.app.robot.recorder import default_log
         from armsight.errors import UsageError
-        from armsight.server.serve_robot import serve_robot
+        from armsight.server.serving import serve_robot
         from armsight.server.web_server import ServeOptions
 
         if add_token is not None:

@@ -6,9 +6,21 @@ import secrets
 
 import numpy as np
 
-from armsight.control.session.commands import Beat, Command, Reset, Stop, Taken
 from armsight.control.session.host import LoopEvent
-from armsight.control.setpoints import FlangePose, Hold, JointGoal, JointStep, JointVelocity, Motion, ToolTwist
+from armsight.control.setpoints import (
+    Beat,
+    Command,
+    FlangePose,
+    Hold,
+    JointGoal,
+    JointStep,
+    JointVelocity,
+    Motion,
+    Reset,
+    Stop,
+    Taken,
+    ToolTwist,
+)
 from armsight.control.status import RobotStatus
 from armsight.drivers.remote import protocol as say
 from armsight.errors import Inconsistent, UsageError

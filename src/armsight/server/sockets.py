@@ -13,9 +13,9 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from armsight._version import __version__
 from armsight.control.session.authority import Lease
-from armsight.control.session.commands import Taken
 from armsight.control.session.host import SETPOINT_S
 from armsight.control.session.service import Service
+from armsight.control.setpoints import Taken
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.server.auth import Authenticator, Caller, Denied, Identity

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.session.authority import SILENT_S
-from armsight.control.session.commands import Beat, Reset
-from armsight.control.setpoints import FlangePose, Hold, JointGoal, JointStep, JointVelocity, ToolTwist
+from armsight.control.setpoints import Beat, FlangePose, Hold, JointGoal, JointStep, JointVelocity, Reset, ToolTwist
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, UsageError
 

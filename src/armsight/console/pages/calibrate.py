@@ -13,11 +13,10 @@ from armsight.app.guided.desk import DeskState, StepDesk
 from armsight.app.guided.step import Hint, Sample
 from armsight.app.live.measurement import COMPLEX
 from armsight.console import texts
-from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, jog_card, set_attribute, set_text, text_of
 from armsight.console.pages.mirrors import alignment_card, built_card
 from armsight.console.plots import Plot
 from armsight.console.state import Console, steps_of
-from armsight.console.widgets import jog_card
 from armsight.errors import ArmsightError
 from armsight.records import Silent
 

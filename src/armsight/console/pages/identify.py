@@ -13,10 +13,20 @@ from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest,
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
-from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    Working,
+    button,
+    card,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text_of,
+    ticked,
+    whole_number,
+)
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.widgets import Working, jog_card, number, ticked, whole_number
 from armsight.errors import ArmsightError
 from armsight.units import DEG, MM
 

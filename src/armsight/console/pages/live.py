@@ -15,12 +15,22 @@ from armsight.app.live.measurement import COMPLEX, DetectionSettings
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import SideView
 from armsight.console import texts
-from armsight.console.layout import TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    TICK_S,
+    button,
+    canvas_of,
+    card,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text_of,
+    ticked,
+)
 from armsight.console.plots import Plot
 from armsight.console.robot_link import drawn
 from armsight.console.scene import Scene
 from armsight.console.state import Console, values_of
-from armsight.console.widgets import jog_card, number, ticked
 from armsight.errors import ArmsightError, UsageError
 from armsight.units import DEG
 

@@ -12,10 +12,9 @@ from pydantic import ValidationError
 from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
 from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput
 from armsight.console import texts
-from armsight.console.layout import SIGNS, button, card, set_attribute, set_text, text_of
+from armsight.console.layout import SIGNS, button, card, number, set_attribute, set_text, text_of, ticked
 from armsight.console.plots import Plot
 from armsight.console.state import Console
-from armsight.console.widgets import number, ticked
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import CellMirrors
 from armsight.units import MM

@@ -14,10 +14,21 @@ from armsight.app.operator.teach import TeachDesk
 from armsight.app.schemas.paths import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts
-from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    TICK_S,
+    Working,
+    button,
+    card,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text,
+    text_of,
+    ticked,
+)
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.widgets import Working, jog_card, number, text, ticked
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM

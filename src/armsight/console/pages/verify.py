@@ -16,11 +16,22 @@ from armsight.app.operator.supervise import StationSupervisor, SupervisedState, 
 from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.console import texts
-from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    TICK_S,
+    Working,
+    button,
+    card,
+    file_name,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text_of,
+    whole_number,
+)
 from armsight.console.plots import Plot
 from armsight.console.routes import reports
 from armsight.console.state import Console
-from armsight.console.widgets import Working, file_name, jog_card, number, whole_number
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
 from armsight.units import MM

@@ -12,17 +12,22 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import GuardState
-from armsight.control.session.commands import Beat, Command, Reset, Stop, Taken, logged
 from armsight.control.session.host import Host, flange_pose, synchronized
 from armsight.control.setpoints import (
+    Beat,
+    Command,
     FlangePose,
     Hold,
     JointGoal,
     JointStep,
     JointVelocity,
     Motion,
+    Reset,
     SetPoint,
+    Stop,
+    Taken,
     ToolTwist,
+    logged,
 )
 from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState

@@ -13,10 +13,20 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.session.authority import EnableLost, Lease
-from armsight.control.session.commands import Beat, Command, Reset, Taken
 from armsight.control.session.host import flange_pose, synchronized
 from armsight.control.session.service import Service
-from armsight.control.setpoints import CycleState, Hold, JointStep, JointVelocity, SetPoint, ToolTwist
+from armsight.control.setpoints import (
+    Beat,
+    Command,
+    CycleState,
+    Hold,
+    JointStep,
+    JointVelocity,
+    Reset,
+    SetPoint,
+    Taken,
+    ToolTwist,
+)
 from armsight.control.sources import JogFrame, JogSource
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError, DeviceFailed, UsageError

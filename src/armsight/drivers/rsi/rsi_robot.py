@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
 from armsight.drivers.goals import between
-from armsight.drivers.rsi.messages import RobMessage, answer, correction, parse
-from armsight.drivers.rsi.settings import RsiSettings, RsiTags, read_tags
-from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot
+from armsight.drivers.link_settings import Positive
+from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correction, parse, read_tags
+from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, UdpSettings
 from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
 
@@ -22,6 +24,25 @@ Array = NDArray[np.float64]
 
 CORRECTED_RAD = 0.1 * DEG
 """Joints farther from their set point than this at rest stand under another program's correction."""
+
+
+class RsiSettings(UdpSettings):
+    """Settings of an RSI link, beside those of every link by UDP.
+
+    rsi_config: the controller's RSI Ethernet XML file, whose Sen type and tags are used. cycle_s: 0.004 (IPO_FAST) or
+    0.012 (IPO). guidance: joint (AK) or pose (RKorr); left out, what the file takes, joints first. late_limit: late
+    packets after which the controller ends RSI, its ETHERNET object's Timeout, or more. silent_s: silence after which
+    the link is lost; left out, as long as late_limit cycles.
+    """
+
+    link: ClassVar[str] = "the RSI link"
+
+    rsi_config: Path | None = None
+    guidance: Literal["joint", "pose"] | None = None
+    late_limit: Annotated[int, Field(ge=1)] = 100
+    silent_s: Positive | None = None
+    lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+    upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
 
 
 class RsiRobot(UdpRobot[RobMessage]):
