@@ -229,7 +229,7 @@ class Trials:
         self.stops[0] = 0
         self.delays[0] = delay_s
         for wire in (watcher._link._line, watcher._link._wire):
-            wire.tell(say.StopMessage)
+            wire.send(say.StopMessage)
         time.sleep(0.02)
         self.delays[0] = 0.0  # what was said is under way; what follows need not wait as long
         until_s = time.monotonic() + delay_s + 1.0

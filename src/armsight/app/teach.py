@@ -215,14 +215,14 @@ def _taught(
     """Give every pair's pose to the recorder; return why it ended."""
     tracker = TargetTracker(setup)
     first_s: float | None = None
-    told_s = -1.0
+    shown_s = -1.0
     for pair in pairs:
         pose = tracker.take(*pair).pose
         recorder.observe(pose, pose.t_s)
         seen(pose)
         first_s = pose.t_s if first_s is None else first_s
-        if time.monotonic() - told_s > 0.2:
-            told_s = time.monotonic()
+        if time.monotonic() - shown_s > 0.2:
+            shown_s = time.monotonic()
             progress.update(pose.t_s - first_s, 0.0 if seconds_s is None else seconds_s, f"{len(recorder)} poses")
         if progress.cancelled():
             return "operator"
@@ -251,7 +251,7 @@ class TaughtBeside:
         self._clock: Clock | None = None
         self._sink: QueueSink | None = None
         T_target_tip = job.T_target_tip()
-        self.recorder = PathRecorder(self._place, T_target_tip, every=job.every, mean=job.mean, tell=self._told)
+        self.recorder = PathRecorder(self._place, T_target_tip, every=job.every, mean=job.mean, notify=self._note)
 
     def begin(self, source: ServoSource, arm: Arm, clock: Clock, sink: QueueSink) -> None:
         """Take the readings that the servo gathers, and what takes events."""
@@ -267,7 +267,7 @@ class TaughtBeside:
         """Take what a frame shows."""
         self.recorder.observe(pose, exposed_s)
 
-    def _told(self, text: str) -> None:
+    def _note(self, text: str) -> None:
         if self._sink is not None and self._clock is not None:
             self._sink.event(self._clock.now_s(), text, "info", "teach")
 

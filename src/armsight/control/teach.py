@@ -117,18 +117,18 @@ class PathRecorder:
         every: int = 1,
         mean: bool = False,
         parent: str = "world",
-        tell: Callable[[str], None] = lambda _: None,
+        notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         """every: frames per vector. mean: the mean of these frames' poses and times, else the last one as it is.
 
         T_target_tip: the tip in target axes (tip.yaml). parent: the frame that place tells the rig in, world or base.
-        tell: is told in words what the recorder is told to do. Raises UsageError for less than one frame.
+        notify: called with what the recorder does, in words. Raises UsageError for less than one frame.
         """
         if every < 1:
             raise UsageError(f"one vector every {every} frames cannot be", cure="Give 1 or more (--every)")
         self._place, self._T_target_tip = place, T_target_tip
         self._every, self._mean = every, mean
-        self.parent, self._tell = parent, tell
+        self.parent, self._notify = parent, notify
         self._lock = threading.Lock()
         self._state = Teaching.WAITING
         self._rows: list[_Row] = []
@@ -170,14 +170,14 @@ class PathRecorder:
                 self._begins.append(len(self._rows))
                 self._group.clear()
                 self._state = Teaching.RECORDING
-                self._tell("recording")
+                self._notify("recording")
 
     def pause(self) -> None:
         """Record nothing until the next start."""
         with self._lock:
             if self._state is Teaching.RECORDING:
                 self._end_stretch()
-                self._tell(f"paused after {len(self._rows)} poses")
+                self._notify(f"paused after {len(self._rows)} poses")
 
     def undo(self) -> int:
         """Forget the last stretch and pause; return how many rows it had. Nothing happens where there is none."""
@@ -190,7 +190,7 @@ class PathRecorder:
             forgotten = len(self._rows) - begin
             del self._rows[begin:]
             self._state = Teaching.PAUSED if self._begins else Teaching.WAITING
-            self._tell(f"the last {forgotten} poses forgotten")
+            self._notify(f"the last {forgotten} poses forgotten")
             return forgotten
 
     def tag(self, word: str) -> None:
@@ -202,12 +202,12 @@ class PathRecorder:
             raise UsageError(f"the tag {word[:40]!r} is not one word", consequence="The place is not marked")
         with self._lock:
             self._tag = word
-            self._tell(f"tag {word}")
+            self._notify(f"tag {word}")
 
     def observe(self, pose: TargetPose, exposed_s: float) -> None:
         """Take what a frame shows, in rig axes, exposed at exposed_s on the clock of the place."""
         with self._lock:
-            found, seen = self._told(pose, exposed_s)
+            found, seen = self._seen_in(pose, exposed_s)
             self._newest = None if seen is None else seen.T_world_target * self._T_target_tip
             if self._state is not Teaching.RECORDING:
                 return
@@ -259,7 +259,7 @@ class PathRecorder:
                 for row in self._rows
             )
 
-    def _told(self, pose: TargetPose, exposed_s: float) -> tuple[str, _Seen | None]:
+    def _seen_in(self, pose: TargetPose, exposed_s: float) -> tuple[str, _Seen | None]:
         """Return what the frame counts as, and where the target was in world where that is known."""
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
             return pose.status.value, None

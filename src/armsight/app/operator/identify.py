@@ -33,7 +33,7 @@ from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
-WORK = "identify"
+JOB_NAME = "identify"
 FOLDER = "identify"
 STEPS = 24
 """Points of a fit that is drawn."""
@@ -121,15 +121,15 @@ def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> Plan
     return done.plan if isinstance(done, ProposedPlanOutput) else PlanOutput.model_validate(done.plan)
 
 
-def run(asked: IdentifyRequest, robot: RobotCell, station: Station, work: BackgroundJob) -> IdentifyOutput:
+def run(asked: IdentifyRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IdentifyOutput:
     """Make the sweeps while the operator holds the enable; write FOLDER/arm.yaml and its report.
 
     Raises as run_identify_live.
     """
     clock = SystemClock()
-    moved = SessionRobot(robot.session, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
-    person = OperatorCallbacks(confirm=work.ask)
-    done = _identify(asked, robot, station, moved, person, work, clock, propose=False)
+    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
+    person = OperatorCallbacks(confirm=background.ask)
+    done = _identify(asked, robot, station, moved, person, background, clock, propose=False)
     if not isinstance(done, IdentifyOutput):
         raise NotEnoughData("only a plan was made", consequence="No arm was identified")
     return done

@@ -40,7 +40,7 @@ from armsight.verify.iso9283.motions import POSE_ORDER
 
 Array = NDArray[np.float64]
 
-WORK = "iso"
+JOB_NAME = "iso"
 SMALL_SIDES_M = (0.16, 0.1, 0.063)
 """Cubes below the standard's smallest, for cameras that see no more."""
 STEP_M = 0.005
@@ -207,7 +207,7 @@ def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Leg:
     return Leg(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 
-def run(asked: IsoRequest, robot: RobotCell, station: Station, work: BackgroundJob) -> IsoDone:
+def run(asked: IsoRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IsoDone:
     """Visit the poses while the operator holds the enable, and judge what was seen.
 
     What was measured before an early end is kept and judged. Raises as plan; NotEnoughData where no pose was visited
@@ -215,14 +215,16 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, work: BackgroundJ
     """
     made = plan(asked, robot)
     side_mm = made.test.cube.side_m / MM
-    if not work.ask(f"The arm visits five poses in a cube of {side_mm:.0f} mm, {asked.cycles} times. Is the way free?"):
+    if not background.ask(
+        f"The arm visits five poses in a cube of {side_mm:.0f} mm, {asked.cycles} times. Is the way free?"
+    ):
         raise NotEnoughData("it was not begun", consequence="Nothing was moved")
     clock = SystemClock()
-    moved = SessionRobot(robot.session, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
     out = asked.folder / time.strftime("iso-%Y%m%d-%H%M%S")
     with moved:
         override = max(robot.session.override, 0.01)
-        visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, work)
+        visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, background)
     return judged(made, asked, visits, ended, out)
 
 

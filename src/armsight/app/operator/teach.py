@@ -43,7 +43,7 @@ class TaughtState:
     tip: RigidTransform | None
 
 
-class TeachDesk:
+class TeachController:
     """Records the tip's path in world while the target is led along, by hand or by the robot's jog keys."""
 
     def __init__(
@@ -159,6 +159,8 @@ def _place(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory
     return StandingRig(T_world_rig=placed if not cell.world else RigidTransform.identity())
 
 
-def teach_desk(folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None]) -> TeachDesk:
-    """Return the desk of a cell, on the machine's clock. Raises as TeachDesk."""
-    return TeachDesk(folder, cell, robot, station, SystemClock())
+def teach_controller(
+    folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None]
+) -> TeachController:
+    """Return the recorder of a cell, on the machine's clock. Raises as TeachController."""
+    return TeachController(folder, cell, robot, station, SystemClock())

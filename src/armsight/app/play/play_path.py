@@ -19,7 +19,7 @@ from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.play import PlayMeasuredOutput, PlayOutput
 from armsight.app.servo.run_servo import LAG_CYCLES
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.session import TOLD_S, Confirm, check_arm
+from armsight.app.servo.session import SHOWN_S, Confirm, check_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState
@@ -60,14 +60,14 @@ class PlayedSource:
             self._sink.command(now.t_s, "set_point", {"xyz_m": list(xyz), "quat_xyzw": list(quat)})
         else:
             self._sink.command(now.t_s, "set_point", {"hold": wanted.why if isinstance(wanted, Hold) else ""})
-        self._tell(now.t_s)
+        self._record(now.t_s)
         return wanted
 
     def warm_up(self) -> None:
         """Run once what a cycle runs."""
         self._source.warm_up()
 
-    def _tell(self, t_s: float) -> None:
+    def _record(self, t_s: float) -> None:
         """Tell what changed along the path."""
         at = self._source.progress
         stage, paused, waiting, welding = self._before
@@ -244,7 +244,7 @@ class PlaySession:
     def _loop(self, loop: ControlLoop, tally: PlayTally, source: PathSource, show: Show, progress: Progress) -> Timing:
         """Run the loop: in this thread where time is simulated, beside the telling where it is real."""
 
-        def tell() -> None:
+        def show_progress() -> None:
             at = source.progress
             progress.update(at.s_m / MM, at.length_m / MM, at.stage)
             if loop.status is not None:
@@ -256,15 +256,15 @@ class PlaySession:
             return tally(status) or self._failed() is not None
 
         if self._eyes is None or not self._eyes.stepped:
-            return run_with_progress(lambda: loop.run(until=until), tell)
-        every = max(1, round(TOLD_S / self._guard.cycle_s))
+            return run_with_progress(lambda: loop.run(until=until), show_progress)
+        every = max(1, round(SHOWN_S / self._guard.cycle_s))
 
-        def telling(status: RobotStatus) -> bool:
+        def until_and_show(status: RobotStatus) -> bool:
             if tally.cycles % every == 0:
-                tell()
+                show_progress()
             return until(status)
 
-        return loop.run(until=telling)
+        return loop.run(until=until_and_show)
 
 
 def run_play(
@@ -322,15 +322,15 @@ def question(robot: Robot, guard: Guard, plan: PathPlan, watched: bool) -> str:
     legs = sum(leg.length_m for leg in plan.approach)
     revolute = np.asarray(guard.arm.revolute)
     way = np.ptp(plan.check.q, axis=0)
-    told = []
+    ways = []
     if revolute.any():
-        told.append(f"joints turn over up to {float(way[revolute].max()) / DEG:.1f} deg")
+        ways.append(f"joints turn over up to {float(way[revolute].max()) / DEG:.1f} deg")
     if not revolute.all():
-        told.append(f"joints slide over up to {float(way[~revolute].max()) / MM:.1f} mm")
+        ways.append(f"joints slide over up to {float(way[~revolute].max()) / MM:.1f} mm")
     slowed = f" It is slowed to {plan.slowest}." if plan.slowest else ""
     seen = "cameras watch" if watched else "no camera watches"
     return (
         f"{robot.name} brings the tip over {legs / MM:.1f} mm to the path and along {plan.length_m / MM:.1f} mm of it, "
-        f"at up to {plan.fastest_m_s / MM:.1f} mm/s ({plan.fastest}), in about {plan.time_s:.0f} s; {', '.join(told)}; "
+        f"at up to {plan.fastest_m_s / MM:.1f} mm/s ({plan.fastest}), in about {plan.time_s:.0f} s; {', '.join(ways)}; "
         f"corners are rounded by up to {plan.rounded_m / MM:.2f} mm; {seen}.{slowed} Move?"
     )

@@ -94,8 +94,8 @@ def standing_outside(guard: Guard, robot: Robot) -> str:
     """
     n = guard.arm.n
     q, still = standing(robot, n), np.zeros(n)
-    told = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).told()
-    return f"the arm stands {told}" if told else ""
+    outside = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).describe()
+    return f"the arm stands {outside}" if outside else ""
 
 
 def noted(outside: str) -> str:
@@ -132,11 +132,11 @@ def arm_model(robot: str, arm: str | None) -> Arm:
     """
     if arm is not None:
         return load_arm(arm)
-    told = arm_of(open_robot(robot, SystemClock()), None)
-    if told is None:
+    known = arm_of(open_robot(robot, SystemClock()), None)
+    if known is None:
         raise UsageError(
             f"the arm behind {robot} is not known",
             consequence="The guard cannot keep the limits of its tool, so it is not served",
             cure="Give --arm with its arm.yaml, its .urdf or a preset's name",
         )
-    return told
+    return known

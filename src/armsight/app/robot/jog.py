@@ -108,11 +108,11 @@ def jog_robot(
             source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
             loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=sink)
 
-            def tell() -> None:
+            def show_progress() -> None:
                 if loop.status is not None:
                     progress.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
 
-            run_with_progress(lambda: loop.run(until=watcher), tell)
+            run_with_progress(lambda: loop.run(until=watcher), show_progress)
         with beside_outside(outside):
             _check_end(loop.status, robot, stuck=watcher.stuck)
         sent = start if loop.status is None else loop.status.q_sent

@@ -100,7 +100,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
         resting_since_s.append(status.t_s)
         return status.t_s - resting_since_s[0] >= SETTLE_S
 
-    def tell() -> None:
+    def show_progress() -> None:
         status = loop.status
         if progress.cancelled():
             hand.end()
@@ -109,7 +109,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
 
     hand.start()
     try:
-        run_with_progress(lambda: loop.run(until=done), tell)
+        run_with_progress(lambda: loop.run(until=done), show_progress)
     finally:
         hand.end()
         hand.join()

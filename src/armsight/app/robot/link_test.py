@@ -41,10 +41,10 @@ def test_robot(
     clock, progress = clock or SystemClock(), progress or Silent()
     arm = opened or open_robot(robot, clock, driver_settings(robot, rsi_config=rsi_config))
     with arm:
-        start_s, told = clock.now_s(), progress
+        start_s, shown = clock.now_s(), progress
         jitter, reading, silence_s = run_with_progress(
-            lambda: _watched(arm, for_s, told.cancelled, clock),
-            lambda: told.update(min(for_s, clock.now_s() - start_s), for_s),
+            lambda: _watched(arm, for_s, shown.cancelled, clock),
+            lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
         )
         state = arm.state
     timing = jitter.timing()

@@ -51,7 +51,7 @@ class RecordedSource:
     def next(self, now: CycleState) -> SetPoint:
         """Return the set point, and queue it."""
         wanted = self._source.next(now)
-        self._sink.command(now.t_s, "set_point", told(wanted))
+        self._sink.command(now.t_s, "set_point", set_point_values(wanted))
         return wanted
 
     def target(self, now_s: float) -> tuple[TargetState, float | None]:
@@ -63,7 +63,7 @@ class RecordedSource:
         self._source.warm_up()
 
 
-def told(wanted: SetPoint) -> Mapping[str, Any]:
+def set_point_values(wanted: SetPoint) -> Mapping[str, Any]:
     """Return a servo's set point as JSON knows it."""
     if isinstance(wanted, ToolTwist):
         return {"velocity_m_s": wanted.velocity_m_s.tolist(), "angular_rad_s": wanted.angular_rad_s.tolist()}
@@ -163,8 +163,8 @@ def servo_output(
 RECORDING = "servo.mcap"
 ARM_OFF_M, ARM_OFF_RAD = 0.02, 2.0 * DEG
 """A calibrated arm.yaml differs by millimetres from what the controller computes; beyond this it is another arm's."""
-TOLD_S = 0.2
-"""Simulated time between two tellings."""
+SHOWN_S = 0.2
+"""Simulated time between two calls of show."""
 
 Confirm = Callable[[str], bool]
 """Is asked whether the arm may move; the text says how."""
@@ -246,7 +246,7 @@ class ServoSession:
         for_s = math.inf if self._job.seconds_s is None else self._job.seconds_s
         started_s = clock.now_s()
 
-        def tell() -> None:
+        def show_progress() -> None:
             progress.update(clock.now_s() - started_s, 0.0 if math.isinf(for_s) else for_s)
             if loop.status is not None:
                 show(loop.status, tally.error_m)
@@ -256,15 +256,15 @@ class ServoSession:
             return ended or self._failed() is not None
 
         if self._devices.stepped is None:
-            return run_with_progress(lambda: loop.run(for_s=for_s, until=until), tell)
-        every = max(1, round(TOLD_S / self._guard.cycle_s))
+            return run_with_progress(lambda: loop.run(for_s=for_s, until=until), show_progress)
+        every = max(1, round(SHOWN_S / self._guard.cycle_s))
 
-        def telling(status: RobotStatus) -> bool:
+        def until_and_show(status: RobotStatus) -> bool:
             if tally.cycles % every == 0:
-                tell()
+                show_progress()
             return until(status)
 
-        return loop.run(for_s=for_s, until=telling)
+        return loop.run(for_s=for_s, until=until_and_show)
 
 
 def check_arm(robot: Robot, arm: Arm) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from nicegui import run, ui
 
 from armsight.app.operator import iso_run
-from armsight.app.operator.iso_run import WORK, IsoDone, IsoPlan, IsoRequest
+from armsight.app.operator.iso_run import JOB_NAME, IsoDone, IsoPlan, IsoRequest
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.supervise import StationSupervisor, SupervisedState, limits_of
 from armsight.app.schemas.verify import VerifyOutput
@@ -63,7 +63,7 @@ class _Supervision:
                 self._stop = ui.number(texts.SUPERVISION_STOP, value=5.0, min=0.0, step=0.5)
                 self._begin = button(texts.SUPERVISE, self._toggle, testid="supervise")
             self._said = text_of("p", role="status", testid="supervision").style("font-size: 1.3rem; font-weight: 700")
-            self._told = text_of("p", role="alert").classes("hint")
+            self._words = text_of("p", role="alert").classes("hint")
             self._plot = Plot(texts.SUPERVISION_PLOT, ("mm",), testid="plot-supervision", along="{value} s")
             self._report = ui.element("div")
         ui.timer(TICK_S, self._tick)
@@ -79,23 +79,23 @@ class _Supervision:
                     lambda: self._console.station,
                     limits_of(number(self._warn), number(self._stop)),
                 )
-                self._tell("", "good")
+                self._say("", "good")
             else:
                 self._end(self._console.supervisor)
         except ArmsightError as error:
-            self._tell(str(error), "bad")
+            self._say(str(error), "bad")
 
     def _end(self, running: StationSupervisor) -> None:
         self._console.supervisor = None
         done = running.end()
-        self._tell(" ".join([done.verdict, *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in done.doubts)]), "good")
+        self._say(" ".join([done.verdict, *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in done.doubts)]), "good")
         self._report.clear()
         with self._report:
             text_of("a", texts.REPORT, href=f"/console/files/{running.out.name}/report.html", target="_blank")
 
-    def _tell(self, words: str, level: str) -> None:
-        set_text(self._told, words)
-        set_attribute(self._told, "data-level", level)
+    def _say(self, words: str, level: str) -> None:
+        set_text(self._words, words)
+        set_attribute(self._words, "data-level", level)
 
     def _tick(self) -> None:
         running = self._console.supervisor
@@ -119,8 +119,8 @@ def _words(state: SupervisedState) -> str:
     level = texts.SUPERVISION_LEVELS[state.level.word]
     if state.error_mm is None:
         return f"{level}. {texts.SUPERVISION_BLIND.format(why=state.why)}"
-    told = texts.SUPERVISION_AT.format(mm=state.error_mm, std=state.std_mm, deg=state.error_deg)
-    return f"{level}. {told} {state.why}".strip()
+    words = texts.SUPERVISION_AT.format(mm=state.error_mm, std=state.std_mm, deg=state.error_deg)
+    return f"{level}. {words} {state.why}".strip()
 
 
 def iso_card(console: Console, reported: Callable[[], object]) -> None:
@@ -152,7 +152,7 @@ class _Iso:
                 button(texts.ISO_RUN, self._run, testid="iso-run")
             self._said = text_of("p", role="alert", testid="iso-said").classes("hint")
             self._table = ui.element("div").classes("scroll")
-            Working(self._robot.jobs, WORK, self._show)
+            Working(self._robot.jobs, JOB_NAME, self._show)
 
     def _asked(self) -> IsoRequest:
         return IsoRequest(
@@ -167,26 +167,26 @@ class _Iso:
         try:
             made = await run.io_bound(partial(iso_run.plan, self._asked(), self._robot))
         except ArmsightError as error:
-            self._tell(str(error), "bad")
+            self._say(str(error), "bad")
             return
         if made is not None:  # else the server is ending
-            self._tell(_told(made), "good")
+            self._say(format_plan(made), "good")
 
     def _run(self) -> None:
         try:
             asked, station = self._asked(), self._console.require_station()
-            self._robot.jobs.begin(WORK, self._browser, partial(iso_run.run, asked, self._robot, station))
-            self._tell("", "good")
+            self._robot.jobs.begin(JOB_NAME, self._browser, partial(iso_run.run, asked, self._robot, station))
+            self._say("", "good")
         except ArmsightError as error:
-            self._tell(str(error), "bad")
+            self._say(str(error), "bad")
 
-    def _tell(self, words: str, level: str) -> None:
+    def _say(self, words: str, level: str) -> None:
         set_text(self._said, words)
         set_attribute(self._said, "data-level", level)
 
-    def _show(self, work: BackgroundJob) -> None:
+    def _show(self, job: BackgroundJob) -> None:
         """Show the figures of a run that is done."""
-        done: IsoDone = work.result
+        done: IsoDone = job.result
         self._table.clear()
         with self._table:
             text_of("p", texts.ISO_DONE.format(done=done.cycles, wanted=done.wanted), testid="verdict")
@@ -206,7 +206,8 @@ class _Iso:
         self._reported()
 
 
-def _told(made: IsoPlan) -> str:
+def format_plan(made: IsoPlan) -> str:
+    """Return the cube of a test that is planned, and what is to be said of it."""
     places = texts.ISO_PLANNED.format(side=made.test.cube.side_m / MM)
     return " ".join([places, *(f"{note[0].upper()}{note[1:]}." for note in made.notes)])
 

@@ -92,7 +92,7 @@ class Follower:
 
     def outside(self) -> str:
         """Return which limits it stands outside of and the way back, in words; empty inside."""
-        return self._breach_now(in_space=False).told()
+        return self._breach_now(in_space=False).describe()
 
     def correct(self, q: Array) -> None:
         """Take note that the robot was really sent to q (n,), near where it was told."""
@@ -284,7 +284,7 @@ class Follower:
     def _check_way_back(self, there: Breach, before: Breach, q: Array) -> None:
         """Raise Refused where the arm stands outside and would not, at rest at q (n,), be nearer to any such limit."""
         if not there.lessens(before, float(np.abs(q - self._now.q).max())):
-            raise Refused(Fault(GuardState.HOLDING, "outside", f"the arm stands {before.told()}"))
+            raise Refused(Fault(GuardState.HOLDING, "outside", f"the arm stands {before.describe()}"))
 
     def _allow(self, before: Breach) -> Array:
         """Return by how much each limit may be broken: no more than ever since the arm was stood here.

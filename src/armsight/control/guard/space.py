@@ -91,7 +91,7 @@ class Breach:
         out = before.outside()
         return not out.any() or bool((self.end < before.end - LESS - LESS_SHARE * way)[out].any())
 
-    def told(self) -> str:
+    def describe(self) -> str:
         """Return where it stands outside and the way back, in words; empty inside."""
         found = ", ".join(
             f"{self.limits.names[i]} by {self.end[i]:.3g} (way back: {_way_back(self.limits.names[i])})"

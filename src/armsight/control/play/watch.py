@@ -74,7 +74,7 @@ class PlayWatch:
         """stop_m: beyond it the arm is to stop; None: only told. arm_lag_s: from a command to motion, at first."""
         self._sight, self._T_flange_tip, self._stop_m = sight, T_flange_tip, stop_m
         self._lag = ArmLag(arm_lag_s, cycle_s)
-        self._told: deque[tuple[float, Array]] = deque(maxlen=KEPT)
+        self._commanded: deque[tuple[float, Array]] = deque(maxlen=KEPT)
         self._lock = threading.Lock()
         self._n, self._sum2, self._max = 0, 0.0, 0.0
         self._sum = np.zeros(3)
@@ -105,7 +105,7 @@ class PlayWatch:
 
     def cycle(self, now: CycleState) -> None:
         """Take where the tip was told to be at the end of the cycle before; T_base_tool is of the tip."""
-        self._told.append((now.t_s - now.cycle_s, np.asarray(now.T_base_tool.translation)))
+        self._commanded.append((now.t_s - now.cycle_s, np.asarray(now.T_base_tool.translation)))
         if now.q_s is not None:
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
 
@@ -117,13 +117,13 @@ class PlayWatch:
             return
         tip = self._sight.flange(RigidTransform.from_matrix(pose.T_parent_target)) * self._T_flange_tip
         self.tip = tip
-        told = self._told_at(exposed_s - self._lag.lag_s)
-        if told is not None:
-            self._compare(np.asarray(tip.translation) - told, exposed_s)
+        commanded = self._commanded_at(exposed_s - self._lag.lag_s)
+        if commanded is not None:
+            self._compare(np.asarray(tip.translation) - commanded, exposed_s)
 
-    def _told_at(self, t_s: float) -> Array | None:
+    def _commanded_at(self, t_s: float) -> Array | None:
         """Return where the tip (3,) was told to be at a time; None where that is not known."""
-        known = list(self._told)
+        known = list(self._commanded)
         if len(known) < 2 or not known[0][0] <= t_s <= known[-1][0]:
             return None
         t = np.array([moment for moment, _ in known])

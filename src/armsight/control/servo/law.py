@@ -160,11 +160,11 @@ class Reaction:
             self._T_base_since, self._T_since = T_base_rig, T_rig_target
         self._T_rig_target = T_rig_target
         rested = np.linalg.inv(T_base_rig) @ self._T_base_since @ self._T_since
-        told = np.concatenate(pose_difference(rested, self._T_since)) / sigma
+        deviation = np.concatenate(pose_difference(rested, self._T_since)) / sigma
         way_m = float(np.linalg.norm(T_base_rig[:3, 3] - self._T_base_since[:3, 3]))
         stands = self._same >= STANDS and way_m > STANDS_M
-        told_by = self._n >= POSES and way_m > self._chase_m and float(np.linalg.norm(told)) > TELLING
-        if stands or told_by:
+        deviates = self._n >= POSES and way_m > self._chase_m and float(np.linalg.norm(deviation)) > TELLING
+        if stands or deviates:
             self.missing = True
 
     def forget(self) -> None:

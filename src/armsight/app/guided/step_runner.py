@@ -52,7 +52,7 @@ class History:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DeskState:
+class GuidedStepState:
     """What a page shows. busy: what is being done, empty for nothing. refused: why the last sample was not taken.
 
     curves: figures by the number of samples. count: of what was done so far, so that a page knows that something was.
@@ -71,7 +71,7 @@ class DeskState:
     not_done: str = ""
 
 
-class StepDesk:
+class GuidedStepRunner:
     """Does what pages ask of a step, in the order in which they ask; any thread may call it."""
 
     def __init__(self, step: Guided) -> None:
@@ -86,7 +86,7 @@ class StepDesk:
         return self.step.name
 
     @property
-    def state(self) -> DeskState:
+    def state(self) -> GuidedStepState:
         """How it stands; the same object until something changes."""
         return self._state
 
@@ -112,7 +112,7 @@ class StepDesk:
         with self._lock:
             before = replace(self._state, busy=what, refused="")
             self._state = before
-            after: list[DeskState] = []
+            after: list[GuidedStepState] = []
 
             def both() -> None:
                 act()
@@ -121,10 +121,10 @@ class StepDesk:
             why = _why(both)
             self._state = replace(after[0] if after else before, count=before.count + 1, busy="", refused=why)
 
-    def _looked(self) -> DeskState:
+    def _looked(self) -> GuidedStepState:
         step, history = self.step, self._history
         history.remember(len(step.samples), figures_of(step))
-        return DeskState(
+        return GuidedStepState(
             hint=step.hint(),
             samples=step.samples,
             coverage=step.coverage(),

@@ -112,7 +112,7 @@ def watcher_of(
     return None if T_world_rig is None else StationWatcher(station, handeye, T_world_rig.inv(), clock)
 
 
-WORK = "play"
+JOB_NAME = "play"
 FILE = "path.csv"
 STEPS_KEPT = 50
 TOOLS: Mapping[str, str] = MappingProxyType(
@@ -121,7 +121,7 @@ TOOLS: Mapping[str, str] = MappingProxyType(
 """What can be done to a path, and the unit of its figure."""
 
 
-class PathDesk:
+class PathEditor:
     """The path of a cell, in FOLDER/path.csv once it is kept."""
 
     def __init__(self, folder: Path) -> None:
@@ -212,16 +212,16 @@ def check_path(asked: PlayRequest, robot: RobotCell) -> PathCheckOutput:
 
 
 def play(
-    asked: PlayRequest, robot: RobotCell, desk: PathDesk, station: Station | None, work: BackgroundJob
+    asked: PlayRequest, robot: RobotCell, editor: PathEditor, station: Station | None, background: BackgroundJob
 ) -> PlayOutput:
     """Run the path while the operator holds the enable, at the session's override; station: watches it where it can.
 
     Raises as run_play.
     """
-    desk.require()
+    editor.require()
     clock = SystemClock()
     session = robot.session
-    moved = SessionRobot(session, lambda: work.browser, clock, waits=False, cancelled=work.cancelled)
+    moved = SessionRobot(session, lambda: background.browser, clock, waits=False, cancelled=background.cancelled)
     job = PlayJob(
         robot=robot.robot,
         path=asked.folder / FILE,
@@ -236,24 +236,24 @@ def play(
     )
 
     def begun(source: PathSource) -> None:
-        desk.source = source
+        editor.source = source
 
     def follow_override(*_: object) -> None:
-        if desk.source is not None and not np.isclose(desk.source.override, session.override):
-            desk.source.override = session.override
+        if editor.source is not None and not np.isclose(editor.source.override, session.override):
+            editor.source.override = session.override
 
     try:
         return run_play(
             job,
-            work.ask,
+            background.ask,
             follow_override,
-            work,
+            background,
             opened=(moved, clock, watcher_of(asked.folder, asked.cell, session.arm, station, clock)),
             begun=begun,
-            enabled=lambda: session.enabled(work.browser),
+            enabled=lambda: session.enabled(background.browser),
         )
     finally:
-        desk.source = None
+        editor.source = None
 
 
 def _arm(asked: PlayRequest) -> Path:
