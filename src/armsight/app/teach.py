@@ -23,7 +23,7 @@ from armsight.app.sources.frames import open_pairs, open_source
 from armsight.clock import Clock
 from armsight.control.events import QueueSink
 from armsight.control.servo import Mount, ServoSource
-from armsight.control.teach import CarriedRig, PathRecorder, RigPlace, StandingRig
+from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig
 from armsight.drivers import CameraSettings, PairSource
 from armsight.errors import StaleData, UsageError
 from armsight.kinematics import Arm
@@ -142,8 +142,8 @@ def teach_standing(
     """Measure frame after frame until they end or progress is cancelled, and record the tip's path; write job.out.
 
     pairs: in place of the sources the job names. What was taught before a failure is in the files when the error is
-    raised. Raises UsageError, also where the rig's place is not told, DataRefused, DeviceFailed; NotEnoughData for less
-    than two poses.
+    raised. Raises UsageError, also where the rig's position is not told, DataRefused, DeviceFailed; NotEnoughData for
+    less than two poses.
     """
     progress = progress or Silent()
     if seen_by.world is None:
@@ -231,11 +231,11 @@ def _taught(
     return "end"
 
 
-class _Place:
+class _RigPoseOnceKnown:
     """Where the rig is, once the servo knows."""
 
     def __init__(self) -> None:
-        self.known: RigPlace | None = None
+        self.known: RigPose | None = None
 
     def __call__(self, t_s: float) -> RigidTransform:
         if self.known is None:
@@ -247,17 +247,17 @@ class TaughtBeside:
     """A recorder beside a servo: is told of each frame, and tells its events to the recording."""
 
     def __init__(self, job: TeachJob) -> None:
-        self._place = _Place()
+        self._rig_pose = _RigPoseOnceKnown()
         self._clock: Clock | None = None
         self._sink: QueueSink | None = None
         T_target_tip = job.T_target_tip()
-        self.recorder = PathRecorder(self._place, T_target_tip, every=job.every, mean=job.mean, notify=self._note)
+        self.recorder = PathRecorder(self._rig_pose, T_target_tip, every=job.every, mean=job.mean, notify=self._note)
 
     def begin(self, source: ServoSource, arm: Arm, clock: Clock, sink: QueueSink) -> None:
         """Take the readings that the servo gathers, and what takes events."""
         settings = source.settings
         self._clock, self._sink = clock, sink
-        self._place.known = (
+        self._rig_pose.known = (
             CarriedRig(arm=arm, history=source.history, T_flange_rig=settings.T_parent_camera)
             if settings.mount is Mount.EYE_IN_HAND
             else StandingRig(T_world_rig=arm.T_world_base * settings.T_parent_camera)

@@ -11,7 +11,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
-from armsight.console.tracks import Array, Place, Ticks
+from armsight.console.tracks import Array, Point, Ticks
 from armsight.units import MM
 
 GREY = "#7b8794"
@@ -90,19 +90,19 @@ INK = "#14181c"
 
 
 class Curve(Object3D, component=Path(str(files("armsight") / "console" / "static" / "curve.js"))):
-    """A curve through places; line: solid, dashed or none; marks of mark_px, none for 0; layer: higher is before."""
+    """A curve through positions; line: solid, dashed or none; marks of mark_px, none for 0; layer: higher is before."""
 
     def __init__(self, name: str, *, line: str, mark_px: float, layer: int) -> None:
         super().__init__([], [], line, mark_px, DASH_M, layer)
         self.with_name(f"curve-{name}")
-        self.places: Sequence[Place] = ()
+        self.positions: Sequence[Point] = ()
 
-    def show(self, places: Sequence[Place], colours: Sequence[Sequence[float]]) -> None:
-        """Draw it; colours: r, g, b in 0 to 1 of each place. Nothing is sent where it is the same."""
-        sent = [[list(place) for place in places], [list(colour) for colour in colours]]
+    def show(self, positions: Sequence[Point], colours: Sequence[Sequence[float]]) -> None:
+        """Draw it; colours: r, g, b in 0 to 1 of each position. Nothing is sent where it is the same."""
+        sent = [[list(position) for position in positions], [list(colour) for colour in colours]]
         if sent == self.args[:2]:
             return
-        self.places = tuple(places)
+        self.positions = tuple(positions)
         self.args[:2] = sent
         self.scene.run_method("run_method_on_component", self.id, "set_points", *sent)
 

@@ -22,7 +22,7 @@ from armsight.records.joint_history import JointHistory
 Array = NDArray[np.float64]
 
 
-class RigPlace(Protocol):
+class RigPose(Protocol):
     """Tells T_world_rig at a moment."""
 
     def __call__(self, t_s: float) -> RigidTransform:
@@ -84,7 +84,7 @@ class TeachCounts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Row:
-    """One vector: when, the target and the tip in world, the target's covariance (6, 6) and the place's tag."""
+    """One vector: when, the target and the tip in world, the target's covariance (6, 6) and the position's tag."""
 
     t_s: float
     T_world_target: RigidTransform
@@ -111,7 +111,7 @@ class PathRecorder:
 
     def __init__(
         self,
-        place: RigPlace,
+        rig_pose: RigPose,
         T_target_tip: RigidTransform,
         *,
         every: int = 1,
@@ -121,12 +121,12 @@ class PathRecorder:
     ) -> None:
         """every: frames per vector. mean: the mean of these frames' poses and times, else the last one as it is.
 
-        T_target_tip: the tip in target axes (tip.yaml). parent: the frame that place tells the rig in, world or base.
+        T_target_tip: the tip in target axes (tip.yaml). parent: the frame that rig_pose has the rig in, world or base.
         notify: called with what the recorder does, in words. Raises UsageError for less than one frame.
         """
         if every < 1:
             raise UsageError(f"one vector every {every} frames cannot be", cure="Give 1 or more (--every)")
-        self._place, self._T_target_tip = place, T_target_tip
+        self._rig_pose, self._T_target_tip = rig_pose, T_target_tip
         self._every, self._mean = every, mean
         self.parent, self._notify = parent, notify
         self._lock = threading.Lock()
@@ -194,7 +194,7 @@ class PathRecorder:
             return forgotten
 
     def tag(self, word: str) -> None:
-        """Mark the place where the tip is now: the next row, or the stretch's last where none follows.
+        """Mark the position where the tip is now: the next row, or the stretch's last where none follows.
 
         Raises UsageError for what is not one word.
         """
@@ -205,7 +205,7 @@ class PathRecorder:
             self._notify(f"tag {word}")
 
     def observe(self, pose: TargetPose, exposed_s: float) -> None:
-        """Take what a frame shows, in rig axes, exposed at exposed_s on the clock of the place."""
+        """Take what a frame shows, in rig axes, exposed at exposed_s on the clock of the position."""
         with self._lock:
             found, seen = self._seen_in(pose, exposed_s)
             self._newest = None if seen is None else seen.T_world_target * self._T_target_tip
@@ -264,7 +264,7 @@ class PathRecorder:
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
             return pose.status.value, None
         try:
-            T_world_rig = self._place(exposed_s)
+            T_world_rig = self._rig_pose(exposed_s)
         except StaleData:
             return "unplaced", None
         covariance = moved_parent_covariance(T_world_rig, pose.covariance)

@@ -218,7 +218,7 @@ class CyclicRobot(ABC):
         self._poses.hold()
 
     def _rebase(self, q: Array) -> None:
-        """Take the place where the arm stands, q (n,), for its goal."""
+        """Take the position where the arm stands, q (n,), for its goal."""
         self._goals.start(q)
 
     def _off(self, reading: JointReading) -> float:

@@ -218,9 +218,9 @@ def list_images(text: str) -> tuple[Path, ...]:
 def read_image(path: Path, *, colour: bool = False, bits: int | None = None) -> NDArray[np.uint8]:
     """Return the image in path, grey (h, w) or BGR (h, w, 3), in the sensor's own orientation.
 
-    A rotation noted by a telephone in the file's header is not applied: the pixels of one camera keep their
-    place. bits: as ImageReading's. Raises BadFile where the file cannot be read, BadImage where it is no whole image of
-    these bits.
+    A rotation noted by a telephone in the file's header is not applied: the pixels of one camera keep their position.
+    bits: as ImageReading's. Raises BadFile where the file cannot be read, BadImage where it is no whole image of these
+    bits.
     """
     return image_of_8_bits(read_pixels(path, colour=colour), bits, str(path))
 

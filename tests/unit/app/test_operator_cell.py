@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
+from armsight.app.operator.cell_poses import arm_points, flange_pose, rig_pose
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_editor import PathEditor
-from armsight.app.operator.placing import arm_points, flange_pose, rig_pose
 from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import ManualClock

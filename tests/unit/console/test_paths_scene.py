@@ -13,11 +13,11 @@ from nicegui import Client, ui
 from tests.unit.console.test_console_state import view
 
 from armsight.app.kinematics import load_arm
-from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.tracks import APART_M, PLACES, Ticks, Tracks
+from armsight.console.tracks import APART_M, POINTS, Ticks, Tracks
 
 
 class Page:
@@ -84,7 +84,7 @@ def test_a_target_at_rest_does_not_push_its_track_out() -> None:
     way = np.array([[0.002 * i, 0.0, 0.5] for i in range(50)])
     for xyz in way:
         tracks.add_measured(xyz, 1e-4)
-    for _ in range(2 * PLACES):
+    for _ in range(2 * POINTS):
         tracks.add_measured(way[-1] + rng.uniform(-0.3, 0.3, 3) * APART_M, 1e-4)
     assert np.allclose([place for place, _ in tracks.measured], way)
 

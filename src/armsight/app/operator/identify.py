@@ -13,8 +13,8 @@ from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
@@ -113,7 +113,7 @@ def light_of(folder: Path, cell: CellFile) -> str:
 def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> PlanOutput:
     """Return the sweeps that would be made, and the accuracy to expect; nothing moves.
 
-    Raises UsageError, Inconsistent, Degenerate, NotEnoughData where the arm's place before the cameras is not known.
+    Raises UsageError, Inconsistent, Degenerate, NotEnoughData where the arm's position before the cameras is not known.
     """
     clock = SystemClock()
     still = SessionRobot(robot.session, lambda: "", clock, waits=False, cancelled=lambda: True)
@@ -260,7 +260,7 @@ def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweepFit:
-    """What a scene shows of a joint's sweep, in world, or in rig axes where the rig's place was not known; in m.
+    """What a scene shows of a joint's sweep, in world, or in rig axes where the rig's position was not known; in m.
 
     path (m, 3): where the identified arm has the light along it, an arc or a line. seen (n, 3): where it was seen. axis
     (2, 3): both ends of a piece of the joint's axis; of a slide along the path. centre (3,): the foot of the path's

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.teach import seen
@@ -52,7 +52,7 @@ FEWEST_VISITS = 3
 LOOK_S, WAIT_S = 0.005, 10.0
 """Between two looks for a newer moment; without one for so long the station is taken for lost."""
 FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
-"""What a page shows, each with its places."""
+"""What a page shows, each with its poses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,23 +143,23 @@ def _poses(arm: Arm, q: Array, cube: TestCube) -> RigidTransform:
     """Return T_world_target of P1 to P5, with the attitude that the target has now."""
     R = _here(arm, q).rotation
     return arm.T_world_base * RigidTransform.concatenate(
-        [RigidTransform.from_components(place, R) for place in cube.points_m.values()]
+        [RigidTransform.from_components(position, R) for position in cube.points_m.values()]
     )
 
 
 def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig: RigidTransform) -> IsoPlan | str:
     """Return the plan in a cube, or why the arm cannot make it."""
-    places = dict(zip(cube.points_m, _poses(arm, q, cube), strict=True))
+    corners = dict(zip(cube.points_m, _poses(arm, q, cube), strict=True))
     at, tracks = arm.values(q), []
     for start, end in pairwise(("P1", *POSE_ORDER)):
-        line = _straight(places[start], places[end])
+        line = _straight(corners[start], corners[end])
         track = track_path(arm, line, start=at)
         if track.issues:
             return track.issues[0].text
         at = track.q[-1]
         tracks.append(arm.readings(track.q))
     legs = [
-        _leg(name, readings, asked, float(np.linalg.norm(places[start].translation - places[name].translation)))
+        _leg(name, readings, asked, float(np.linalg.norm(corners[start].translation - corners[name].translation)))
         for readings, (start, name) in zip(tracks, pairwise(("P1", *POSE_ORDER)), strict=True)
     ]
     small = cube.side_m < min(SIDES_M)
@@ -171,13 +171,13 @@ def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig:
         figures=("AP", "RP"),
         names=POSE_ORDER,
         repeats=asked.cycles,
-        xyz_m=np.array([places[name].translation for name in POSE_ORDER]),
+        xyz_m=np.array([corners[name].translation for name in POSE_ORDER]),
         q=q_poses,
     )
     test = TestPlan(
         arm=arm.name,
         cube=cube,
-        quat_xyzw=np.asarray(places["P1"].rotation.as_quat(canonical=True)),
+        quat_xyzw=np.asarray(corners["P1"].rotation.as_quat(canonical=True)),
         motions=(poses,),
         speed_m_s=asked.speed_mm_s * MM,
         branch=(),
@@ -323,7 +323,7 @@ def visits_csv(visits: list[Visit]) -> str:
 
 
 def figures(done: IsoDone) -> tuple[tuple[str, str, str, str], ...]:
-    """Return rows for a page: figure and place, value in mm, its standard deviation, visits or why it is withheld."""
+    """Return rows for a page: figure and pose, value in mm, its standard deviation, visits or why it is withheld."""
     rows = []
     for key, figure in done.output.iso9283.items():
         if key.split(" ")[0] not in FIGURES:

@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.outputs import moved_pose
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.teach import seen as pose_of_view
@@ -101,7 +101,7 @@ class StationWatcher:
 def watcher_of(
     folder: Path, cell: CellFile, arm: Arm | None, station: Station | None, clock: Clock
 ) -> StationWatcher | None:
-    """Return what watches the cell's robot; None without cameras, or where their place on it is not known.
+    """Return what watches the cell's robot; None without cameras, or where their position on it is not known.
 
     Raises BadFile.
     """

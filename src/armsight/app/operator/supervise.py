@@ -12,7 +12,7 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach import LEAST_CYCLE_S
 from armsight.app.operator.teach import seen as pose_of_view

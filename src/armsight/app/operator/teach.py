@@ -12,12 +12,12 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.guided.poses import pose_of
 from armsight.app.live.station import Station
-from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.schemas.live import LiveView
 from armsight.app.teach import TeachJob, save
 from armsight.clock import Clock, SystemClock
-from armsight.control.teach import CarriedRig, PathRecorder, RigPlace, StandingRig, Teaching
+from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
 from armsight.errors import ArmsightError, NotEnoughData
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.joint_history import JointHistory
@@ -49,15 +49,15 @@ class TeachController:
     def __init__(
         self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], clock: Clock
     ) -> None:
-        """station: asked anew each time, as it may be replaced. Raises BadFile; NotEnoughData where the cameras' place
-        is not known."""
+        """station: asked anew each time, as it may be replaced. Raises BadFile; NotEnoughData where the cameras'
+        position is not known."""
         self.out = folder / FOLDER
         tip = cell_path(folder, cell.tip, "tip")
         self._job = TeachJob(out=self.out, tip=tip, every=EVERY, mean=True)
         self._robot, self._station, self._clock = robot, station, clock
         self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
-        place = _place(folder, cell, robot, self._history)
-        self.recorder = PathRecorder(place, self._job.T_target_tip(), every=EVERY, mean=True)
+        rig_pose = _rig_pose(folder, cell, robot, self._history)
+        self.recorder = PathRecorder(rig_pose, self._job.T_target_tip(), every=EVERY, mean=True)
         self._points = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="teaching", daemon=True)
@@ -142,7 +142,7 @@ def seen(view: LiveView) -> TargetPose:
     return TargetPose(t_s=view.t_s, status=PoseStatus.LOST, parent=view.parent, why=view.why)
 
 
-def _place(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPlace:
+def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
     """Return where the rig is in world at a moment."""
     arm = robot.session.arm
     handeye = cell_path(folder, cell.handeye, "handeye")

@@ -37,7 +37,7 @@ from armsight.records import PoseStatus, Progress
 from armsight.units import DEG, MM, MS
 
 Show = Callable[[RobotStatus, float | None], None]
-"""Is told now and then of a cycle, and of the error of place in m where the target is followed."""
+"""Is told now and then of a cycle, and of the error of position in m where the target is followed."""
 
 
 class RecordedSource:
@@ -99,7 +99,7 @@ class Tally:
 
     @property
     def error_m(self) -> float | None:
-        """The error of place just now; None where the target is not followed."""
+        """The error of position just now; None where the target is not followed."""
         error = self._source.error
         return None if error is None else float(np.linalg.norm(error.translation_m))
 

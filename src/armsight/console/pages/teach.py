@@ -143,7 +143,7 @@ class _Recording:
 
 
 class _Path:
-    """The path in a table and in the scene; places are chosen in both."""
+    """The path in a table and in the scene; positions are chosen in both."""
 
     scene: Scene | None = None
 
@@ -163,7 +163,7 @@ class _Path:
                 button(texts.PATH_USE, self._change, kind="act quiet", testid="change")
 
     def pick(self, row: int) -> None:
-        """Choose a place, or choose it no more; a row that the path has not is none."""
+        """Choose a position, or choose it no more; a row that the path has not is none."""
         if self._editor.path is None or row >= len(self._editor.path):
             return
         self._chosen ^= {row}

@@ -24,7 +24,7 @@ from armsight.units import DEG, MM
 Array = NDArray[np.float64]
 
 BRAKE_SAMPLES = 16
-"""Places along the way to rest that are checked."""
+"""Positions along the way to rest that are checked."""
 TOO_FAST = 1e3
 """Joint speed (rad/s or m/s) beyond every limit."""
 SHARES = (1.0, 0.5, 0.2)
@@ -292,9 +292,9 @@ class Follower:
         Compared with the cycle before, rounding might lead it outwards a hair at a time.
         """
         if self._allowed is None or len(self._allowed) != len(before.depths):
-            self._allowed = np.where(before.limits.of_place, np.inf, before.depths)
-        place = before.limits.of_place
-        self._allowed = np.where(place, np.minimum(self._allowed, np.maximum(before.depths, 0.0)), before.depths)
+            self._allowed = np.where(before.limits.of_position, np.inf, before.depths)
+        position = before.limits.of_position
+        self._allowed = np.where(position, np.minimum(self._allowed, np.maximum(before.depths, 0.0)), before.depths)
         return self._allowed
 
     def _breach_now(self, in_space: bool) -> Breach:

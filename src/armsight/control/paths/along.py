@@ -41,7 +41,7 @@ def positive(name: str, value: float) -> float:
 def moving(path: TaughtPath) -> Array:
     """Return the length (n,) up to each row of a path that moves at every row.
 
-    Raises NotEnoughData below two rows, Inconsistent where two rows are at one place.
+    Raises NotEnoughData below two rows, Inconsistent where two rows are at one position.
     """
     if len(path) < 2:
         raise NotEnoughData(f"a path of {len(path)} poses has no length", cure="Give at least two poses")
@@ -56,24 +56,24 @@ def moving(path: TaughtPath) -> Array:
     return path.length_m
 
 
-def places_at(path: TaughtPath, s_m: Array) -> Array:
-    """Return the places (k, 3) at lengths s_m (k,) along the straight stretches of a path."""
+def positions_at(path: TaughtPath, s_m: Array) -> Array:
+    """Return the positions (k, 3) at lengths s_m (k,) along the straight stretches of a path."""
     return np.stack([np.interp(s_m, path.length_m, path.xyz_m[:, k]) for k in range(3)], axis=1)
 
 
 def poses_at(path: TaughtPath, s_m: Array) -> Array:
-    """Return the poses (k, 4, 4) at lengths s_m (k,): places linear, rotations by slerp (Shoemake 1985)."""
+    """Return the poses (k, 4, 4) at lengths s_m (k,): positions linear, rotations by slerp (Shoemake 1985)."""
     length = moving(path)
     s = np.clip(s_m, 0.0, length[-1])
     turns = Slerp(length, Rotation.from_matrix(path.T_world_tip[:, :3, :3]))(s)
-    return np.asarray(RigidTransform.from_components(places_at(path, s), turns).as_matrix())
+    return np.asarray(RigidTransform.from_components(positions_at(path, s), turns).as_matrix())
 
 
 def turning(path: TaughtPath, *, window_m: float = WINDOW_M) -> Array:
     """Return the angle (n,) in rad between the chords over window_m before and after each row; 0 at both ends."""
     s = moving(path)
-    back = places_at(path, np.maximum(s - positive("window_m", window_m), 0.0))
-    ahead = places_at(path, np.minimum(s + window_m, s[-1]))
+    back = positions_at(path, np.maximum(s - positive("window_m", window_m), 0.0))
+    ahead = positions_at(path, np.minimum(s + window_m, s[-1]))
     before, after = (path.xyz_m - back)[1:-1], (ahead - path.xyz_m)[1:-1]
     angle = np.zeros(len(s))
     sine = np.linalg.norm(np.cross(before, after), axis=1)
@@ -114,7 +114,7 @@ def resampled(
 ) -> TaughtPath:
     """Return the path with rows at most step_m apart, evenly spread between rows that are kept.
 
-    Kept are both ends, rows with a tag, and the rows keep (its corners where None). Places between the old rows lie
+    Kept are both ends, rows with a tag, and the rows keep (its corners where None). Positions between the old rows lie
     on straight lines, or with spline on a cubic spline over chord length that is broken at kept rows; rotations are
     slerped. Speeds are those of the old row before; times are interpolated where every row has one. Raises
     UsageError for a step that is no length or gives more than MOST_ROWS rows, Inconsistent where the path stands.

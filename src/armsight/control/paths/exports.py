@@ -113,9 +113,9 @@ REST = "5000,1000"
 def rapid(program: Program) -> str:
     """Return the program as a module: millimetres, quaternions with w first, poses in wobj0.
 
-    The tool is a tooldata's name, which the module does not declare: its mass is not known here. Zones are of the place
-    blend_m wide, and half as much again for rotations, as ABB's own. wobj0 is the world: the robot's base where the
-    controller has not moved it. Raises UsageError where tool or weld output are no names.
+    The tool is a tooldata's name, which the module does not declare: its mass is not known here. Zones are of the
+    position blend_m wide, and half as much again for rotations, as ABB's own. wobj0 is the world: the robot's base
+    where the controller has not moved it. Raises UsageError where tool or weld output are no names.
     """
     if program.tool is None or NAME.fullmatch(program.tool) is None:
         raise UsageError(
@@ -154,15 +154,15 @@ def rapid(program: Program) -> str:
 
 def _rapid_pose(T: RigidTransform) -> str:
     x, y, z, w = T.rotation.as_quat(canonical=True)
-    place = ",".join(decimals(float(value) / MM, 4) for value in T.translation)
-    return f"[{place}],[{','.join(decimals(float(value), 9) for value in (w, x, y, z))}]"
+    position = ",".join(decimals(float(value) / MM, 4) for value in T.translation)
+    return f"[{position}],[{','.join(decimals(float(value), 9) for value in (w, x, y, z))}]"
 
 
 def _zone(radius_m: float) -> str:
     if radius_m <= 0.0:
         return "fine"
-    place, turn, angle = (decimals(share * radius_m / MM, 4) for share in (1.0, 1.5, 0.15))
-    return f"[FALSE,{place},{turn},{turn},{angle},{turn},{angle}]"
+    position, turn, angle = (decimals(share * radius_m / MM, 4) for share in (1.0, 1.5, 0.15))
+    return f"[FALSE,{position},{turn},{turn},{angle},{turn},{angle}]"
 
 
 def _rapid_tool_note(T: RigidTransform | None) -> str:

@@ -112,10 +112,10 @@ def _named(row: int, off_m: float, off_rad: float) -> PathOutlier:
 
 def _off_alone(t: Array, xyz: Array, R: Rotation, good: NDArray[np.intp], row: np.intp) -> tuple[float, float]:
     """Return how far a row is off good rows only, in m and rad."""
-    place = int(np.searchsorted(good, row))
-    first = max(0, place - 2 * SIDE)
-    near = np.insert(good[first : place + 2 * SIDE], place - first, row)
-    m, rad = _off(t[near], xyz[near], R[near])[place - first]
+    index = int(np.searchsorted(good, row))
+    first = max(0, index - 2 * SIDE)
+    near = np.insert(good[first : index + 2 * SIDE], index - first, row)
+    m, rad = _off(t[near], xyz[near], R[near])[index - first]
     return float(m), float(rad)
 
 
@@ -128,17 +128,17 @@ def _off(t: Array, xyz: Array, R: Rotation) -> Array:
         rows = np.arange(max(0, -offsets.min()), n - max(0, offsets.max()))
         near = rows[:, None] + offsets  # (m, k)
         weights = _line_weights(t[near] - t[rows, None])
-        place = np.linalg.norm(np.einsum("mk,mkc->mc", weights, xyz[near]) - xyz[rows], axis=1)
+        distance = np.linalg.norm(np.einsum("mk,mkc->mc", weights, xyz[near]) - xyz[rows], axis=1)
         back = R[np.repeat(rows, len(offsets))].inv() * R[near.ravel()]
         turns = back.as_rotvec().reshape(*near.shape, 3)
         angle = np.linalg.norm(np.einsum("mk,mkc->mc", weights, turns), axis=1)
-        best[rows] = np.minimum(best[rows], np.stack([place, angle], axis=1))
+        best[rows] = np.minimum(best[rows], np.stack([distance, angle], axis=1))
     return best
 
 
 def _apart(t: Array, xyz: Array) -> NDArray[np.bool_]:
-    """Tell of each row's place and rotation (n, 2) whether they can be outliers: a place that its neighbours' ways,
-    for their time, reach as they reach each other is none."""
+    """Tell of each row's position and rotation (n, 2) whether they can be outliers: a position that its neighbours'
+    ways, for their time, reach as they reach each other is none."""
     rate = np.linalg.norm(np.diff(xyz, axis=0), axis=1) / np.diff(t)
     about = sliding_window_view(np.pad(rate, SIDE, constant_values=np.nan), 2 * SIDE)  # (n, 2 SIDE)
     usual = np.nanmedian(about, axis=1)
@@ -153,7 +153,7 @@ def _line_weights(t: Array) -> Array:
 
 
 SAME_M = 1e-6
-"""Rows nearer together than this are one place."""
+"""Rows nearer together than this are one position."""
 LEAST_M = 0.005
 """A shorter step is none: a hand at 100 mm/s goes so far in 50 ms."""
 JUMP_M = 0.05
@@ -245,7 +245,7 @@ def _wide_turn(path: TaughtPath, rows: list[int]) -> list[PathJump]:
 
 
 def jump_step(xyz_m: Array, t_s: Array) -> int | None:
-    """Return the first step that is a jump of a path through places (n, 3), or None. Step i leads to row i + 1.
+    """Return the first step that is a jump of a path through positions (n, 3), or None. Step i leads to row i + 1.
 
     t_s (n,): when each was taught, NaN where it was not; a step that no hand is fast enough for is a jump in any case.
     """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_splprep
 from scipy.spatial.transform import Rotation
 
-from armsight.control.paths.along import corners, moving, places_at, poses_at, positive, with_poses
+from armsight.control.paths.along import corners, moving, poses_at, positions_at, positive, with_poses
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.records import TaughtPath
 from armsight.units import DEG
@@ -28,7 +28,7 @@ STRAIGHT = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Arc:
-    """An arc from length first_m to last_m of the path: places (k, 3) and the lengths (k,) they stand for."""
+    """An arc from length first_m to last_m of the path: positions (k, 3) and the lengths (k,) they stand for."""
 
     row: int
     first_m: float
@@ -61,10 +61,10 @@ def filleted(path: TaughtPath, radius_m: float, *, at: Sequence[int] | None = No
     for arc in arcs:
         kept &= (s < arc.first_m - 1e-9) | (s > arc.last_m + 1e-9)
     lengths = np.concatenate([s[kept], *(arc.at_m for arc in arcs)])
-    places = np.concatenate([path.xyz_m[kept], *(arc.xyz_m for arc in arcs)])
+    positions = np.concatenate([path.xyz_m[kept], *(arc.xyz_m for arc in arcs)])
     order = np.argsort(lengths, kind="stable")
     T = poses_at(path, lengths[order])
-    T[:, :3, 3] = places[order]
+    T[:, :3, 3] = positions[order]
     return with_poses(path, T, lengths[order], _tags(path, s, lengths[order]))
 
 
@@ -84,7 +84,7 @@ def _arc(path: TaughtPath, s: Array, row: int, radius_m: float) -> _Arc:
     if leg > s[row] + 1e-12 or leg > s[-1] - s[row] + 1e-12:
         raise _unfit(row, radius_m, f"it needs {leg:.4g} m of path on both sides")
     inside = np.flatnonzero(np.abs(s - s[row]) < leg)
-    ends = places_at(path, np.array([s[row] - leg, s[row] + leg]))
+    ends = positions_at(path, np.array([s[row] - leg, s[row] + leg]))
     along = (s[inside] - s[row])[:, None]
     line = corner + np.where(along < 0.0, along * into, along * out)
     off = np.concatenate([path.xyz_m[inside] - line, ends - np.array([corner - leg * into, corner + leg * out])])
@@ -104,7 +104,7 @@ def _arc(path: TaughtPath, s: Array, row: int, radius_m: float) -> _Arc:
 def _legs(path: TaughtPath, s: Array, row: int, length_m: float) -> tuple[Array, Array, float]:
     """Return the directions (3,) of the chords of length_m before and behind a row, and the angle between them."""
     length_m = max(length_m, 1e-9)
-    ends = places_at(path, np.array([max(s[row] - length_m, 0.0), min(s[row] + length_m, s[-1])]))
+    ends = positions_at(path, np.array([max(s[row] - length_m, 0.0), min(s[row] + length_m, s[-1])]))
     into, out = path.xyz_m[row] - ends[0], ends[1] - path.xyz_m[row]
     into, out = into / np.linalg.norm(into), out / np.linalg.norm(out)
     return into, out, math.atan2(float(np.linalg.norm(np.cross(into, out))), float(into @ out))

@@ -24,11 +24,11 @@ REJOIN_M = 0.02
 """An arm further from the path than this is not brought back to it by itself."""
 REJOIN_SPEED_M_S = 0.01
 TRIES = 3
-"""A place that the guard refused so often is not tried again until resume() is called."""
+"""A position that the guard refused so often is not tried again until resume() is called."""
 TRIED_M = 1e-3
 """So much further along, refusals are counted anew."""
 CALM_S = 1.0
-"""After so long without motion tries are counted anew; a place that was given up waits for the operator's resume()."""
+"""After so long without motion tries are counted anew; one that was given up waits for the operator's resume()."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ class PathSource:
     """Runs a plan: to the path's start, then along it. next is for the loop; all else may be called from any thread.
 
     Speed along each way changes with bounded acceleration and jerk. Where the guard did not follow, the path stands
-    still, and goes on from the same place once the arm was brought back to it, slowly and straight.
+    still, and goes on from the same position once the arm was brought back to it, slowly and straight.
     """
 
     name = "path"
@@ -89,7 +89,7 @@ class PathSource:
         self._paused = True
 
     def resume(self) -> None:
-        """Go on, also from a place that was given up."""
+        """Go on, also from a position that was given up."""
         self._paused = False
         self._tries = 0
 
@@ -164,10 +164,10 @@ class PathSource:
 
     def _count_try(self) -> None:
         """Count that the path's own set point was refused; an enable that was let go of is no refusal."""
-        place = (self._stage, self._state[0] if self._rejoin is None else self._kept_m)
-        further = place[0] != self._tried_at[0] or abs(place[1] - self._tried_at[1]) > TRIED_M
+        position = (self._stage, self._state[0] if self._rejoin is None else self._kept_m)
+        further = position[0] != self._tried_at[0] or abs(position[1] - self._tried_at[1]) > TRIED_M
         self._tries = 1 if further else self._tries + 1
-        self._tried_at = place
+        self._tried_at = position
 
     @property
     def _given_up(self) -> str:

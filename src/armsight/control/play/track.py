@@ -92,13 +92,13 @@ PATH_JERK_M_S3 = 20.0
 SPEED_SHARE, ACCELERATION_SHARE, JERK_SHARE = 0.85, 0.4, 0.3
 """Of the limits, which curves and weaves may use: the rest is for changes of speed, and the guard keeps some back."""
 REACH_M = 1e-3
-"""So far before and behind a slow place the speed is that of the place: braking takes its time to begin."""
+"""So far before and behind a slow position the speed is that of the position: braking takes its time to begin."""
 
 
 def timed(s: Array, T: Array, joints: tuple[Array, Array], wanted: Array, limits: Limits, bounds: JointBounds) -> Array:
     """Return the speed (n,) along the path: as wanted, less where tool or joints would exceed their limits.
 
-    joints: lengths (k,) and readings (k, n) there. Braking before a slow place begins early enough.
+    joints: lengths (k,) and readings (k, n) there. Braking before a slow position begins early enough.
     """
     most = np.minimum(wanted, SPEED_SHARE * limits.speed_m_s)
     R = Rotation.from_matrix(T[:, :3, :3])
@@ -166,7 +166,7 @@ class WeaveKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weave:
-    """amplitude_m: from the seam to the farthest place on either side. wavelength_m: along the seam."""
+    """amplitude_m: from the seam to the farthest position on either side. wavelength_m: along the seam."""
 
     kind: WeaveKind = WeaveKind.NONE
     amplitude_m: float = 0.0

@@ -95,7 +95,7 @@ BACK = np.array([0, 1, 2, 3, 4, 6, 8, 11, 15])
 LATENESS_FRAMES = 30
 """Frames over which the target's way is compared: a second of a webcam."""
 STEP = 3
-"""Frames from one place to the next of which the second difference is taken: noise of 0.1 mm is less than a hand."""
+"""Frames from one position to the next of which the second difference is taken: noise of 0.1 mm is less than a hand."""
 ROUGH_M = 0.001
 """Second differences (root of the mean square) below which nothing moves enough to tell."""
 SMOOTHER = 0.25
@@ -106,7 +106,7 @@ GAP = 1.5
 
 
 class Lateness:
-    """Places the target by the camera's poses of some frames before. One thread sees; any may look at frames."""
+    """Puts the target where the camera's poses of some frames before have it. Any thread may look at frames."""
 
     def __init__(self) -> None:
         n = LATENESS_FRAMES + int(BACK[-1])

@@ -133,7 +133,7 @@ STANDS_M = 0.001
 
 
 class Reaction:
-    """Watches the target's place before a camera that moves. One thread sees; any may look at missing."""
+    """Watches the target's position before a camera that moves. One thread sees; any may look at missing."""
 
     def __init__(self, chase_m: float) -> None:
         self._chase_m = chase_m

@@ -1,4 +1,4 @@
-"""Set points of the servo: the arm keeps the target, or a tool keeps the target's place, where it is wanted."""
+"""Set points of the servo: the arm keeps the target, or a tool keeps the target's position, where it is wanted."""
 
 from __future__ import annotations
 
@@ -85,16 +85,16 @@ class ServoSettings:
     chase_m: float = 0.01
 
     def with_gain(self, gain: float) -> ServoSettings:
-        """Return the same with one gain for place and rotation, in 1/s."""
+        """Return the same with one gain for position and rotation, in 1/s."""
         return replace(self, gain_t=gain, gain_r=gain)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seen:
-    """The newest pose (4, 4) as it was measured, in flange axes at its exposure; whole: with its rotation."""
+    """The newest pose (4, 4) as it was measured, in flange axes at its exposure; has_rotation: with its rotation."""
 
     T_flange_target: Array
-    whole: bool
+    has_rotation: bool
 
 
 def on_axis(T_flange_frame: RigidTransform, distance_m: float) -> RigidTransform:
@@ -192,14 +192,14 @@ class ServoSource:
         on_flange = self.settings.mount is Mount.EYE_IN_HAND
         T_base_rig = T_base_flange @ self._T_parent_camera if on_flange else self._T_parent_camera
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
-        whole = pose.status is PoseStatus.OK
+        has_rotation = pose.status is PoseStatus.OK
         before = self._track.now
         if on_flange:
             sigma = np.full(6, np.inf)
             sigma[: len(covariance)] = np.sqrt(np.diag(covariance))
             self._reaction.see(T_base_rig, T_rig_target, sigma)
             self._lateness.see(exposed_s, self._camera.period_s, T_base_rig, T_rig_target[:3, 3])
-        if whole:
+        if has_rotation:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
             self._track.add(exposed_s, T_base_target, turned @ covariance @ turned.T)
@@ -213,7 +213,7 @@ class ServoSource:
         if jumps and self._before_jump is None:  # a second jump, near where the first led, is none back
             self._before_jump = before
         if not self.settings.predict:
-            self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, whole=whole)
+            self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, has_rotation=has_rotation)
 
     def target(self, now_s: float) -> tuple[TargetState, float | None]:
         """Return what is known of the target, and the age in s of the newest frame that shows it."""
@@ -242,12 +242,12 @@ class ServoSource:
         T_base_tool = now.T_base_tool.as_matrix()
         T_base_flange = T_base_tool @ self._T_tool_flange
         if not self.settings.predict and self._seen is not None:
-            self._keep(self._seen.T_flange_target, self._seen.whole)
-            return self._twist(T_base_flange, self._seen.T_flange_target, self._seen.whole)
+            self._keep(self._seen.T_flange_target, self._seen.has_rotation)
+            return self._twist(T_base_flange, self._seen.T_flange_target, self._seen.has_rotation)
         motion = tracked.at(now.t_s - self._cycle_s + self._lag.lag_s)  # when the arm is where it was last told to be
         T_flange_target = inverse(T_base_flange) @ motion.T_base_target
-        self._keep(T_flange_target, motion.whole)
-        twist = self._twist(T_base_flange, T_flange_target, motion.whole)
+        self._keep(T_flange_target, motion.has_rotation)
+        twist = self._twist(T_base_flange, T_flange_target, motion.has_rotation)
         return self._fed_forward(twist, motion, T_base_tool[:3, 3])
 
     def warm_up(self) -> None:
@@ -295,7 +295,7 @@ class ServoSource:
             return False
         way_m, turn = self._jump(tracked)
         near = float(np.linalg.norm(way_m)) <= self.settings.resume_m
-        if near and (not tracked.whole or float(np.linalg.norm(turn)) <= self.settings.resume_rad):
+        if near and (not tracked.has_rotation or float(np.linalg.norm(turn)) <= self.settings.resume_rad):
             self._before_jump = None
             return False
         return True
@@ -309,25 +309,25 @@ class ServoSource:
             return np.zeros(3), np.zeros(3)
         return pose_difference(tracked.T_begun, self._before_jump.at(tracked.begun_s).T_base_target)
 
-    def _keep(self, T_flange_target: Array, whole: bool) -> None:
+    def _keep(self, T_flange_target: Array, has_rotation: bool) -> None:
         """Take the first rotation seen as the one wanted, where it is to be kept."""
-        if whole and not self._turn_wanted:
+        if has_rotation and not self._turn_wanted:
             self._T_flange_desired[:3, :3] = T_flange_target[:3, :3]
             self._turn_wanted = True
 
-    def _twist(self, T_base_flange: Array, T_flange_target: Array, whole: bool) -> ToolTwist:
+    def _twist(self, T_base_flange: Array, T_flange_target: Array, has_rotation: bool) -> ToolTwist:
         """Return the law's twist of the tool, in base axes."""
         settings = self.settings
         error = servo_error(T_flange_target, self._T_flange_desired)
         self.error = error
-        gain_r = settings.gain_r if whole and self._turns else 0.0
+        gain_r = settings.gain_r if has_rotation and self._turns else 0.0
         v, omega = servo_twist(error, self._T_flange_desired[:3, 3], settings.gain_t, gain_r)
         R = T_base_flange[:3, :3]
         return ToolTwist(velocity_m_s=R @ (v + cross(omega, self._tool_m)), angular_rad_s=R @ omega)
 
     def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, tool_m: Array) -> ToolTwist:
         """Return a twist with that of a tool fixed to the target added, which keeps up with it; tool_m: in base."""
-        turning = motion.angular_rad_s if motion.whole and self._turns else np.zeros(3)
+        turning = motion.angular_rad_s if motion.has_rotation and self._turns else np.zeros(3)
         carried = motion.velocity_m_s + cross(turning, tool_m - motion.T_base_target[:3, 3])
         return ToolTwist(
             velocity_m_s=twist.velocity_m_s + carried,

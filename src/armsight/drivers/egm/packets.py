@@ -180,8 +180,8 @@ def answer_pose(sequence: int, tm_ms: int, pose: RigidTransform) -> bytes:
     """Return an EgmSensor packet that guides the flange to a pose in the controller's correction frame."""
     message = _answer(sequence, tm_ms)
     x, y, z, w = pose.rotation.as_quat(canonical=True).tolist()
-    place, turn = message.planned.cartesian.pos, message.planned.cartesian.orient
-    place.x, place.y, place.z = (np.asarray(pose.translation) / MM).tolist()
+    position, turn = message.planned.cartesian.pos, message.planned.cartesian.orient
+    position.x, position.y, position.z = (np.asarray(pose.translation) / MM).tolist()
     turn.u0, turn.u1, turn.u2, turn.u3 = w, x, y, z  # ABB puts the scalar first
     return bytes(message.SerializeToString())
 
@@ -210,8 +210,8 @@ def _pose(part: Any) -> RigidTransform | None:
     """Return a pose; None where the part has none."""
     if not (part.HasField("cartesian") and part.cartesian.HasField("pos") and part.cartesian.HasField("orient")):
         return None
-    place, turn = part.cartesian.pos, part.cartesian.orient
-    xyz_m = MM * np.array([place.x, place.y, place.z])
+    position, turn = part.cartesian.pos, part.cartesian.orient
+    xyz_m = MM * np.array([position.x, position.y, position.z])
     quat = np.array([turn.u1, turn.u2, turn.u3, turn.u0])
     if not ((np.abs(xyz_m) < LARGEST_M).all() and np.abs(quat).max() < 2.0 and abs(float(quat @ quat) - 1.0) < 1e-2):
         raise Inconsistent("a packet has a pose that no flange can have")

@@ -124,7 +124,7 @@ def parse(data: bytes) -> RobMessage:
         ipoc = (root.findtext("IPOC") or "").strip()
         if re.fullmatch(r"[0-9]{1,18}", ipoc) is None:
             raise Inconsistent("a packet has no IPOC")
-        q, q_set, place = (_values(root, *what) for what in (("AIPos", JOINTS), ("ASPos", JOINTS), ("RIst", POSE)))
+        q, q_set, position = (_values(root, *what) for what in (("AIPos", JOINTS), ("ASPos", JOINTS), ("RIst", POSE)))
         delay = root.find("Delay")
         n_late = None if delay is None else int(delay.get("D", ""))
     except (ET.ParseError, ValueError, LookupError) as error:
@@ -135,7 +135,7 @@ def parse(data: bytes) -> RobMessage:
         ipoc=int(ipoc),
         q=_within(np.radians(q), LARGEST_RAD),
         q_set=None if q_set is None else _within(np.radians(q_set), LARGEST_RAD),
-        T_base_flange=None if place is None else pose_of(place),
+        T_base_flange=None if position is None else pose_of(position),
         n_late=n_late,
     )
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def rig_pose(folder: Path, cell: CellFile, arm: Arm | None, q: Array | None) -> RigidTransform | None:
     """Return T_world_rig by world.yaml, or by hand-eye, arm and joints q (n,); None where it is not known.
 
-    A carried rig is where the arm is now; without an arm, or its joints, its place is not known. Raises BadFile.
+    A carried rig is where the arm is now; without an arm, or its joints, its position is not known. Raises BadFile.
     """
     world, handeye = (cell_path(folder, getattr(cell, name), name) for name in ("world", "handeye"))
     if world is not None:
