@@ -42,7 +42,7 @@ def settings(mount: Mount = Mount.EYE_IN_HAND, **more) -> ServoSettings:
     return ServoSettings(**{**known, **more})
 
 
-class JobRunner:
+class Bench:
     """An arm at rest, of which the servo knows readings, and a target that moves before its cameras."""
 
     def __init__(self, source: ServoSource) -> None:
@@ -90,8 +90,8 @@ class JobRunner:
         return self.wanted
 
 
-def bench(**more) -> JobRunner:
-    return JobRunner(ServoSource(ARM, RIG, TARGET, settings(**more), CYCLE_S))
+def bench(**more) -> Bench:
+    return Bench(ServoSource(ARM, RIG, TARGET, settings(**more), CYCLE_S))
 
 
 @pytest.mark.parametrize("mount", list(Mount))

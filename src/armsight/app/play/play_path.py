@@ -186,8 +186,8 @@ Begun = Callable[[PathSource], None]
 class PlaySession:
     """One run of a path: opened, planned, asked, run, told."""
 
-    def __init__(self, job: PlayJob, robot: Robot, clock: Clock, guard: Guard, eyes: Watcher | None) -> None:
-        self._job, self._robot, self._clock, self._guard, self._eyes = job, robot, clock, guard, eyes
+    def __init__(self, job: PlayJob, robot: Robot, clock: Clock, guard: Guard, monitor: Watcher | None) -> None:
+        self._job, self._robot, self._clock, self._guard, self._monitor = job, robot, clock, guard, monitor
         self._watch: PlayWatch | None = None
 
     def run(
@@ -202,7 +202,7 @@ class PlaySession:
             with beside_outside(outside):
                 plan = load_plan(job, guard.arm, guard.limits, standing(robot, guard.arm.n))
             source = PathSource(plan, override=job.override)
-            if not confirm(question(robot, guard, plan, self._eyes is not None) + noted(outside)):
+            if not confirm(question(robot, guard, plan, self._monitor is not None) + noted(outside)):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
             self._watch = self._watching(stack, recorder.sink)
@@ -220,26 +220,26 @@ class PlaySession:
         failed = self._failed() or recorder.failed
         if failed is not None:
             raise failed
-        counts = None if self._eyes is None else self._eyes.counts()
+        counts = None if self._monitor is None else self._monitor.counts()
         return play_output(tally, timing, source, self._watch, counts, str(job.out / RECORDING), outside)
 
     def _watching(self, stack: ExitStack, sink: QueueSink) -> PlayWatch | None:
         """Open the cameras, and return what compares; None without any."""
-        eyes, guard = self._eyes, self._guard
-        if eyes is None:
+        monitor, guard = self._monitor, self._guard
+        if monitor is None:
             return None
         watch = PlayWatch(
-            eyes.sight,
+            monitor.sight,
             guard.arm.T_flange_tool,
             stop_m=self._job.stop_m,
             arm_lag_s=LAG_CYCLES * guard.cycle_s,
             cycle_s=guard.cycle_s,
         )
-        eyes.open(stack, sink, lambda pose, exposed_s: watch.observe(pose, exposed_s, self._clock.now_s()))
+        monitor.open(stack, sink, lambda pose, exposed_s: watch.observe(pose, exposed_s, self._clock.now_s()))
         return watch
 
     def _failed(self) -> ArmsightError | None:
-        return None if self._eyes is None else self._eyes.failed()
+        return None if self._monitor is None else self._monitor.failed()
 
     def _loop(self, loop: ControlLoop, tally: PlayTally, source: PathSource, show: Show, progress: Progress) -> Timing:
         """Run the loop: in this thread where time is simulated, beside the telling where it is real."""
@@ -255,7 +255,7 @@ class PlaySession:
                 loop.stop(self._watch.exceeded)
             return tally(status) or self._failed() is not None
 
-        if self._eyes is None or not self._eyes.stepped:
+        if self._monitor is None or not self._monitor.stepped:
             return run_with_progress(lambda: loop.run(until=until), show_progress)
         every = max(1, round(SHOWN_S / self._guard.cycle_s))
 
@@ -294,8 +294,8 @@ def run_play(
         )
     watcher: Watcher | None = None
     if job.watched:
-        watcher = eyes = TargetMonitor(job, devices)
-        robot, clock = eyes.devices.robot, eyes.devices.clock
+        watcher = monitor = TargetMonitor(job, devices)
+        robot, clock = monitor.devices.robot, monitor.devices.clock
     elif opened is not None:
         robot, clock, watcher = opened
     else:
