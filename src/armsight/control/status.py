@@ -119,6 +119,11 @@ class RobotStatus:
         return self.q_sent if self.reading is None else self.reading.q
 
     @property
+    def state(self) -> GuardState:
+        """The guard's state, by the name that programs of the guide know it by."""
+        return self.guard
+
+    @property
     def reason(self) -> str:
         """Why it does not run, without for how long: the same in each cycle."""
         return HOW_LONG.sub("", self.why)
