@@ -194,6 +194,7 @@ class RobotLink:
                 sent_after_s = said.get(SENT_AFTER)
                 self.take(said.get("text"), 0.0 if sent_after_s is None else time.monotonic() - sent_after_s)
         finally:
+            # before anything is awaited: the robot is let go of even where the page's other task hangs
             self._session.leave(self._browser)
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):

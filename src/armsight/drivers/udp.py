@@ -190,6 +190,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         return link
 
     def _finish(self) -> None:
+        # the thread reads the socket until it ends: one closed before might be another file's by then
         self._closing = True
         self._thread.join()
         self._socket.close()
@@ -216,6 +217,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
 
     def _take(self, data: bytes, sender: Sender, *, newest: bool = True) -> None:
         """Take one packet, and answer where it is a good one and none has come behind it."""
+        # before it is parsed: whoever is foreign shall not even cost that
         if self._sender not in (None, sender) or self._link_settings.controller not in ("", sender[0]):
             self.counts.foreign += 1
             self._other = sender
@@ -232,6 +234,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
             return
         self._sender = sender
         if last is not None and self._cycles_between(last, state) <= 0:
+            # a controller that repeats itself lives, though it tells nothing new: the link is not silent
             self.counts.repeated += 1
             self._heard_s = self._clock.now_s()
             self._hear_old(state, last, sender)

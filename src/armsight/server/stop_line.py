@@ -178,6 +178,7 @@ def run_stop_line(
     up: Event,
 ) -> None:
     """Serve until the process that started this one ends; up is set once it does."""
+    # other work of a busy machine must not keep a stop waiting
     listen_first()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
     line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))

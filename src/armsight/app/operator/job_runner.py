@@ -35,7 +35,7 @@ class BackgroundJob:
         self.browser = browser
         self.result: Any = None
         self.failure = ""
-        self._told: tuple[float, float, str] = (0.0, 0.0, "")
+        self._progress: tuple[float, float, str] = (0.0, 0.0, "")
         self._question = ""
         self._answer: bool | None = None
         self._asked = threading.Condition()
@@ -55,7 +55,7 @@ class BackgroundJob:
     @property
     def state(self) -> WorkState:
         """How far it is."""
-        done, total, note = self._told
+        done, total, note = self._progress
         return WorkState(
             name=self.name,
             running=self.running,
@@ -68,7 +68,7 @@ class BackgroundJob:
 
     def update(self, done: float, total: float, note: str = "") -> None:
         """Take how far it is."""
-        self._told = (done, total, note)
+        self._progress = (done, total, note)
 
     def cancelled(self) -> bool:
         """Return whether the person ended it."""

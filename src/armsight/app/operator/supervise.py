@@ -114,6 +114,7 @@ class StationSupervisor:
     def _run(self) -> None:
         last: Shown | None = None
         newest_s = time.monotonic()
+        # joints are read between pictures as well, so that those at each exposure are known
         while not self._ended.wait(LOOK_S):
             self._read()
             station = self._station()
@@ -152,6 +153,7 @@ class StationSupervisor:
         self._log.add(
             shown.view.sequence, pose, compared, self._watch.level, lost, (time.perf_counter() - begun_s) * 1e3
         )
+        # a tenth at once: to shift the list by one with every picture would cost more each hour
         if len(self._log.rows) > KEPT:
             del self._log.rows[: KEPT // 10]
 

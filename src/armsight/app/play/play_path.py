@@ -255,6 +255,7 @@ class PlaySession:
                 loop.stop(self._watch.exceeded)
             return tally(status) or self._failed() is not None
 
+        # simulated time passes as the loop waits for it: another thread would see it jump, and pictures come too late
         if self._monitor is None or not self._monitor.stepped:
             return run_with_progress(lambda: loop.run(until=until), show_progress)
         every = max(1, round(SHOWN_S / self._guard.cycle_s))
@@ -310,7 +311,7 @@ def run_play(
             cure="Give the arm's file (--arm)",
         )
     if job.watched:
-        prepare(progress)
+        prepare(progress)  # before the robot is opened: at its first picture the arm would wait for compilers
     session = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), watcher)
     done = session.run(confirm, show, progress, begun, enabled)
     done.write(job.out / SUMMARY)

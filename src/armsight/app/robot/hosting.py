@@ -102,6 +102,7 @@ class _LoopHost:
     def status(self) -> RobotStatus:
         """Return the newest state. Raises DeviceLost where the loop has ended or hangs."""
         found = self._newest()
+        # a loop that hangs writes no more, though its process lives: its last status would be shown for ever
         if found is None or self._ended or not self._runs() or self.now_s() - found.t_s > LOST_S:
             raise DeviceLost(
                 f"the loop of the robot does not run{': ' if self._ended else ''}{self._ended}",
@@ -155,6 +156,7 @@ class _LoopHost:
 
     def _urge(self, *order: Any) -> None:
         """Give an order that must not be lost: where there is no room for it now it waits, and others behind it."""
+        # through the same deque as those before it: a release must not overtake a stop
         self._urgent.append(order)
         self._push()
 

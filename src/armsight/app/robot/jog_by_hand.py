@@ -97,6 +97,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
         limited.extend(name for name in status.limited if name not in limited)
         if not hand.ended or not status.at_rest:
             return status.guard is GuardState.STOPPED
+        # the motors lag behind what was sent: where the arm is, is read once they have settled
         resting_since_s.append(status.t_s)
         return status.t_s - resting_since_s[0] >= SETTLE_S
 
@@ -111,6 +112,7 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
     try:
         run_with_progress(lambda: loop.run(until=done), show_progress)
     finally:
+        # first let go, then wait: the hand's thread may be in its last look for a while
         hand.end()
         hand.join()
     if hand.error is not None:

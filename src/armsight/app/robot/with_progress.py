@@ -10,7 +10,7 @@ from armsight.priority import bound_control, control_first
 
 Result = TypeVar("Result")
 
-TOLD_S = 0.2
+SHOW_S = 0.2
 """Time between two calls of show, in s."""
 
 
@@ -34,7 +34,7 @@ def run_with_progress(target: Callable[[], Result], show: Callable[[], None]) ->
     thread = threading.Thread(target=run, name="control loop")
     thread.start()
     while thread.is_alive():
-        thread.join(TOLD_S)
+        thread.join(SHOW_S)
         show()
     if errors:
         raise errors[0]

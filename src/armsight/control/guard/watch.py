@@ -64,6 +64,7 @@ class Watch:
 
     def faults(self, wanted: SetPoint, reading: JointReading | None, inputs: Inputs) -> list[Fault]:
         """Return all that is wrong now."""
+        # all are asked every cycle, also behind the first that is found: each keeps its own count of time
         found = (
             self.stop(inputs),
             self.link(inputs),
@@ -105,6 +106,7 @@ class Watch:
         """A reading far from all that was sent lately: the robot does not follow, or the reading jumped."""
         if reading is None:
             return None
+        # the arm lags behind by a time that is known only roughly: it may be anywhere among what was sent in that time
         low, high = self._sent.min(axis=0), self._sent.max(axis=0)
         off = np.maximum(low - reading.q, reading.q - high) - self._bounds.following
         if not off.max() > 0.0 and np.isfinite(reading.q).all():
@@ -150,6 +152,7 @@ class Watch:
     def late_cycle(self, inputs: Inputs) -> Fault | None:
         """A cycle that began late, until some in a row were in time."""
         late = inputs.late_s > self._limits.late_cycles * self._cycle_s
+        # the first cycle in time after a late one proves little: a machine that hangs does so several times in a row
         self._in_time = 0 if late else self._in_time + 1
         if self._in_time >= self._limits.calm_cycles:
             return None

@@ -136,6 +136,7 @@ class ControlAuthority:
         """Give the right to drive back: the robot is held at once. Does nothing where another has it."""
         if lease is not self._lease:
             return
+        # first of all nobody drives: the line for stops must not renew what is being released here
         self._lease = None
         self._enabled, self._reenable, self._goal = False, False, None
         self._host.grant(lease.number, "")
@@ -145,6 +146,8 @@ class ControlAuthority:
     @synchronized
     def stop(self, who: str) -> None:
         """Bring the robot to rest until it is reset; legal for everyone, at any time; never raises."""
+        # counted here at once: the loop tells of its stop a cycle later, and what is asked meanwhile must find it
+        # stopped
         self._stopped = True
         self._goal = None
         self._host.stop(f"stopped by {who}")
@@ -167,6 +170,7 @@ class ControlAuthority:
             kind, values = logged(command)
             self._log.command(now_s, lease.who, kind, {"seq": seq, **values})
         now = self._host.status()
+        # the log has the command already: what is refused below was asked all the same
         q, limited = self._done(lease, command, now, age_s)
         T = flange_pose(self._host.arm, q) if q is not None and self.robot.takes_poses else None
         return Taken(t_s=now_s, cycle=now.cycle, q=q, T_base_flange=T, limited=limited)
@@ -260,6 +264,7 @@ class ControlAuthority:
         )
         asked = self._from + share * way
         lead = LEAD_S * self._speed
+        # where the robot is held back, or slower than the steps come, the goal may not run away from it
         near = np.clip(asked, now.q_sent - lead, now.q_sent + lead)
         far = tuple(f"lead of {j.name}" for j, a, b in zip(joints, asked, near, strict=True) if a != b)
         # who stands beyond an end stays there, or comes back as far as was asked: a step of one joint moves no other

@@ -121,6 +121,7 @@ class RecordSink:
 
     def _put(self, record: object) -> None:
         data = pickle.dumps(record, protocol=5)
+        # the loop never waits for the server: a record that finds no room is lost, and counted
         if len(data) > RECORD_BYTES or not self._records.put(data):
             self.dropped += 1
 
@@ -162,6 +163,7 @@ class OrderSource:
                 self._obey(*pickle.loads(data))
         if self._parent is not None and os.getppid() != self._parent:
             self._leave()  # the server's process died
+        # an enable that ends takes its set point along: one given anew must not continue the old motion
         if not self._alive():
             self.drop()
         if self._goal is not None:
@@ -286,6 +288,7 @@ class StatusPublisher:
 
     def publish(self, status: RobotStatus) -> bool:
         """Publish it with what the source of orders forgot; never ends the loop."""
+        # what was asked before a stop must not move the robot after the reset
         if status.guard is GuardState.STOPPED:
             self._source.drop()
         published = replace(status, why=status.why[:500], dropped=self._source.dropped)

@@ -140,6 +140,7 @@ class Service:
     @synchronized
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""
+        # errors and infos are few by themselves; warnings are as many as whoever attacks sends messages
         if level == "warning" and not self._warnings.pay(t_s):
             self._left_out += 1
             return

@@ -69,6 +69,8 @@ class Link:
 
         waits: for the answers, as who asks for it wants to know; a regular beat must not wait behind others.
         """
+        # the thread that beats and the program that asks for a beat share one count: a number given twice would not
+        # count
         with self._beating:
             self._beats += 1
             number = self._beats
@@ -81,6 +83,7 @@ class Link:
     def stop(self) -> None:
         """Stop the robot until it is reset, by the line that nothing else shares. Raises as ask."""
         if self._line is not None and not self._line.ended:
+            # if the line fails in between, the stop goes the other way below; a stop twice is a stop
             with contextlib.suppress(ArmsightError):
                 self._line.ask(say.StopMessage)
                 self._wire.send(say.StopMessage)  # what is asked after it finds it stopped
@@ -103,6 +106,7 @@ class Link:
 
     def close(self) -> None:
         """End the connections; legal always."""
+        # taken out before it is closed: the thread that beats looks at it meanwhile
         line, self._line = self._line, None
         if line is not None:
             line.close()

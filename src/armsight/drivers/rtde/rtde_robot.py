@@ -87,6 +87,7 @@ class RtdeRobot(CyclicRobot):
     def _start(self) -> None:
         settings = self.settings
         with contextlib.ExitStack() as undo:
+            # one program at a time: of two the controller would take the goals in turn
             undo.enter_context(DeviceLock(f"rtde-{self.host}-{self.port}"))
             numbers = (self.cycle_s, settings.lookahead_s, settings.gain, settings.watchdog_hz)
             self._worker = Worker(self.host, self.port, numbers)
@@ -158,6 +159,7 @@ class RtdeRobot(CyclicRobot):
         taken = self._given.taken(np.array(state.q_planned))
         self.late += not taken
         self._tick(cycles, taken=taken)
+        # noted before it is sent, so that the state that answers it finds it
         self._given.give(self._goals.sent)
         self._worker.send(self._goals.sent.tolist())
 
