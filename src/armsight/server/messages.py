@@ -6,7 +6,7 @@ import secrets
 
 import numpy as np
 
-from armsight.control.session.host import LoopEvent
+from armsight.control.session.loop_host import LoopEvent
 from armsight.control.setpoints import (
     Beat,
     Command,

@@ -13,7 +13,7 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from armsight._version import __version__
 from armsight.control.session.authority import Lease
-from armsight.control.session.host import SETPOINT_S
+from armsight.control.session.loop_host import SETPOINT_S
 from armsight.control.session.service import Service
 from armsight.control.setpoints import Taken
 from armsight.drivers.remote import protocol as say

@@ -25,7 +25,7 @@ from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from armsight.control.session.channels import granted
-from armsight.control.session.host import LoopEvent
+from armsight.control.session.loop_host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
 from armsight.priority import listen_first

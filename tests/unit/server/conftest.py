@@ -12,7 +12,7 @@ import pytest
 
 from armsight.control.guard import GuardState
 from armsight.control.session.channels import LineChannels
-from armsight.control.session.host import LoopEvent
+from armsight.control.session.loop_host import LoopEvent
 from armsight.control.session.service import Service
 from armsight.control.setpoints import JointGoal
 from armsight.control.status import RobotStatus

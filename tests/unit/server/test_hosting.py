@@ -15,7 +15,7 @@ from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
 from armsight.clock import ManualClock
 from armsight.control.guard.limits import ENABLE_AGE_S
 from armsight.control.session.channels import Newest, Queue
-from armsight.control.session.host import LoopCommand, LoopEvent
+from armsight.control.session.loop_host import LoopCommand, LoopEvent
 from armsight.control.session.loop_side import Channels, CountedClock, lateness_s
 from armsight.control.setpoints import JointGoal, JointVelocity
 from armsight.drivers import RobotState

@@ -23,7 +23,7 @@ from armsight.app.robot.opening import open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
 from armsight.control.session.channels import JointTrack, LineChannels
-from armsight.control.session.host import LoopEvent, LoopRecord
+from armsight.control.session.loop_host import LoopEvent, LoopRecord
 from armsight.control.session.loop_side import Channels, lateness_s, run_loop
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.control.status import RobotStatus
@@ -53,8 +53,8 @@ class RobotSpec:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-class _LoopHost:
-    """The server's side of the channels; a Host. Subclasses run the loop. For one thread at a time."""
+class _SharedMemoryHost:
+    """The server's side of the channels; a LoopHost. Subclasses run the loop. For one thread at a time."""
 
     def __init__(self, arm: Arm, limits: Limits, clock: Clock, track: JointTrack | None = None) -> None:
         self._arm, self._limits = arm, limits
@@ -202,7 +202,7 @@ class _LoopHost:
         raise NotImplementedError
 
 
-class ProcessHost(_LoopHost):
+class ProcessHost(_SharedMemoryHost):
     """A robot's loop in a process of its own: nothing that the web server does makes a cycle wait."""
 
     def __init__(self, spec: RobotSpec, track: JointTrack | None = None) -> None:
@@ -239,7 +239,7 @@ class ProcessHost(_LoopHost):
         return self._process.is_alive()
 
 
-class ThreadHost(_LoopHost):
+class ThreadHost(_SharedMemoryHost):
     """A robot's loop in a thread of this process, on a given clock: for tests and simulation, not for real time."""
 
     def __init__(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import GuardState
-from armsight.control.session.host import Host, flange_pose, synchronized
+from armsight.control.session.loop_host import LoopHost, flange_pose, synchronized
 from armsight.control.setpoints import (
     Beat,
     Command,
@@ -82,7 +82,7 @@ class ControlAuthority:
     lock: held while a call lasts; shared with whoever else speaks to the host.
     """
 
-    def __init__(self, host: Host, log: AuthorityLog, *, instance: str, lock: RLock | None = None) -> None:
+    def __init__(self, host: LoopHost, log: AuthorityLog, *, instance: str, lock: RLock | None = None) -> None:
         self.lock = lock or RLock()
         self._host = host
         self._log = log

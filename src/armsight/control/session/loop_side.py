@@ -17,7 +17,7 @@ from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.session.channels import JointTrack, LineChannels, Newest, Queue, granted
-from armsight.control.session.host import SETPOINT_S, LoopCommand, LoopEvent
+from armsight.control.session.loop_host import SETPOINT_S, LoopCommand, LoopEvent
 from armsight.control.setpoints import CycleState, JointGoal, SetPoint
 from armsight.control.sources import ClientSource
 from armsight.control.status import RobotStatus

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.session.authority import EnableLost, Lease
-from armsight.control.session.host import flange_pose, synchronized
+from armsight.control.session.loop_host import flange_pose, synchronized
 from armsight.control.session.service import Service
 from armsight.control.setpoints import (
     Beat,

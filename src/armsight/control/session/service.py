@@ -10,7 +10,7 @@ from threading import RLock
 from typing import Any, Protocol
 
 from armsight.control.session.authority import AuthorityLog, ControlAuthority
-from armsight.control.session.host import Host, LoopCommand, LoopEvent, synchronized
+from armsight.control.session.loop_host import LoopCommand, LoopEvent, LoopHost, synchronized
 from armsight.records import JointReading
 
 
@@ -98,7 +98,7 @@ class Watcher(Protocol):
 class Service:
     """A robot as it is served. Any thread may call it; the host itself is spoken to under the same lock only."""
 
-    def __init__(self, host: Host, log: Log) -> None:
+    def __init__(self, host: LoopHost, log: Log) -> None:
         self.lock = RLock()
         self.host = host
         self.watchers: list[Watcher] = []

@@ -69,7 +69,7 @@ class LoopCommand:
 LoopRecord = LoopEvent | LoopCommand | JointReading
 
 
-class Host(Protocol):
+class LoopHost(Protocol):
     """A robot's loop with its guard, wherever it runs. No method waits for the loop.
 
     Motion needs beat(enable=True), sent no longer ago than enable_age_s; without it the loop holds the robot by itself.
