@@ -18,10 +18,10 @@ from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control import CycleState, JointGoal, SetPoint, ToolPose, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits, TargetState
+from armsight.control.guard.faults import Watch
 from armsight.control.guard.follow import Follower
 from armsight.control.guard.motion import State
 from armsight.control.guard.space import Breach
-from armsight.control.guard.watch import Watch
 from armsight.control.loop import ControlLoop
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError

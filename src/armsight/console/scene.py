@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.measure.run import target_of
 from armsight.app.operator.cell_poses import arm_points, rig_pose
-from armsight.app.operator.identify import SweepFit
+from armsight.app.operator.identify_run import SweepFit
 from armsight.app.schemas.live import LiveView
 from armsight.console import texts
 from armsight.console.plots import Curve, Ruler
@@ -125,8 +125,8 @@ class Scene:
     def show(self, view: LiveView | None) -> None:
         """Put arm, carried cameras and target where they are; hide the target where it is not seen."""
         self._show_arm()
-        whole = view is not None and view.xyz_m is not None and view.quat_xyzw is not None
-        self._target.visible(whole)
+        has_pose = view is not None and view.xyz_m is not None and view.quat_xyzw is not None
+        self._target.visible(has_pose)
         T = self._T_scene_rig if view is not None and view.parent == "rig" else RigidTransform.identity()
         self._show_uncertainty(view, T)
         if view is None or view.xyz_m is None or view.quat_xyzw is None:

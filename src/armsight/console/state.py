@@ -28,7 +28,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
-from armsight.app.operator.teach import TeachController, teach_controller
+from armsight.app.operator.teach_controller import TeachController, teach_controller
 from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks

@@ -203,9 +203,9 @@ class AravisCamera(LiveCamera):
             if buffer is None:
                 continue
             arrival_s = self._now_s()
-            whole = buffer.get_status() == api.BufferStatus.SUCCESS
-            incomplete = 0 if whole else incomplete + 1
-            if whole:
+            complete = buffer.get_status() == api.BufferStatus.SUCCESS
+            incomplete = 0 if complete else incomplete + 1
+            if complete:
                 self._put(self._frame(buffer, stamps, arrival_s))
             stream.push_buffer(buffer)
             if incomplete >= INCOMPLETE:

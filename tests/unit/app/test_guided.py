@@ -20,7 +20,7 @@ from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
 from armsight.app.live.station import Shown
 from armsight.app.live.views import RunView, live_view
-from armsight.app.operator.teach import seen
+from armsight.app.operator.teach_controller import seen
 from armsight.app.schemas.live import Counts, LiveView, SideView
 from armsight.clock import ManualClock
 from armsight.console import texts

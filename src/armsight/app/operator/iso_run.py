@@ -17,7 +17,7 @@ from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
-from armsight.app.operator.teach import seen
+from armsight.app.operator.teach_controller import seen
 from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import VerifyJob, run_verify

@@ -19,7 +19,7 @@ from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
-from armsight.app.operator.teach import seen as pose_of_view
+from armsight.app.operator.teach_controller import seen as pose_of_view
 from armsight.app.path.check import check
 from armsight.app.play.play_job import PlayJob, load_sight
 from armsight.app.play.play_path import run_play

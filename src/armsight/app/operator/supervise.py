@@ -14,8 +14,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.live.station import Shown, Station
 from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.teach import LEAST_CYCLE_S
-from armsight.app.operator.teach import seen as pose_of_view
+from armsight.app.operator.teach_controller import LEAST_CYCLE_S
+from armsight.app.operator.teach_controller import seen as pose_of_view
 from armsight.app.schemas.verify_live import VerifyLiveOutput
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output

@@ -10,7 +10,7 @@ from nicegui import run, ui
 from armsight.app.operator import path_editor as path_desk
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayRequest
-from armsight.app.operator.teach import TeachController
+from armsight.app.operator.teach_controller import TeachController
 from armsight.app.schemas.paths import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts

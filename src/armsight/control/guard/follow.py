@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard.decision import GuardState
+from armsight.control.guard.faults import Fault, hold_reason
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.guard.motion import Ceiling, Course, Planner, State
 from armsight.control.guard.space import HAIR, Breach, Sight, Space, pose_difference
-from armsight.control.guard.watch import Fault, hold_reason
 from armsight.control.setpoints import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm

@@ -301,8 +301,8 @@ def _checked(
         poses += [leg.pose(at).as_matrix() for at in np.linspace(0.0, leg.length_m, count + 1)[:-1]]
         parts += [f"on the way to the path (leg {k + 1})"] * count
     n = len(poses)
-    whole = TaughtPath.of_poses(RigidTransform.from_matrix(np.array([*poses, *T[rows]])), parent="base")
-    check = check_path(whole, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
+    joined = TaughtPath.of_poses(RigidTransform.from_matrix(np.array([*poses, *T[rows]])), parent="base")
+    check = check_path(joined, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
     for issue in check.issues:
         if issue.trouble in SLOWED:
             continue

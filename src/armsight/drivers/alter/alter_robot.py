@@ -154,8 +154,8 @@ class AlterRobot(CyclicRobot):
             if not cut:
                 return q, pose, words
             words = words or cut
-            whole, part = (between(self._poses.sent, end) for end in (goal, pose))
-            shares = [_length(p) / _length(w) for p, w in zip(part, whole, strict=True) if _length(w) > 1e-9]
+            full, part = (between(self._poses.sent, end) for end in (goal, pose))
+            shares = [_length(p) / _length(w) for p, w in zip(part, full, strict=True) if _length(w) > 1e-9]
             self._goals.hold()
             q, _ = self._goals.step(0.99 * min(1.0, *shares, 1.0) * (q - start), start)
         self._goals.hold()
