@@ -244,7 +244,7 @@ def main() -> None:
         )
     ]
     bench.table(f"The loop at {CYCLE_S / MS:g} ms for {asked.seconds:g} s, ms", ["", "median", "p99", "max"], rows)
-    state = "nothing" if status is None else status.state
+    state = "nothing" if status is None else status.guard
     print(f"\n{timing.n_cycles} cycles, {timing.late} late, {timing.missed} missed; the guard is {state}")
 
 

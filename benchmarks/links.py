@@ -189,7 +189,7 @@ def run(kind: str, args: argparse.Namespace) -> None:
     ms = [1e3 * value for value in timing.lateness_s]
     print(
         f"{kind}: {said['cycles']} of its controller's cycles in {args.time_s:g} s, missed {said['missed']}, answers "
-        f"late {said['late']}; at the end {status.state} {status.why}"
+        f"late {said['late']}; at the end {status.guard} {status.why}"
     )
     print(
         f"  loop: {timing.n_cycles} cycles, late {timing.late}, missed {timing.missed}, woke late by {ms[0]:.3f} ms "
@@ -232,7 +232,7 @@ def simulated(args: argparse.Namespace) -> None:
     print(
         f"simulator: {cycles} cycles in {args.time_s:g} s, missed {missed} ({100.0 * missed / cycles:.3f} %), repeated "
         f"{robot.counts.repeated}, loop late {timing.late}, missed {timing.missed}; off by {off:.4f} deg; "
-        f"{loop.status.state} {loop.status.why}"
+        f"{loop.status.guard} {loop.status.why}"
     )
 
 

@@ -24,11 +24,11 @@ from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from armsight.app.robot.event_log import RecordingLog
+from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
-from armsight.app.robot.loop_side import lateness_s
-from armsight.app.robot.models import arm_model
-from armsight.app.robot.service import Service
+from armsight.app.robot.recorder import RecordingLog
+from armsight.control.session.loop_side import lateness_s
+from armsight.control.session.service import Service
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
@@ -117,7 +117,7 @@ def loop(seconds: float) -> None:
                         over.set()
                         process.join()
                 shares.append((pair[0], pair[1]))
-            now = host.snapshot()
+            now = host.status()
             dropped = log.dropped
     print(
         f"{os.cpu_count()} cores, cycle {CYCLE_S * 1e3:g} ms, load {os.getloadavg()[0]:.1f}; upper edges of 2.2 % bins"
@@ -182,7 +182,7 @@ def day(hours: float, disconnects: int, seed: int) -> None:
             if (trial + 1) % 50 == 0:
                 hours_done, took_s = clock.now_s() / 3600.0, time.monotonic() - begun_s
                 print(f"{trial + 1} disconnects, {hours_done:.2f} h, {took_s:.0f} s: {found}", flush=True)
-        now = host.snapshot()
+        now = host.status()
     host.end(lambda: clock.advance(0.1))
     took_s = time.monotonic() - begun_s
     print(f"{clock.now_s() / 3600:.2f} h of loop time, {now.cycle} cycles, {CLIENTS} clients, in {took_s:.0f} s")
@@ -198,7 +198,7 @@ def disconnect(host, service, clock, url, how, rng) -> tuple[str, int, float]:
     link = Link(ServerAddress(url=url), say.DRIVE_PATH)
     link.open()
     link.ask(say.Heartbeat, enable=True)
-    here = np.array(host.snapshot().q_sent)
+    here = np.array(host.status().q_sent)
     if rng.random() < 0.5:
         goal = np.clip(np.array([0.1, -1.2, 2.0, -0.8, -1.3, 0.4]) + [rng.uniform(-0.5, 0.5) for _ in range(6)], -3, 3)
         make, fields = say.JointGoalMessage, {"q": goal.tolist()}
@@ -212,7 +212,7 @@ def disconnect(host, service, clock, url, how, rng) -> tuple[str, int, float]:
         cycles = min(left, 3)
         clock.advance(cycles * DAY_CYCLE_S)
         left -= cycles
-    ran = host.snapshot().guard == "running"
+    ran = host.status().guard == "running"
     if how == "silent":
         cycles = settle(host, clock)
     else:
@@ -240,17 +240,17 @@ def settle(host, clock) -> int:
     """Return after how many cycles the guard no longer runs; 1000 where it does not stop."""
     for cycle in range(1, 1000):
         clock.advance(DAY_CYCLE_S)
-        if host.snapshot().guard != "running":
+        if host.status().guard != "running":
             return cycle
     return 1000
 
 
 def rest(host, clock) -> float:
     """Return after how many s the robot is told nothing new any more, looked at for 0.5 s; inf where it moves on."""
-    begun_s, before, still = clock.now_s(), host.snapshot().q_sent, 0
+    begun_s, before, still = clock.now_s(), host.status().q_sent, 0
     while clock.now_s() - begun_s < 10.0:
         clock.advance(DAY_CYCLE_S)
-        now = host.snapshot().q_sent
+        now = host.status().q_sent
         still = still + 1 if np.array_equal(now, before) else 0
         before = now
         if still * DAY_CYCLE_S > 0.5:
@@ -283,9 +283,9 @@ def lies(messages: int, seed: int) -> None:
                     answers["let in without a token"] += 1
                 except InvalidStatus as error:
                     answers[f"token refused with {error.response.status_code}"] += 1
-    before = host.snapshot().q_sent
+    before = host.status().q_sent
     clock.advance(1.0)
-    answers["robot moved"] += int(not np.array_equal(before, host.snapshot().q_sent))
+    answers["robot moved"] += int(not np.array_equal(before, host.status().q_sent))
     host.end(lambda: clock.advance(0.1))
     print(f"answers: {dict(answers)}")
     print(f"logged: {sum(log.warnings.values())} warnings of {len(log.warnings)} kinds")

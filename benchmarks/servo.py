@@ -23,11 +23,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.stepped import SteppedClock
+from armsight.app.servo.servo_job import SteppedClock
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Guard, GuardState, Limits
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
+from armsight.control.status import RobotStatus
 from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.records import PoseStatus, Silent, TargetPose
 from armsight.store import rig_from_mapping, target_from_mapping
@@ -219,12 +220,12 @@ def in_view(setup: Setup, T_rig_target: RigidTransform) -> bool:
 
 def truth_of(
     cell: LiveCell, clock: Any, run: Run, T_flange_wanted: RigidTransform, eye: Eye, robot: TimedRobot
-) -> Callable[[LoopStatus], bool]:
+) -> Callable[[RobotStatus], bool]:
     """Return what notes after each cycle how far the target truly is from where it is wanted, in world axes."""
 
-    def note(status: LoopStatus) -> bool:
+    def note(status: RobotStatus) -> bool:
         t_s = status.t_s - cell.origin_s
-        if eye.in_memory_s is not None and status.state is GuardState.RUNNING:
+        if eye.in_memory_s is not None and status.guard is GuardState.RUNNING:
             run.to_command_ms.append((eye.spent_s + robot.sent_s - clock.returned_s - robot.own_s) * 1e3)
         eye.in_memory_s, robot.own_s = None, 0.0
         wanted = cell.robot.true.T_world_base * cell.robot.true_flange(status.t_s) * T_flange_wanted
@@ -232,10 +233,10 @@ def truth_of(
         run.t_s.append(t_s)
         run.off_m.append(now.translation - wanted.translation)
         run.speed_m_s.append((now.translation - before.translation) / 1e-3)
-        run.states.append(status.state)
+        run.states.append(status.guard)
         if status.why:
             run.why.add(status.why.split(",")[0])
-        return status.state is GuardState.STOPPED
+        return status.guard is GuardState.STOPPED
 
     return note
 

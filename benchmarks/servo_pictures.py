@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.job import ServoDevices
-from armsight.app.servo.stepped import SteppedClock
+from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.servo.vision import Vision
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, Limits
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, chosen_gain, on_axis
+from armsight.control.status import RobotStatus
 from armsight.measure.poses.pipeline import Setup
 from armsight.records import Silent
 from armsight.store import rig_from_mapping, target_from_mapping
@@ -73,10 +73,10 @@ def run(seed: int, shown: str, begun_s: float, room: str) -> Any:
             for frame in last["pair"]
         )
 
-    def note(status: LoopStatus) -> bool:
+    def note(status: RobotStatus) -> bool:
         log.t_s.append(status.t_s - cell.origin_s)
         log.tool.append(cell.robot.true_flange(status.t_s).as_matrix())
-        log.states.append(status.state)
+        log.states.append(status.guard)
         log.why.append(status.why)
         return False
 

@@ -38,15 +38,15 @@ import numpy as np
 import websockets.frames
 
 import armsight
-from armsight.app.robot.channels import JointTrack
-from armsight.app.robot.event_log import RecordingLog
+from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.models import arm_model
 from armsight.app.robot.opening import open_robot
-from armsight.app.robot.service import Service
+from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
+from armsight.control.session.channels import JointTrack
+from armsight.control.session.service import Service
 from armsight.control.setpoints import JointGoal
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, StaleData
@@ -229,7 +229,7 @@ class Trials:
         self.stops[0] = 0
         self.delays[0] = delay_s
         for wire in (watcher._link._line, watcher._link._wire):
-            wire.tell(say.StopMessage)
+            wire.send(say.StopMessage)
         time.sleep(0.02)
         self.delays[0] = 0.0  # what was said is under way; what follows need not wait as long
         until_s = time.monotonic() + delay_s + 1.0

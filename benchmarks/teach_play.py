@@ -29,18 +29,17 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.reproduce.pachidis2005 import PRINTED
-from armsight.app.servo.job import ServoDevices, ServoJob
-from armsight.app.servo.stepped import SteppedClock
+from armsight.app.servo.servo_job import ServoDevices, ServoJob, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.teach.following import teach_following
-from armsight.app.teach.job import TeachJob
+from armsight.app.teach import TeachJob, teach_following
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.paths import smoothed
 from armsight.control.play import PathPlan, PathSource, PlaySettings, Weave, plan_path
+from armsight.control.status import RobotStatus
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
 from armsight.store.arm_file import arm_from_mapping
@@ -180,7 +179,7 @@ def run_weld(robot: Any, clock: ManualClock, arm: Arm, plan: PathPlan, T_flange_
     source, tips = PathSource(plan), []
     loop = ControlLoop(robot, Guard(arm, Limits(), robot.cycle_s), source, clock, enabled=lambda: True)
 
-    def until(status: LoopStatus) -> bool:
+    def until(status: RobotStatus) -> bool:
         at = source.progress
         if at.stage == "path" and at.s_m > 0.002:
             T = robot.true.T_world_base * robot.true_flange(status.t_s) * T_flange_tip

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.robot.hosting import ThreadHost
-from armsight.app.robot.service import Service
+from armsight.control.session.service import Service
 from armsight.drivers.remote import RemoteRobot
 from armsight.errors import ArmsightError
 from armsight.server.serving import background

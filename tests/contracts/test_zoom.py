@@ -17,8 +17,8 @@ from armsight.app.simulate.scenarios import VIEW
 from armsight.clock import ManualClock
 from armsight.drivers import AUTOMATIC, CameraSettings, OpenCvCamera, open_pairs, open_source
 from armsight.drivers.aravis import AravisCamera
+from armsight.drivers.camera_settings import ZOOM_S
 from armsight.drivers.live import SETTLED
-from armsight.drivers.opencv_controls import ZOOM_S
 from armsight.errors import DeviceFailed, UsageError
 from armsight.store.yamls import parse_yaml
 from armsight_sim.scenario_builder import build_world

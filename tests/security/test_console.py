@@ -16,17 +16,17 @@ from nicegui import Client
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.app.operator.operator_session import OperatorSession
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.robot.service import Service
-from armsight.console import application, texts, uploads
-from armsight.console.headers import SAID
+from armsight.console import application, texts
+from armsight.console import routes as uploads
+from armsight.console.routes import SAID
 from armsight.console.state import Console
 from armsight.control.guard import Limits
+from armsight.control.session.operator_session import OperatorSession
+from armsight.control.session.service import Service
 from armsight.server.application import create_app
-from armsight.server.auth import COOKIE, Authenticator
+from armsight.server.auth import COOKIE, Authenticator, Gate
 from armsight.server.connections import Connections
-from armsight.server.gate import Gate
 from armsight.server.serving import background
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, web_server
@@ -44,7 +44,7 @@ def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Any:
     drive, watch = add_token(tokens, "ann", "drive"), add_token(tokens, "eve", "watch")
     host, log = fakes.FakeHost(), fakes.KeptLog()
     service = Service(host, log)
-    robot = RobotCell(robot="fake:0", service=service, seat=OperatorSession(service), limits=Limits())
+    robot = RobotCell(robot="fake:0", service=service, session=OperatorSession(service), limits=Limits())
     auth = Authenticator(read_tokens(tokens))
     app = create_app(service, auth)
     console = Console(folder=folder, robot=robot)
@@ -153,7 +153,7 @@ MESSAGES = [
 @pytest.mark.parametrize("browser", ["another", "of-the-driver"])
 @pytest.mark.parametrize("message", MESSAGES)
 def test_a_watcher_moves_nothing_over_the_pages_socket(served: Any, message: dict[str, Any], browser: str) -> None:
-    before, override = moved(served), served.robot.seat.override
+    before, override = moved(served), served.robot.session.override
     headers = {"authorization": f"Bearer {served.watch}"}
     with connect(f"{served.socket}/console/robot?browser={browser}", additional_headers=headers, proxy=None) as line:
         first = json.loads(line.recv(timeout=WAIT_S))
@@ -162,7 +162,7 @@ def test_a_watcher_moves_nothing_over_the_pages_socket(served: Any, message: dic
         for _ in range(2):
             told = json.loads(line.recv(timeout=WAIT_S))
         assert not told["enabled"] and not told["mine"]
-    assert moved(served) == before and served.robot.seat.override == override
+    assert moved(served) == before and served.robot.session.override == override
 
 
 def test_a_watcher_does_not_learn_the_name_of_the_drivers_page(served: Any) -> None:
@@ -180,7 +180,7 @@ def test_a_watcher_does_not_learn_the_name_of_the_drivers_page(served: Any) -> N
         told = [str(watcher.recv(timeout=WAIT_S)) for _ in range(3)]
     assert "ann" in told[-1], "who drives is told"
     assert not any(name in text for text in [*told, ask(served, "GET", "/live", served.watch).text])
-    served.robot.seat.leave(name)
+    served.robot.session.leave(name)
 
 
 @contextmanager
@@ -369,7 +369,7 @@ def test_a_rule_that_is_taken_away_is_seen(
     served: Any, reports: Path, monkeypatch: pytest.MonkeyPatch, rule: str
 ) -> None:
     if rule == "headers":
-        monkeypatch.setattr("armsight.console.headers.SAID", {})
+        monkeypatch.setattr("armsight.console.routes.SAID", {})
         assert "content-security-policy" not in ask(served, "GET", "/live", served.drive).headers
     elif rule == "sandbox":
         monkeypatch.setattr(uploads, "REPORT_POLICY", "default-src *")
@@ -398,4 +398,4 @@ def test_odd_messages_of_a_page_do_nothing(served: Any, kind: str) -> None:
     with connect(path, additional_headers={"authorization": f"Bearer {served.drive}"}, proxy=None) as line:
         line.send(ODD[kind])
         assert [json.loads(line.recv(timeout=WAIT_S))["mine"] for _ in range(3)]
-    served.robot.seat.override = 0.5
+    served.robot.session.override = 0.5

@@ -15,7 +15,7 @@ import typer
 from typer.main import get_command
 
 from armsight import _files
-from armsight.app.operator.one_console import one_console
+from armsight.app.operator.robot_cell import one_console
 from armsight.cli import command_ui
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.commands import app as commands
@@ -23,7 +23,7 @@ from armsight.clock import ManualClock
 from armsight.drivers import list_images, read_image
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.remote import ServerAddress
-from armsight.drivers.rsi.settings import read_tags
+from armsight.drivers.rsi.messages import read_tags
 from armsight.errors import ArmsightError, BadFile, DataRefused, DeviceFailed, UsageError
 from armsight.store import atomic, read_rig, write_text
 from armsight.store.atomic import sha256

@@ -12,12 +12,12 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.app.robot.service import Service
 from armsight.clock import ManualClock
+from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.server import auth as doors
+from armsight.server.messages import Session
 from armsight.server.serving import background
-from armsight.server.session import Session
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token, read_tokens
 
@@ -198,7 +198,7 @@ def test_a_fault_within_tells_the_caller_nothing_of_it(service, said, monkeypatc
     def broken(*_: object) -> None:
         raise RuntimeError("/home/secret/place")
 
-    monkeypatch.setattr(service.authority, "state", broken)
+    monkeypatch.setattr(service.authority, "status", broken)
     with background(service) as url:
         told = said(url, f"GET {say.STATE_PATH} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
     assert told.startswith(b"HTTP/1.1 500") and b"secret" not in told

@@ -150,7 +150,7 @@ def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str
                     down.send(data, cycle)
                 step()
                 stalled = max(0, stalled - 1) if stalled else int(rng.integers(1, 12)) * (rng.random() < 0.2 * late)
-                if loop.status is not None and loop.status.state is GuardState.STOPPED:
+                if loop.status is not None and loop.status.guard is GuardState.STOPPED:
                     found.stopped += 1
                     break
     finally:

@@ -18,11 +18,12 @@ from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control import CycleState, JointGoal, SetPoint, ToolPose, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits, TargetState
+from armsight.control.guard.faults import Watch
 from armsight.control.guard.follow import Follower
 from armsight.control.guard.motion import State
 from armsight.control.guard.space import Breach
-from armsight.control.guard.watch import Watch
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
+from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError
 from armsight.store.arm_file import arm_from_mapping
 from armsight_sim.arms import SimArm
@@ -245,9 +246,9 @@ def trial(fault: str, motion: str, seed: int, *, longest_s: float = 12.0) -> Out
         loop = cell.loop = ControlLoop(robot, guard, cell, cell.clock, enabled=cell.enabled)
         robot_stops_s = math.inf
 
-        def until(status: LoopStatus) -> bool:
+        def until(status: RobotStatus) -> bool:
             nonlocal robot_stops_s
-            states.append((status.t_s, status.state, status.at_rest))
+            states.append((status.t_s, status.guard, status.at_rest))
             if cell.broken and not begun[0]:
                 begun[0] = True
                 if case.by_robot:
@@ -256,7 +257,7 @@ def trial(fault: str, motion: str, seed: int, *, longest_s: float = 12.0) -> Out
                     cell.clock.advance(0.6)
             if cell.broken:
                 cell.trouble()
-            there = status.state is case.ends and (status.at_rest or case.ends is RUNNING)
+            there = status.guard is case.ends and (status.at_rest or case.ends is RUNNING)
             rested[0] = rested[0] + 1 if cell.broken and there else 0
             return rested[0] > (60 if case.ends is RUNNING else 5) or status.t_s > longest_s
 

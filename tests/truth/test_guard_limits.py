@@ -41,7 +41,7 @@ def test_one_violation_that_excuses_others_is_seen(monkeypatch: pytest.MonkeyPat
     told = Breach.worse_than
 
     def merged(self: Breach, allowed):
-        place = self.limits.of_place
+        place = self.limits.of_position
         return told(self, np.where(place, max(0.0, float(allowed[place].max())), allowed))
 
     monkeypatch.setattr(Breach, "worse_than", merged)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from armsight.control.servo import ServoSource, TargetTrack
-from armsight.control.servo.lateness import Lateness
-from armsight.control.servo.reaction import Reaction
+from armsight.control.servo.delay import Lateness
+from armsight.control.servo.law import Reaction
 
 sys.path.insert(0, str(Path(__file__).parent))
 import servo_lies as scene

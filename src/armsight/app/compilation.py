@@ -19,6 +19,7 @@ from threading import Lock
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.app.demo import measure_pictures
 from armsight.app.measure.warm_up import compile_beside
 from armsight.drivers import CELLS, known, load
 from armsight.records import BoardView, Progress, Silent, Spots
@@ -251,7 +252,6 @@ def together() -> None:
     They are simulated, or, where the simulation is not installed, the real pictures of a board.
     """
     from armsight.app.demo import demo
-    from armsight.app.demo_pictures import measure_pictures
     from armsight.measure.poses.pipeline import warm_up
 
     warm_up()

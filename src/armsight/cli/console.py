@@ -83,7 +83,7 @@ def _without_robot(
 ) -> None:
     from fastapi import FastAPI
 
-    from armsight.app.operator.one_console import one_console
+    from armsight.app.operator.robot_cell import one_console
     from armsight.console import texts
     from armsight.console.application import add_console
     from armsight.console.state import Console
@@ -109,8 +109,7 @@ def serve_cell(
     changed: entries of the cell's file. page: told what is done until the pages are there. Raises what its files, the
     robot, the address and the disk refuse.
     """
-    from armsight.app.operator.one_console import one_console
-    from armsight.app.operator.robot_cell import open_robot_cell, prepare_simulated
+    from armsight.app.operator.robot_cell import one_console, open_robot_cell, prepare_simulated
     from armsight.console import texts
     from armsight.console.application import add_console
     from armsight.console.state import Console

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from armsight.app.schemas.play import PlayOutput
-    from armsight.control.loop import LoopStatus
     from armsight.control.play import PathSource, PlayProgress, WatchFigures
+    from armsight.control.status import RobotStatus
 
 WAY = "Way"
 KEYS = "space: pause and go on; + and -: faster and slower by a tenth of the planned speed"
@@ -99,9 +99,9 @@ def play(
     The whole way is checked first; before anything moves it is told in mm and degrees, and asked for.
     """
     with CommandUI(as_json=json) as face, ExitStack() as stack:
-        from armsight.app.play.job import PlayJob
-        from armsight.app.play.run import run_play
-        from armsight.app.robot.keys import listening
+        from armsight.app.play.play_job import PlayJob
+        from armsight.app.play.play_path import run_play
+        from armsight.app.robot.jog_by_hand import listening
 
         job = PlayJob(
             robot=robot,
@@ -169,14 +169,14 @@ class PlayLine:
         self._told_s = 0.0
         self._before = ""
 
-    def show(self, status: LoopStatus, at: PlayProgress, seen: WatchFigures | None) -> None:
+    def show(self, status: RobotStatus, at: PlayProgress, seen: WatchFigures | None) -> None:
         """Tell of a cycle."""
-        now_s, state = time.monotonic(), f"{status.state}{at.stage}{at.paused}{status.why.split(',')[0]}"
+        now_s, state = time.monotonic(), f"{status.guard}{at.stage}{at.paused}{status.why.split(',')[0]}"
         every_s = DRAW_EVERY_S if self._console.is_terminal else LINE_EVERY_S
         if state == self._before and now_s - self._told_s < every_s:
             return
         self._told_s, self._before = now_s, state
-        told = f"{status.state.upper():9} {at.stage}{' (paused)' if at.paused else ''} {100.0 * at.share:.0f} %"
+        told = f"{status.guard.upper():9} {at.stage}{' (paused)' if at.paused else ''} {100.0 * at.share:.0f} %"
         told += f", {at.s_m / MM:.1f} of {at.length_m / MM:.1f} mm at {at.speed_m_s / MM:.1f} mm/s"
         if seen is not None and seen.last_m is not None:
             told += f", seen {seen.last_m / MM:.2f} mm off"

@@ -59,9 +59,9 @@ def serve(
 ) -> None:
     """Serve a robot: this program alone talks to its controller and guards it; others watch, stop and drive it."""
     with CommandUI(as_json=False, until_stopped=True) as face:
-        from armsight.app.robot.event_log import default_log
+        from armsight.app.robot.recorder import default_log
         from armsight.errors import UsageError
-        from armsight.server.serve_robot import serve_robot
+        from armsight.server.serving import serve_robot
         from armsight.server.web_server import ServeOptions
 
         if add_token is not None:

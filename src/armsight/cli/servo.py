@@ -16,7 +16,7 @@ from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from armsight.app.schemas.servo import ServoOutput
-    from armsight.control.loop import LoopStatus
+    from armsight.control.status import RobotStatus
 
 LINE_EVERY_S, DRAW_EVERY_S = 5.0, 0.1
 """How often the line is told where there is no terminal, and drawn where there is one."""
@@ -93,8 +93,8 @@ def servo(
 ) -> None:
     """Follow a target that the cameras see, through the guard. Ctrl-C brings the arm to rest."""
     with CommandUI(as_json=json, until_stopped=seconds is None) as face:
-        from armsight.app.servo.job import ServoJob
-        from armsight.app.servo.run import run_servo
+        from armsight.app.servo.run_servo import run_servo
+        from armsight.app.servo.servo_job import ServoJob
 
         job = ServoJob(
             robot=robot,
@@ -143,14 +143,14 @@ class ServoLine:
         self._told_s = 0.0
         self._before = ""
 
-    def show(self, status: LoopStatus, error_m: float | None) -> None:
+    def show(self, status: RobotStatus, error_m: float | None) -> None:
         """Tell of a cycle."""
-        now_s, state = time.monotonic(), f"{status.state}{status.why.split(',')[0]}"
+        now_s, state = time.monotonic(), f"{status.guard}{status.why.split(',')[0]}"
         every_s = DRAW_EVERY_S if self._console.is_terminal else LINE_EVERY_S
         if state == self._before and now_s - self._told_s < every_s:
             return
         self._told_s, self._before = now_s, state
-        told = f"{status.state.upper():9} "
+        told = f"{status.guard.upper():9} "
         told += (
             f"{error_m / MM:.2f} mm from where it is wanted" if error_m is not None and not status.why else status.why
         )

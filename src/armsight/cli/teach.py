@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from armsight.app.schemas.teach import TeachOutput
-    from armsight.app.servo.job import ServoJob
-    from armsight.app.teach.job import TeachJob
-    from armsight.app.teach.standing import StandingJob
+    from armsight.app.servo.servo_job import ServoJob
+    from armsight.app.teach import StandingJob, TeachJob
     from armsight.control.teach import PathRecorder
 
 KEYS = "space: pause and go on; u: undo the last stretch; w: weld on; e: weld off"
@@ -94,9 +93,8 @@ def teach(
     With --robot the arm follows meanwhile; without one the cameras stand (--world), or --from takes poses.csv.
     """
     with CommandUI(as_json=json, until_stopped=seconds is None) as face:
-        from armsight.app.servo.job import ServoJob
-        from armsight.app.teach.job import TeachJob
-        from armsight.app.teach.standing import StandingJob, teach_poses
+        from armsight.app.servo.servo_job import ServoJob
+        from armsight.app.teach import StandingJob, TeachJob, teach_poses
 
         job = TeachJob(out=out, tip=tip, every=every, mean=mean, path_speed_m_s=path_speed, wait=wait)
         cameras: dict[str, Any] = {
@@ -145,8 +143,8 @@ def teach(
 
 def standing_taught(face: CommandUI, job: TeachJob, seen_by: StandingJob) -> TeachOutput:
     """Teach before cameras that stand, with keys to steer it."""
-    from armsight.app.robot.keys import listening
-    from armsight.app.teach.standing import teach_standing
+    from armsight.app.robot.jog_by_hand import listening
+    from armsight.app.teach import teach_standing
 
     with ExitStack() as stack:
 
@@ -159,8 +157,8 @@ def standing_taught(face: CommandUI, job: TeachJob, seen_by: StandingJob) -> Tea
 
 def following_taught(face: CommandUI, job: TeachJob, servo: ServoJob, *, yes: bool) -> TeachOutput:
     """Teach while the arm follows, after asking, with keys to steer it."""
-    from armsight.app.robot.keys import listening
-    from armsight.app.teach.following import teach_following
+    from armsight.app.robot.jog_by_hand import listening
+    from armsight.app.teach import teach_following
 
     recorders: list[PathRecorder] = []
     with ExitStack() as stack:

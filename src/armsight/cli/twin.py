@@ -27,4 +27,4 @@ def twin(
 
         stop = face.progress("twin")
         on = lambda: not stop.cancelled()  # noqa: E731
-        run_twin(name, port=port, connect=connect, arm=arm, cycle_s=cycle, on=on, tell=typer.echo, warn=face.say)
+        run_twin(name, port=port, connect=connect, arm=arm, cycle_s=cycle, on=on, ready=typer.echo, warn=face.say)

@@ -14,7 +14,6 @@ from nicegui import app, core, ui
 from starlette.applications import Starlette
 
 from armsight.console import texts
-from armsight.console.headers import SafeHeaders
 from armsight.console.layout import STATIC, page, text_of
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.identify import identify_page
@@ -22,10 +21,9 @@ from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
 from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
-from armsight.console.pictures import add_pictures
 from armsight.console.robot_link import add_robot_link, person_of
+from armsight.console.routes import SafeHeaders, add_files, add_pictures
 from armsight.console.state import Console
-from armsight.console.uploads import add_files
 
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,

@@ -16,10 +16,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
-from armsight.app.operator.identify import SweepFit
-from armsight.app.operator.placing import arm_points, rig_pose
+from armsight.app.operator.cell_poses import arm_points, rig_pose
+from armsight.app.operator.identify_run import SweepFit
 from armsight.console import texts
-from armsight.console.curves import Curve, Ruler
+from armsight.console.plots import Curve, Ruler
 from armsight.console.state import Console
 from armsight.console.tracks import Ticks
 from armsight.errors import ArmsightError
@@ -67,14 +67,15 @@ BACK = 1.2
 ASIDE = Rotation.from_euler("z", 35.0, degrees=True)
 """From the cameras' direction to the eye's: no axis of a cell set up square to them is seen end on."""
 UPRIGHT = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
-"""From a rig's axes (x right, y down, z forward) to a screen's (z up), where its place in world is not known."""
+"""From a rig's axes (x right, y down, z forward) to a screen's (z up), where its position in world is not known."""
 
 
 class Scene:
     """A 3-D view on a page; `show` moves what moves."""
 
     def __init__(self, console: Console, picked: Callable[[int], None] | None = None) -> None:
-        """Draw what the cell has onto the page that is being built; picked: is told which place of a path is clicked.
+        """Draw what the cell has onto the page that is being built; picked: is told which position of a path is
+        clicked.
 
         Raises BadFile.
         """
@@ -82,7 +83,7 @@ class Scene:
         self._console = console
         cell, folder = console.cell, console.folder
         rig_file, target_file = (cell_path(folder, getattr(cell, name), name) for name in ("rig", "target"))
-        self._arm = None if console.robot is None else console.robot.seat.arm
+        self._arm = None if console.robot is None else console.robot.session.arm
         self._q: Array | None = self._joints()
         placed = rig_pose(folder, cell, self._arm, self._q)
         if placed is None and rig_file is not None:
@@ -124,8 +125,8 @@ class Scene:
     def show(self, view: LiveView | None) -> None:
         """Put arm, carried cameras and target where they are; hide the target where it is not seen."""
         self._show_arm()
-        whole = view is not None and view.xyz_m is not None and view.quat_xyzw is not None
-        self._target.visible(whole)
+        has_pose = view is not None and view.xyz_m is not None and view.quat_xyzw is not None
+        self._target.visible(has_pose)
         T = self._T_scene_rig if view is not None and view.parent == "rig" else RigidTransform.identity()
         self._show_uncertainty(view, T)
         if view is None or view.xyz_m is None or view.quat_xyzw is None:
@@ -146,7 +147,7 @@ class Scene:
         if self._near:
             self._ruler.show(self._ticks())
         std_m = np.array([std for _, std in tracks.measured])
-        self._measured.show([place for place, _ in tracks.measured], track_colours(std_m).round(2).tolist())
+        self._measured.show([position for position, _ in tracks.measured], track_colours(std_m).round(2).tolist())
         known = std_m[np.isfinite(std_m)]
         return (float(known.min()), float(known.max())) if len(known) else None
 
@@ -171,8 +172,8 @@ class Scene:
                 part.material(COLOURS[kind], opacity=SEEN_THROUGH if near else 1.0)
 
     def _ticks(self) -> Ticks | None:
-        places = [place for curve in (self._measured, self._taught, self._tool) for place in curve.places]
-        return Ticks.about(np.array(places)) if places else None
+        positions = [position for curve in (self._measured, self._taught, self._tool) for position in curve.positions]
+        return Ticks.about(np.array(positions)) if positions else None
 
     def _show_uncertainty(self, view: LiveView | None, T_scene_parent: RigidTransform) -> None:
         """Draw the ellipsoid of the position where it is; `scale` tells how enlarged, 0 without one."""
@@ -190,17 +191,17 @@ class Scene:
     def show_path(self, xyz_m: Array, chosen: Collection[int] = ()) -> None:
         """Draw a path (n, 3) in world; the ball at its start is larger, those chosen are in another colour."""
         self._path.delete()
-        places = xyz_m.tolist()
+        positions = xyz_m.tolist()
         apart_m = np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)
         radius = float(np.clip(0.3 * np.median(apart_m), 0.0015, 0.005)) if len(apart_m) else 0.005
         with self._scene, self._scene.group() as self._path:
-            for i, place in enumerate(places):
-                ball = self._scene.sphere(radius=(1.8 if i == 0 or i in chosen else 1.0) * radius).move(*place)
+            for i, position in enumerate(positions):
+                ball = self._scene.sphere(radius=(1.8 if i == 0 or i in chosen else 1.0) * radius).move(*position)
                 ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
-        self._taught.show([tuple(place) for place in places], [_rgb(PATH_COLOUR)] * len(places))
+        self._taught.show([tuple(position) for position in positions], [_rgb(PATH_COLOUR)] * len(positions))
 
     def _clicked(self, event: SceneClickEventArguments) -> None:
-        found = next((place for hit in event.hits if (place := POINT_NAME.fullmatch(str(hit.object_name)))), None)
+        found = next((match for hit in event.hits if (match := POINT_NAME.fullmatch(str(hit.object_name)))), None)
         if found is not None and self._picked is not None:
             self._picked(int(found[1]))
 
@@ -221,8 +222,8 @@ class Scene:
                     self._scene.line(one, next_).material(colour)
                 label = self._scene.text(texts.FIT_JOINT.format(joint=fit.joint), f"font-weight: 700; color: {colour}")
                 label.move(*T.apply(fit.axis[1]).tolist())
-                for place in T.apply(fit.seen).tolist():
-                    self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
+                for position in T.apply(fit.seen).tolist():
+                    self._scene.sphere(radius=0.004).move(*position).material(COLOURS["target"])
 
     def _joints(self) -> Array | None:
         try:
@@ -276,8 +277,8 @@ class Scene:
 
     def _draw_pyramid(self, T_rig_camera: RigidTransform, colour: str, share: float = 1.0) -> None:
         corners = share * FRUSTUM_M * np.array([[-0.6, -0.35, 1], [0.6, -0.35, 1], [0.6, 0.35, 1], [-0.6, 0.35, 1]])
-        centre, places = T_rig_camera.translation.tolist(), T_rig_camera.apply(corners).tolist()
-        for one, next_ in zip(places, [*places[1:], places[0]], strict=True):
+        centre, positions = T_rig_camera.translation.tolist(), T_rig_camera.apply(corners).tolist()
+        for one, next_ in zip(positions, [*positions[1:], positions[0]], strict=True):
             self._scene.line(centre, one).material(colour)
             self._scene.line(one, next_).material(colour)
 
@@ -306,7 +307,7 @@ def _put(thing: Object3D, T_scene_thing: RigidTransform) -> None:
 
 
 def _stretch(bone: Object3D, begin: Array, end: Array) -> None:
-    """Let a cylinder of height 1 along y reach from one place (3,) to another; hide it where they are one."""
+    """Let a cylinder of height 1 along y reach from one position (3,) to another; hide it where they are one."""
     way = end - begin
     length_m = float(np.linalg.norm(way))
     bone.visible(length_m > 1e-6)

@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
-from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.mirror_alignment import MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
+from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.guided.timing import TimingStep
 from armsight.app.live.followed import FollowedCell
 from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, require_kind
 from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
-from armsight.app.operator.path_desk import PathDesk
+from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
-from armsight.app.operator.teach import TeachDesk, teach_desk
+from armsight.app.operator.teach_controller import TeachController, teach_controller
 from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
@@ -62,12 +62,12 @@ class Console:
     """(7,) each: t_s, then as values_of."""
     tracks: Tracks = field(default_factory=Tracks)
     _newest: LiveView | None = None
-    steps: dict[str, StepDesk] = field(default_factory=dict)
+    steps: dict[str, GuidedStepRunner] = field(default_factory=dict)
     _alignment: MirrorAlignment | None = None
     robot: RobotCell | None = None
     supervisor: StationSupervisor | None = None
-    _teaching: TeachDesk | None = None
-    _path: PathDesk | None = None
+    _teaching: TeachController | None = None
+    _path: PathEditor | None = None
     refusal: str = ""
     """Why the cell as it was kept is not measured."""
 
@@ -140,16 +140,16 @@ class Console:
         own = followed is not None and (cell.left, cell.right) == cameras_of(followed.scenario)
         return followed if own else None
 
-    def teaching(self) -> TeachDesk:
+    def teaching(self) -> TeachController:
         """Return the recorder of paths, begun where there is none. Raises NotEnoughData, BadFile."""
         if self._teaching is None:
-            self._teaching = teach_desk(self.folder, self.cell, self.require_robot(), lambda: self.station)
+            self._teaching = teach_controller(self.folder, self.cell, self.require_robot(), lambda: self.station)
         return self._teaching
 
-    def path_desk(self) -> PathDesk:
+    def path_editor(self) -> PathEditor:
         """Return the path of the cell. Raises BadFile."""
         if self._path is None:
-            self._path = PathDesk(self.folder)
+            self._path = PathEditor(self.folder)
         return self._path
 
     def require_robot(self) -> RobotCell:
@@ -160,10 +160,10 @@ class Console:
             )
         return self.robot
 
-    def step(self, name: str) -> StepDesk:
+    def step(self, name: str) -> GuidedStepRunner:
         """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
         if name not in self.steps:
-            self.steps[name] = StepDesk(STEPS[name](self, self.folder / "calibrate" / name))
+            self.steps[name] = GuidedStepRunner(STEPS[name](self, self.folder / "calibrate" / name))
         return self.steps[name]
 
     def set_mirrors(self, built: CellMirrors) -> None:

@@ -35,20 +35,6 @@ HOLDING = "Robot is held: {why}"
 STOPPED_WHY = "Robot is stopped: {why}"
 DRIVES = "{who} drives; you can watch, and stop"
 
-
-def robot_words(robot: str, guard: str, why: str, driver: str, *, mine: bool) -> tuple[str, str]:
-    """Return the level (good, warn, bad, idle) and the words of a robot's state."""
-    level = {"ready": "good", "moving": "warn"}.get(robot, "bad")
-    words = ROBOT[robot]
-    if robot == "stopped" and why:
-        words = STOPPED_WHY.format(why=why)
-    elif guard == "holding" and why:
-        level, words = "warn", HOLDING.format(why=why)
-    if driver and not mine:
-        words = f"{words}. {DRIVES.format(who=driver)}"
-    return level, words
-
-
 JOG = "Move the robot by hand"
 JOG_HELP = "Hold a key to move; it is its own enable. Speed is set above."
 JOG_FRAMES = {"joints": "Joints", "base": "Tool along the base's axes", "tool": "Tool along its own axes"}

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from armsight.units import MM
 
 Array = NDArray[np.float64]
-Place = tuple[float, float, float]
+Point = tuple[float, float, float]
 
-PLACES = 1500
-"""Places of a track that are kept: 12 m of a path at 80 mm/s, at ten a second."""
+POINTS = 1500
+"""Positions of a track that are kept: 12 m of a path at 80 mm/s, at ten a second."""
 APART_M = 5e-4
 """What is seen so near to its track's end is at rest: the track goes on beyond it."""
 DIGITS = 5
-"""Of places in m as they are sent."""
+"""Of positions in m as they are sent."""
 TICKS = 8
 """Of the longest axis at most."""
 
@@ -28,18 +28,18 @@ class Tracks:
     """Where the target was measured, with its standard deviation in m, and where the arm's tool was; all pages add to
     them and show the same."""
 
-    measured: deque[tuple[Place, float]] = field(default_factory=lambda: deque(maxlen=PLACES))
-    tool: deque[Place] = field(default_factory=lambda: deque(maxlen=PLACES))
+    measured: deque[tuple[Point, float]] = field(default_factory=lambda: deque(maxlen=POINTS))
+    tool: deque[Point] = field(default_factory=lambda: deque(maxlen=POINTS))
 
     def add_measured(self, xyz_m: Array, std_m: float) -> None:
         """Add where the target is (3,) where it has gone on."""
         if not self.measured or _apart(xyz_m, self.measured[-1][0]):
-            self.measured.append((_place(xyz_m), std_m))
+            self.measured.append((_rounded(xyz_m), std_m))
 
     def add_tool(self, xyz_m: Array) -> None:
         """Add where the tool is (3,) where it has gone on."""
         if not self.tool or _apart(xyz_m, self.tool[-1]):
-            self.tool.append(_place(xyz_m))
+            self.tool.append(_rounded(xyz_m))
 
     def clear(self) -> None:
         """Begin anew."""
@@ -47,12 +47,12 @@ class Tracks:
         self.tool.clear()
 
 
-def _place(xyz_m: Array) -> Place:
+def _rounded(xyz_m: Array) -> Point:
     x, y, z = (round(float(value), DIGITS) for value in xyz_m)
     return x, y, z
 
 
-def _apart(one: Array, other: Place) -> bool:
+def _apart(one: Array, other: Point) -> bool:
     return bool(np.linalg.norm(one - np.array(other)) > APART_M)
 
 
@@ -65,9 +65,9 @@ class Ticks:
     step_mm: int
 
     @classmethod
-    def about(cls, places: Array) -> Ticks:
-        """Return those about places (n, 3) in m."""
-        low, high = places.min(axis=0) / MM, places.max(axis=0) / MM
+    def about(cls, positions: Array) -> Ticks:
+        """Return those about positions (n, 3) in m."""
+        low, high = positions.min(axis=0) / MM, positions.max(axis=0) / MM
         wanted = max(float((high - low).max()) / (TICKS - 1), 1.0)
         size = 10 ** int(np.floor(np.log10(wanted)))
         step = next(n * size for n in (1, 2, 5, 10) if n * size >= wanted)

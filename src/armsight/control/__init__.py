@@ -3,21 +3,29 @@
 from armsight.control.setpoints import (
     CycleState,
     Finished,
+    FlangePose,
     Hold,
     JointGoal,
+    JointStep,
     JointVelocity,
+    Motion,
     SetPoint,
     SetPointSource,
     ToolPose,
     ToolTwist,
 )
+from armsight.control.status import RobotStatus
 
 __all__ = [
     "CycleState",
     "Finished",
+    "FlangePose",
     "Hold",
     "JointGoal",
+    "JointStep",
     "JointVelocity",
+    "Motion",
+    "RobotStatus",
     "SetPoint",
     "SetPointSource",
     "ToolPose",

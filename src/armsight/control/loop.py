@@ -9,23 +9,20 @@ from __future__ import annotations
 
 import gc
 import math
-import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
 from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Decision, Guard, GuardState, Inputs, TargetState
-from armsight.control.jitter import Jitter, Timing
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, SetPointSource
-from armsight.drivers import Pace, Paced, Robot, RobotState, Sent
+from armsight.control.status import Jitter, RobotStatus, Timing
+from armsight.drivers import Pace, Paced, Robot, RobotState, RobotTraits, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData
 from armsight.records import JointReading
 
@@ -41,8 +38,6 @@ LATE_SHARE = 0.5
 """A cycle that begins later than this share of itself counts as late."""
 PATIENCE = 1.5
 """Cycles that a controller's next one is waited for; then this one passes without a step."""
-HOW_LONG = re.compile(r",? (?:for|last seen) (?:more than )?[\d.e+-]+ m?s\b.*")
-"""What differs from cycle to cycle of one reason."""
 
 
 @runtime_checkable
@@ -54,38 +49,13 @@ class FollowsTarget(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LoopStatus:
-    """The newest cycle, for screens and clients; replaced as a whole, so that any thread may read it."""
-
-    t_s: float
-    state: GuardState
-    why: str
-    limited: tuple[str, ...]
-    source: str
-    q: Array
-    q_sent: Array
-    T_base_tool: RigidTransform
-    at_rest: bool
-    finished: bool
-    robot: RobotState
-    n_cycles: int
-    late: int
-    missed: int
-
-    @property
-    def reason(self) -> str:
-        """Why it does not run, without for how long: the same in each cycle."""
-        return HOW_LONG.sub("", self.why)
-
-
 class ControlLoop:
     """Moves an open robot through a guard. `run` blocks; all other methods may be called from any thread.
 
     enabled: tells whether the operator's enable is alive, such as Enable.alive. A source that has a method warm_up()
     gets it called before the first cycle; one that FollowsTarget is asked for its target each cycle. by_pose: send
-    poses of the flange by move_pose; where not said, a robot that says it `takes_joints` or says nothing gets joint
-    steps.
+    poses of the flange by move_pose; where not said, a robot gets them whose traits say that it takes no
+    joints.
     """
 
     def __init__(
@@ -103,12 +73,12 @@ class ControlLoop:
         self._source = source
         self._enabled = enabled
         self._sink = sink or NoSink()
-        self._by_pose = not getattr(robot, "takes_joints", True) if by_pose is None else by_pose
+        self._by_pose = not RobotTraits.of(robot).takes_joints if by_pose is None else by_pose
         self._T_tool_flange = guard.arm.T_flange_tool.inv()
         self._stop_why = ""
         self._reset = False
         self._ending = False
-        self._status: LoopStatus | None = None
+        self._status: RobotStatus | None = None
         self._jitter = Jitter(LATE_SHARE * guard.cycle_s)
         self._reading: JointReading | None = None
         self._finished = False
@@ -116,7 +86,7 @@ class ControlLoop:
         self._pace: Pace | None = None
 
     @property
-    def status(self) -> LoopStatus | None:
+    def status(self) -> RobotStatus | None:
         """The newest cycle; None before the first."""
         return self._status
 
@@ -140,7 +110,7 @@ class ControlLoop:
         """Follow another source from the next cycle on; there is one at a time."""
         self._source = source
 
-    def run(self, *, for_s: float = math.inf, until: Callable[[LoopStatus], bool] | None = None) -> Timing:
+    def run(self, *, for_s: float = math.inf, until: Callable[[RobotStatus], bool] | None = None) -> Timing:
         """Run until end(), for_s has passed or until says so, come to rest, and return how punctual it was.
 
         The robot stands still before it begins and after it ended. Raises what the robot raises where it cannot be
@@ -193,7 +163,7 @@ class ControlLoop:
             return self._robot.read().q
         return self._robot.step_joints(np.zeros(self._guard.arm.n)).q
 
-    def _cycles(self, for_s: float, until: Callable[[LoopStatus], bool] | None) -> None:
+    def _cycles(self, for_s: float, until: Callable[[RobotStatus], bool] | None) -> None:
         clock, cycle_s = self._clock, self._guard.cycle_s
         start_s = due_s = ending_s = clock.now_s() + cycle_s
         while True:
@@ -232,7 +202,7 @@ class ControlLoop:
             return True, missed, self._clock.now_s()
         return False, missed, pace.t_s - unused * self._guard.cycle_s
 
-    def _cycle(self, now_s: float, late_s: float, *, waiting: bool = False) -> LoopStatus:
+    def _cycle(self, now_s: float, late_s: float, *, waiting: bool = False) -> RobotStatus:
         """Do one cycle, begun late_s too late; also called by tests and by loops that keep time otherwise.
 
         waiting: the controller has not taken the last step yet.
@@ -259,7 +229,7 @@ class ControlLoop:
         for event in decision.events:
             self._sink.event(event.t_s, event.message, event.level, f"guard/{source.name}")
         self._finished = self._finished if waiting else isinstance(wanted, Finished)
-        return self._told(now_s, decision, source.name, robot_state)
+        return self._noted(inputs, decision, source.name)
 
     def _asked(self, source: SetPointSource, now: CycleState) -> SetPoint:
         """Return what the source wants; a source that fails is told to hold, as the contract says it never does."""
@@ -312,20 +282,21 @@ class ControlLoop:
         except ArmsightError as error:
             self._stop_why = f"the reset failed: {error.cause}"
 
-    def _told(self, now_s: float, decision: Decision, source: str, robot: RobotState) -> LoopStatus:
-        status = LoopStatus(
-            t_s=now_s,
-            state=decision.state,
+    def _noted(self, inputs: Inputs, decision: Decision, source: str) -> RobotStatus:
+        """Return the status of this cycle, which is now the newest."""
+        status = RobotStatus(
+            t_s=inputs.now_s,
+            cycle=self._jitter.n_cycles + 1,
+            robot=inputs.robot,
+            guard=decision.state,
             why=decision.why,
             limited=decision.limited,
             source=source,
-            q=decision.q if self._reading is None else self._reading.q,
+            reading=self._reading,
             q_sent=decision.q,
-            T_base_tool=decision.T_base_tool,
             at_rest=decision.at_rest,
             finished=self._finished,
-            robot=robot,
-            n_cycles=self._jitter.n_cycles + 1,
+            enabled=inputs.enabled,
             late=self._jitter.late,
             missed=self._jitter.missed,
         )

@@ -1,14 +1,15 @@
-"""What may be asked of a robot for one control cycle, and who asks it: one source of set points at a time."""
+"""What may be asked of a robot: set points for one control cycle, one source at a time, and a driver's commands."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.geometry import xyz_quat
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
@@ -32,6 +33,23 @@ class JointVelocity:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "qd", frozen_array("qd", self.qd, (None,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointStep:
+    """A step (n,) in rad or m from where the robot was last told to go; no further than one cycle allows."""
+
+    step: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "step", frozen_array("step", self.step, (None,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FlangePose:
+    """T_base_flange towards which the flange moves, as far as one cycle allows."""
+
+    T_base_flange: RigidTransform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +84,10 @@ class Finished:
 
 
 SetPoint = JointGoal | JointVelocity | ToolPose | ToolTwist | Hold | Finished
+"""What a source asks for, cycle by cycle."""
+
+Motion = JointGoal | JointVelocity | JointStep | FlangePose | ToolTwist
+"""What a driver asks for, over a network or from a page; steps and poses become goals of the joints."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,3 +124,65 @@ class SetPointSource(Protocol):
     def next(self, now: CycleState) -> SetPoint:
         """Return what is wanted for this cycle; never blocks, and raises nothing: troubles are a Hold with its why."""
         ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beat:
+    """The driver is alive. enable: whether motion is allowed.
+
+    number: of the beat, which grows; one that came by another way and was overtaken does not count.
+    """
+
+    enable: bool
+    number: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop:
+    """Come to rest and take nothing until a reset."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reset:
+    """Take commands again after a stop; the enable has to be let go of and given anew."""
+
+
+Command = Motion | Hold | Beat | Stop | Reset
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Taken:
+    """A command that was taken.
+
+    t_s: when, on the loop's clock. cycle: the loop's cycle then. q (n,): where it takes the joints, in rad or m; None
+    where it has no goal. T_base_flange: the flange's pose there; None where it is not known. limited: the limits that
+    cut the command, in words.
+    """
+
+    t_s: float
+    cycle: int
+    q: NDArray[np.float64] | None = None
+    T_base_flange: RigidTransform | None = None
+    limited: tuple[str, ...] = ()
+
+
+def logged(command: Motion | Hold | Stop | Reset) -> tuple[str, dict[str, Any]]:
+    """Return a command's kind and values as the log has them."""
+    match command:
+        case JointGoal(q=q):
+            return "joint_goal", {"q": q.tolist()}
+        case JointVelocity(qd=qd):
+            return "joint_velocity", {"qd": qd.tolist()}
+        case JointStep(step=step):
+            return "joint_step", {"step": step.tolist()}
+        case FlangePose(T_base_flange=T):
+            xyz, quat = xyz_quat(T)
+            return "flange_pose", {"T_base_flange": {"xyz_m": xyz.tolist(), "quat_xyzw": quat.tolist()}}
+        case ToolTwist(velocity_m_s=v, angular_rad_s=w):
+            return "tool_twist", {"velocity_m_s": v.tolist(), "angular_rad_s": w.tolist()}
+        case Hold():
+            return "hold", {}
+        case Stop():
+            return "stop", {}
+        case Reset():
+            return "reset", {}

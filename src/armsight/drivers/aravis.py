@@ -9,9 +9,9 @@ from typing import Any
 
 from armsight.clock import Clock
 from armsight.drivers.camera_settings import AUTOMATIC, FLAGS, CameraSettings, require_read_back
+from armsight.drivers.images import CHANNELS, grey_or_bgr, unpack_image
 from armsight.drivers.live import LiveCamera
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.pixel_layouts import CHANNELS, grey_or_bgr, unpack_image
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
 
@@ -203,9 +203,9 @@ class AravisCamera(LiveCamera):
             if buffer is None:
                 continue
             arrival_s = self._now_s()
-            whole = buffer.get_status() == api.BufferStatus.SUCCESS
-            incomplete = 0 if whole else incomplete + 1
-            if whole:
+            complete = buffer.get_status() == api.BufferStatus.SUCCESS
+            incomplete = 0 if complete else incomplete + 1
+            if complete:
                 self._put(self._frame(buffer, stamps, arrival_s))
             stream.push_buffer(buffer)
             if incomplete >= INCOMPLETE:

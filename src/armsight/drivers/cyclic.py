@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
-from armsight.drivers.joint_goals import JointGoals, JointLimits
-from armsight.drivers.pose_goals import PoseGoals
-from armsight.drivers.robot import RobotState, Sent
+from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals
+from armsight.drivers.protocols import RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
 from armsight.priority import bound_control
 from armsight.records import JointReading
@@ -219,7 +218,7 @@ class CyclicRobot(ABC):
         self._poses.hold()
 
     def _rebase(self, q: Array) -> None:
-        """Take the place where the arm stands, q (n,), for its goal."""
+        """Take the position where the arm stands, q (n,), for its goal."""
         self._goals.start(q)
 
     def _off(self, reading: JointReading) -> float:

@@ -1,19 +1,142 @@
-"""Image files: which belong to a folder or pattern, in what order, and reading one of them."""
+"""Image files: which belong to a folder or pattern, in what order; reading one of them, its size and pixel layout."""
 
 from __future__ import annotations
 
 import glob
 import re
+import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import read_file
-from armsight.drivers.image_size import LARGEST_PX, said_size
 from armsight.errors import BadFile, BadImage, NotEnoughData, UsageError
+
+CHANNELS = {"mono": 1, "bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "rggb": 1, "bggr": 1, "gbrg": 1, "grbg": 1}
+"""Bytes of a pixel by its layout; a Bayer mosaic is named by its first two rows, two pixels each."""
+
+_CODES: dict[tuple[str, bool], int] = {
+    ("mono", True): cv2.COLOR_GRAY2BGR,
+    ("bgr", False): cv2.COLOR_BGR2GRAY,
+    ("rgb", False): cv2.COLOR_RGB2GRAY,
+    ("rgb", True): cv2.COLOR_RGB2BGR,
+    ("bgra", False): cv2.COLOR_BGRA2GRAY,
+    ("bgra", True): cv2.COLOR_BGRA2BGR,
+    ("rgba", False): cv2.COLOR_RGBA2GRAY,
+    ("rgba", True): cv2.COLOR_RGBA2BGR,
+    ("rggb", False): cv2.COLOR_BayerRGGB2GRAY,
+    ("rggb", True): cv2.COLOR_BayerRGGB2BGR,
+    ("bggr", False): cv2.COLOR_BayerBGGR2GRAY,
+    ("bggr", True): cv2.COLOR_BayerBGGR2BGR,
+    ("gbrg", False): cv2.COLOR_BayerGBRG2GRAY,
+    ("gbrg", True): cv2.COLOR_BayerGBRG2BGR,
+    ("grbg", False): cv2.COLOR_BayerGRBG2GRAY,
+    ("grbg", True): cv2.COLOR_BayerGRBG2BGR,
+}
+
+
+def unpack_image(data: Any, height: int, width: int, step: int, layout: str) -> NDArray[np.uint8] | None:
+    """Return the pixels of a buffer, (h, w) or (h, w, channels) as laid out; None where the buffer is too short.
+
+    data: bytes, or an array of them. step: bytes from one row to the next, at least those of a row.
+    """
+    row = width * CHANNELS[layout]
+    flat = np.frombuffer(data, np.uint8)
+    if not height or not width or step < row or len(flat) < step * (height - 1) + row:
+        return None
+    rows = np.lib.stride_tricks.as_strided(flat, (height, row), (step, 1), writeable=False)
+    pixels = rows if CHANNELS[layout] == 1 else rows.reshape(height, width, CHANNELS[layout])
+    return np.ascontiguousarray(pixels)
+
+
+def grey_or_bgr(pixels: NDArray[np.uint8], layout: str, *, colour: bool) -> NDArray[np.uint8]:
+    """Return pixels (h, w) or (h, w, channels) of a layout as BGR (h, w, 3), or as grey (h, w)."""
+    code = _CODES.get((layout, colour))
+    return pixels if code is None else np.asarray(cv2.cvtColor(pixels, code), dtype=np.uint8)
+
+
+LARGEST_PX = 1 << 27
+"""Pixels of an image: 134 million, more than any camera of machine vision has; in colour they take 0.4 GB."""
+
+_PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
+_NO_FRAME = (0xC4, 0xC8, 0xCC)
+"""Markers of a JPEG between 0xC0 and 0xCF that begin no frame."""
+_TIFF_SIZES = {3: "H", 4: "I"}
+_WIDTH, _HEIGHT = 256, 257
+
+
+def said_size(data: bytes) -> tuple[int, int] | None:
+    """Return (width, height) in px as the head says, None where it is of no known kind or breaks off."""
+    try:
+        return _said_size(data)
+    except (struct.error, IndexError):
+        return None
+
+
+def _said_size(data: bytes) -> tuple[int, int] | None:
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return _two(">II", data, 16)
+    if data.startswith(b"\xff\xd8"):
+        return _jpeg(data)
+    if data.startswith(b"BM"):
+        width, height = _two("<ii", data, 18)
+        return abs(width), abs(height)
+    if data[:4] in (b"II*\0", b"MM\0*"):
+        return _tiff(data, "<" if data[:1] == b"I" else ">")
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return _webp(data)
+    found = _PNM.match(data)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def _two(form: str, data: bytes, at: int) -> tuple[int, int]:
+    first, second = struct.unpack_from(form, data, at)
+    return first, second
+
+
+def _jpeg(data: bytes) -> tuple[int, int] | None:
+    """Return the size of the first frame: segments are gone through up to it."""
+    at = 2
+    while data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # filling
+            at += 1
+        elif 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME:
+            height, width = _two(">HH", data, at + 5)
+            return width, height
+        else:
+            at += 2 + struct.unpack_from(">H", data, at + 2)[0]
+    return None
+
+
+def _tiff(data: bytes, order: str) -> tuple[int, int] | None:
+    """Return the size that the first directory's tags say."""
+    (start,) = struct.unpack_from(order + "I", data, 4)
+    (count,) = struct.unpack_from(order + "H", data, start)
+    found = {}
+    for at in range(start + 2, start + 2 + 12 * count, 12):
+        tag, kind = _two(order + "HH", data, at)
+        if tag in (_WIDTH, _HEIGHT) and kind in _TIFF_SIZES:
+            (found[tag],) = struct.unpack_from(order + _TIFF_SIZES[kind], data, at + 8)
+    return (found[_WIDTH], found[_HEIGHT]) if len(found) == 2 else None
+
+
+def _webp(data: bytes) -> tuple[int, int] | None:
+    kind = data[12:16]
+    if kind == b"VP8X":
+        return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if kind == b"VP8 ":
+        width, height = _two("<HH", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    return None
+
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 LARGEST_BYTES = 6 * LARGEST_PX
@@ -95,9 +218,9 @@ def list_images(text: str) -> tuple[Path, ...]:
 def read_image(path: Path, *, colour: bool = False, bits: int | None = None) -> NDArray[np.uint8]:
     """Return the image in path, grey (h, w) or BGR (h, w, 3), in the sensor's own orientation.
 
-    A rotation noted by a telephone in the file's header is not applied: the pixels of one camera keep their
-    place. bits: as ImageReading's. Raises BadFile where the file cannot be read, BadImage where it is no whole image of
-    these bits.
+    A rotation noted by a telephone in the file's header is not applied: the pixels of one camera keep their position.
+    bits: as ImageReading's. Raises BadFile where the file cannot be read, BadImage where it is no whole image of these
+    bits.
     """
     return image_of_8_bits(read_pixels(path, colour=colour), bits, str(path))
 

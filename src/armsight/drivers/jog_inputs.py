@@ -76,6 +76,7 @@ class KeyboardInput:
             return None
         pressed = os.read(self._fd, 64).decode("ascii", "replace")
         rest = (0.0,) * self._n
+        # Escape alone is a hand that wants out; with more behind it, an arrow key
         if not pressed or pressed == "\x1b" or pressed[-1] == "x":
             return JogAxes(rest, enabled=False, ended=True)
         key = OTHER_LAYOUT.get(pressed[-1].lower(), pressed[-1].lower())
@@ -112,6 +113,7 @@ class GamepadInput:
                 data = os.read(self._fd, 64 * EVENT.size)
             except OSError as error:
                 raise gone() from error
+            # the driver gives whole events: anything else is a device that is being pulled out
             if not data or len(data) % EVENT.size:
                 raise gone()
             for _, value, kind, number in EVENT.iter_unpack(data):

@@ -16,9 +16,15 @@ import numpy as np
 
 from armsight._files import is_utf8
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings
+from armsight.drivers.camera_settings import (
+    AUTOMATIC,
+    SETTINGS,
+    CameraCapture,
+    CameraSettings,
+    check_settings,
+    lock_settings,
+)
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.opencv_controls import SETTINGS, CameraCapture, check_settings, lock_settings
 from armsight.drivers.protocols import FrameSource, Skew
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame

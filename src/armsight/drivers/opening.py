@@ -1,4 +1,4 @@
-"""From what a person writes (folder, 'pattern', video, camera:NAME) to a source of frames or of pairs."""
+"""Drivers by their name, and from what a person writes (folder, 'pattern', video, camera:NAME) to a source."""
 
 from __future__ import annotations
 

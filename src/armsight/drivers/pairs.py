@@ -187,12 +187,12 @@ def check_partners(left: Sequence[Path], right: Sequence[Path]) -> None:
     lefts, rights = _numbers(left), _numbers(right)
     common = lefts.keys() & rights.keys()
     numbered_alike = 2 * len(common) >= min(len(left), len(right))
-    alone = [(number, path) for number, path in lefts.items() if number not in rights]
-    alone += [(number, path) for number, path in rights.items() if number not in lefts]
-    if len(left) == len(right) and not (numbered_alike and alone):
+    unpaired = [(number, path) for number, path in lefts.items() if number not in rights]
+    unpaired += [(number, path) for number, path in rights.items() if number not in lefts]
+    if len(left) == len(right) and not (numbered_alike and unpaired):
         return
-    if numbered_alike and alone:
-        first = f"; the first without a partner is {min(alone)[1]}"
+    if numbered_alike and unpaired:
+        first = f"; the first without a partner is {min(unpaired)[1]}"
     elif len(left) != len(right):
         longer, shorter = (left, right) if len(left) > len(right) else (right, left)
         first = f"; {longer[len(shorter)]} is the first without a partner, counted from the start"

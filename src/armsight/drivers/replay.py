@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.protocols import Skew
-from armsight.drivers.robot import RobotState, Sent
+from armsight.drivers.protocols import RobotState, Sent, Skew
 from armsight.errors import DeviceFailed, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, JointReading, Motion
 

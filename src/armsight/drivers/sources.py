@@ -1,11 +1,15 @@
-"""Frames from files: a folder or pattern of images, or a video."""
+"""Frames from files, read ahead in order: a folder or pattern of images, or a video."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import repeat
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -13,9 +17,52 @@ from numpy.typing import NDArray
 
 from armsight._files import is_utf8
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, image_of_8_bits, list_images, read_pixels
-from armsight.drivers.prefetch import ordered_map, read_ahead
 from armsight.errors import BadFile, BadImage, DataRefused, Inconsistent
 from armsight.records import Frame
+
+In = TypeVar("In")
+Out = TypeVar("Out")
+
+AHEAD = 8
+"""Results kept ready: hides the time of one slow file, and is under 10 MB of 720p images."""
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def ordered_map(
+    function: Callable[[In], Out], items: Iterable[In], *, workers: int | None = None, ahead: int = AHEAD
+) -> Generator[Out, None, None]:
+    """Yield function(item) for each item in order, computed in threads at most `ahead` items before they are asked for.
+
+    Pays where the function releases the interpreter's lock (decoding, file reading, OpenCV). An error is
+    raised at its own item. Closing the iterator cancels what has not begun.
+    """
+    with ThreadPoolExecutor(workers or cores(), thread_name_prefix="ahead") as pool:
+        pending: deque[Future[Out]] = deque()
+        try:
+            for item in items:
+                pending.append(pool.submit(function, item))
+                if len(pending) > ahead:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+def read_ahead(items: Iterable[Out], *, ahead: int = AHEAD) -> Generator[Out, None, None]:
+    """Yield the items of an iterator that one thread of its own pulls, at most `ahead` before they are asked for."""
+    iterator = iter(items)
+    end = object()
+    for item in ordered_map(lambda _: next(iterator, end), repeat(None), workers=1, ahead=ahead):
+        if item is end:
+            return
+        yield item  # type: ignore[misc]  # end, the only other type, has just been excluded
+
 
 FPS = 30.0
 """Frames a second where neither time stamps nor a rate are given."""

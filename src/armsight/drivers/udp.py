@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 from abc import abstractmethod
@@ -13,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.clock import Clock
+from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.joint_goals import JointLimits
-from armsight.drivers.pose_goals import PoseGoals, between
-from armsight.drivers.robot import Sent
-from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, UsageError
+from armsight.drivers.goals import PoseGoals, between
+from armsight.drivers.link_settings import LinkSettings, Positive
+from armsight.drivers.protocols import Sent
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
 
@@ -59,33 +60,20 @@ class UdpCounts:
     late: int = 0
 
 
-class UdpSettings(Protocol):
-    """What the settings of every such link hold; see those of the drivers."""
+class UdpSettings(LinkSettings):
+    """Settings of every such link.
 
-    @property
-    def controller(self) -> str:
-        """The only address that is listened to; empty: the first that speaks."""
-        ...
+    cycle_s: how often the controller sends. stale_s: age of a reading that is stale: two packets in a row may be late,
+    and an ordinary system too. controller: the only address that is listened to; empty: the first that speaks. bind:
+    the own address to listen at. speed_m_s, speed_rad_s: of the flange in pose guidance.
+    """
 
-    @property
-    def bind(self) -> str:
-        """The own address to listen at."""
-        ...
-
-    @property
-    def open_s(self) -> float:
-        """How long to wait for the first packet, in s."""
-        ...
-
-    @property
-    def speed_m_s(self) -> float:
-        """Largest speed of the flange in pose guidance, in m/s."""
-        ...
-
-    @property
-    def speed_rad_s(self) -> float:
-        """Largest turning of the flange in pose guidance, in rad/s."""
-        ...
+    cycle_s: Positive = 0.004
+    stale_s: Positive = 0.02
+    controller: str = ""
+    bind: str = "0.0.0.0"
+    speed_m_s: Positive = 0.1
+    speed_rad_s: Positive = math.pi / 3
 
 
 class UdpState(Protocol):
@@ -110,17 +98,32 @@ class UdpRobot(CyclicRobot, Generic[State]):
 
     A driver says what a packet is, whether it is newer than the last, what is wrong with it, and what the answer is. Of
     packets that have piled up only the newest is answered: the cycles of the others are over.
+
+    device: the UDP port. Raises UsageError for one that cannot be.
     """
+
+    scheme = "udp"
+    """What stands before the port in the robot's name."""
+
+    usual_port = 0
+    """The controller maker's own port, for an example."""
 
     guided_by = "poses"
     """What to do instead where a robot that is guided by poses is asked for joint steps."""
 
+    to_begin = ""
+    """What to do on the controller where none has spoken."""
+
     def __init__(
-        self, name: str, port: int, settings: UdpSettings, *, limits: JointLimits, times: LinkTimes, clock: Clock
+        self, device: str, settings: UdpSettings, *, n: int, silent_s: float, guidance: str, clock: Clock | None
     ) -> None:
+        """n: joints. silent_s: silence after which the link is lost. guidance: joint or pose."""
+        name, limits = f"{self.scheme}:{device}", settings.joint_limits(n)
+        self.port = udp_port(device, f"{self.scheme}:{self.usual_port}")
+        times = LinkTimes(cycle_s=settings.cycle_s, stale_s=settings.stale_s, silent_s=silent_s)
         poses = PoseGoals(name, settings.speed_m_s, settings.speed_rad_s, times.cycle_s)
-        super().__init__(name, limits=limits, times=times, clock=clock, poses=poses)
-        self.port = port
+        super().__init__(name, limits=limits, times=times, clock=clock or SystemClock(), poses=poses)
+        self.takes_poses = guidance == "pose"
         self.counts = UdpCounts()
         self._link_settings = settings
         self._last: State | None = None
@@ -187,6 +190,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         return link
 
     def _finish(self) -> None:
+        # the thread reads the socket until it ends: one closed before might be another file's by then
         self._closing = True
         self._thread.join()
         self._socket.close()
@@ -213,13 +217,16 @@ class UdpRobot(CyclicRobot, Generic[State]):
 
     def _take(self, data: bytes, sender: Sender, *, newest: bool = True) -> None:
         """Take one packet, and answer where it is a good one and none has come behind it."""
+        # before it is parsed: whoever is foreign shall not even cost that
         if self._sender not in (None, sender) or self._link_settings.controller not in ("", sender[0]):
             self.counts.foreign += 1
             self._other = sender
             return
         try:
-            state = self._parse(data)
+            state = self._decode(data)
         except Inconsistent:
+            state = None
+        if state is None or (self.takes_poses and state.T_base_flange is None):
             self.counts.refused += 1
             return
         last = self._last
@@ -227,6 +234,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
             return
         self._sender = sender
         if last is not None and self._cycles_between(last, state) <= 0:
+            # a controller that repeats itself lives, though it tells nothing new: the link is not silent
             self.counts.repeated += 1
             self._heard_s = self._clock.now_s()
             self._hear_old(state, last, sender)
@@ -242,6 +250,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         self._behind = 0
         self._last = state
         self._hear(state)
+        self._heard(state.q, self._clock.now_s())
         self.counts.heard += 1
         if newest and not self._lost:
             self._tick(cycles, taken=taken)
@@ -266,13 +275,29 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _check_session(self, state: State) -> None:
         """Lose the link where a state, after a silence, may be of a session that has begun since."""
 
-    @abstractmethod
     def _not_opened(self, nobody: str) -> DeviceFailed:
         """Return the error of a link on which no controller has spoken, which nobody tells, or none that may begin."""
+        return DeviceNotFound(nobody, consequence="The robot is not opened", cure=self.to_begin)
+
+    def _answer(self, state: State, sender: Sender) -> None:
+        """Answer a state with where the arm is told to go, where that can be said."""
+        data = self._encode(state)
+        if data is None:
+            return
+        with contextlib.suppress(OSError):  # a controller that is gone is told by its silence
+            self._socket.sendto(data, sender)
+            self._answered(state)
+
+    def _answered(self, state: State) -> None:
+        """Note that the answer to a state went out."""
 
     @abstractmethod
-    def _parse(self, data: bytes) -> State:
-        """Return the state in a packet. Raises Inconsistent where it holds none, or not what the guidance needs."""
+    def _decode(self, data: bytes) -> State:
+        """Return the state in a packet. Raises Inconsistent where it holds none."""
+
+    @abstractmethod
+    def _encode(self, state: State) -> bytes | None:
+        """Return the packet that answers a state with where the arm is told to go; None where none may go out."""
 
     @abstractmethod
     def _cycles_between(self, last: State, state: State) -> int:
@@ -284,15 +309,11 @@ class UdpRobot(CyclicRobot, Generic[State]):
 
     @abstractmethod
     def _hear(self, state: State) -> None:
-        """Take a state that is newer than all before."""
+        """Take what a state that is newer than all before tells besides its joints, before they are taken."""
 
     @abstractmethod
     def _hear_old(self, state: State, newest: State, sender: Sender) -> None:
         """Take a state that is not newer than the newest: a late one, the same again, or those of a new start."""
-
-    @abstractmethod
-    def _answer(self, state: State, sender: Sender) -> None:
-        """Answer a state with where the arm is told to go."""
 
     def _rebase(self, q: Array) -> None:
         super()._rebase(q)

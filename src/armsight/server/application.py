@@ -11,11 +11,12 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, HTTPException, Request, WebSocket
 from fastapi.responses import HTMLResponse
 
-from armsight.app.robot.service import Service
+from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
 from armsight.server.auth import Authenticator, Identity, address_of, caller_of
 from armsight.server.limited import known_as
+from armsight.server.messages import state_message
 from armsight.server.sockets import Connection
 
 PUMP_S = 0.02
@@ -54,7 +55,7 @@ def create_app(service: Service, auth: Authenticator) -> FastAPI:
     @app.get(say.STATE_PATH, summary="The state of robot and loop")
     async def state(_: Known) -> say.StateMessage:
         try:
-            return service.authority.state()
+            return state_message(service.authority.status(), service.authority.instance)
         except ArmsightError as error:
             raise HTTPException(503, str(error)) from error
 

@@ -80,6 +80,7 @@ class Connections:
     def accepted(self, line: socket.socket, peer: tuple[Any, ...]) -> None:
         """Take note of a connection before its first byte, and end it where nothing is asked within HEAD_S."""
         self._unknown = {other: its for other, its in self._unknown.items() if its.fileno() >= 0}
+        # before TLS and before any protocol: a connection that says nothing has no transport yet
         self._unknown[peer[:2]] = line
         asyncio.get_running_loop().call_later(HEAD_S, self._late, peer[:2], line)
         waiting = [other for other in self._unknown if other[0] == peer[0]]
@@ -127,6 +128,7 @@ class Connections:
             self._note(f"{address} {what}")
 
     def _make_room(self, candidates: list[asyncio.Transport]) -> None:
+        # who drives is never cut off for others: the arm would be held by a flood
         free = [one for one in candidates if not self._open[one].kept]
         nobodys = [one for one in free if not self._open[one].who]
         if not nobodys and free:

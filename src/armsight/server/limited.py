@@ -14,7 +14,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import Frame
 from websockets.protocol import OPEN
 
-from armsight.app.robot.token_bucket import TokenBucket
+from armsight.control.session.service import TokenBucket
 from armsight.drivers.remote import protocol as say
 from armsight.server.connections import HEAD_S, Connections, address_of_line
 

@@ -12,14 +12,15 @@ from starlette.responses import PlainTextResponse
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from armsight._version import __version__
-from armsight.app.robot.control_authority import Lease
-from armsight.app.robot.host import SETPOINT_S
-from armsight.app.robot.service import Service
+from armsight.control.session.authority import Lease
+from armsight.control.session.loop_host import SETPOINT_S
+from armsight.control.session.service import Service
+from armsight.control.setpoints import Taken
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.server.auth import Authenticator, Caller, Denied, Identity
 from armsight.server.limited import LimitedWebSocket, age_of, connection_of, known_as
-from armsight.server.session import VIOLATIONS, Session
+from armsight.server.messages import VIOLATIONS, Session, accepted, command_of, event_message, state_message
 
 STATE_S = 0.05
 """How often a client is told the state without asking: as often as a person sees a change."""
@@ -51,7 +52,7 @@ class Connection:
         role: Literal["watch", "drive"],
     ) -> None:
         self._service = service
-        self._desk = service.authority
+        self._authority = service.authority
         self._auth = auth
         self._socket = socket
         self._caller = caller
@@ -65,36 +66,36 @@ class Connection:
         if not await self._enter():
             return
         session = Session(self._role)
-        teller, why = None, "the server ended"
+        sender, why = None, "the server ended"
         try:
             with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # it may be gone by now
                 await self._send(self._welcome(session))
-            teller = asyncio.create_task(self._tell())
+            sender = asyncio.create_task(self._send_news())
             why = await self._listen(session)
         finally:
             if self._lease is not None:
-                self._desk.leave(self._lease, why)  # first of all, and at once: nothing is awaited before it
+                self._authority.leave(self._lease, why)  # first of all, and at once: nothing is awaited before it
             self._count_out()
-            if teller is not None:
-                teller.cancel()
+            if sender is not None:
+                sender.cancel()
                 with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                    await teller
+                    await sender
 
     async def _enter(self) -> bool:
         found = self._auth.check(self._caller)
         if not isinstance(found, Denied) and self._role == "drive" and found.role != "drive":
             found = Denied(status=403, why=f"{found.who} may watch, not drive")
         if isinstance(found, Denied):
-            self._desk.note("warning", f"{self._caller.address} was kept out: {found.why}")
+            self._authority.note("warning", f"{self._caller.address} was kept out: {found.why}")
             await self._deny(found)
             return False
         self._found, self._who = found, f"{found.who}@{self._caller.address}"
         known_as(self._socket.scope, found.who, keep=self._role == "drive")
         if self._role == "drive":
             try:
-                self._lease = self._desk.take(self._who)
+                self._lease = self._authority.take(self._who)
             except DeviceFailed as error:
-                self._desk.note("warning", f"{self._who} was refused to drive: {error.cause}")
+                self._authority.note("warning", f"{self._who} was refused to drive: {error.cause}")
                 await self._socket.accept()
                 await self._send(say.Refused.of(error, None))
                 await self._socket.close(TAKEN, error.cause[:120])
@@ -103,7 +104,7 @@ class Connection:
             await self._socket.accept()
         except BaseException:
             if self._lease is not None:
-                self._desk.leave(self._lease, "its connection ended")
+                self._authority.leave(self._lease, "its connection ended")
             raise
         self._count_in()
         return True
@@ -121,7 +122,7 @@ class Connection:
 
     def turn_out(self) -> None:
         """End it, because another one has to find room."""
-        self._desk.note("warning", f"{self._who} made room for others that watch")
+        self._authority.note("warning", f"{self._who} made room for others that watch")
         line = connection_of(self._socket.scope)
         if isinstance(line, LimitedWebSocket):
             line.turn_out("there is room for beside others", code=CROWDED)
@@ -154,11 +155,11 @@ class Connection:
         return say.Welcome(
             version=say.VERSION,
             software=f"armsight {__version__}",
-            instance=self._desk.instance,
+            instance=self._authority.instance,
             session=session.nonce,
             role=self._role,
             who=self._who,
-            robot=self._desk.robot,
+            robot=self._authority.robot,
             heartbeat_s=self._service.host.enable_age_s,
             setpoint_s=SETPOINT_S,
             max_bytes=say.MAX_BYTES,
@@ -187,7 +188,8 @@ class Connection:
 
     def _left(self, code: int | None) -> str:
         if code == TOO_LONG:
-            self._desk.note("warning", f"{self._who} sent a message longer than {say.MAX_BYTES} bytes: refused, closed")
+            too_long = f"{self._who} sent a message longer than {say.MAX_BYTES} bytes: refused, closed"
+            self._authority.note("warning", too_long)
             return f"{self._who} sent a message that is too long"
         return f"{self._who} is gone" if code in (None, 1005, 1006, 1011) else f"{self._who} left"
 
@@ -198,31 +200,32 @@ class Connection:
             command = session.admit(text)
             seq = command.seq
             if isinstance(command, say.ReadMessage):
-                return self._desk.state(command.seq)
+                return self._state(seq)
             if isinstance(command, say.StopMessage) and self._lease is None:
-                self._desk.stop(self._who)
-                state = self._desk.state()
-                return say.Accepted(
-                    reply_to=command.seq, t_s=state.t_s, cycle=state.cycle, q=None, T_base_flange=None, limited=[]
-                )
+                self._authority.stop(self._who)
+                status = self._authority.status()
+                return accepted(Taken(t_s=status.t_s, cycle=status.cycle), seq)
             if self._lease is None:
                 raise DeviceFailed("this connection does not drive", consequence="Nothing was done")
-            return self._desk.perform(self._lease, command, age_s=age_s)
+            return accepted(self._authority.perform(self._lease, command_of(command), seq=seq, age_s=age_s), seq)
         except ArmsightError as error:
-            self._desk.note("warning", f"a message of {self._who} was refused: {error.cause}")
+            self._authority.note("warning", f"a message of {self._who} was refused: {error.cause}")
             return say.Refused.of(error, seq)
 
-    async def _tell(self) -> None:
+    async def _send_news(self) -> None:
         """Send the state now and then, and events as they come; a client that does not read holds up only itself."""
         with self._service.events() as events:
             while True:
                 with contextlib.suppress(DeviceFailed):
-                    await self._send(self._desk.state())
+                    await self._send(self._state())
                 await asyncio.sleep(STATE_S)
                 if not self._auth.knows(self._found):
                     await self._socket.close(BROKE_RULES, "its token was taken out")
                 for event in events.take():
-                    await self._send(event)
+                    await self._send(event_message(event))
+
+    def _state(self, reply_to: int | None = None) -> say.StateMessage:
+        return state_message(self._authority.status(), self._authority.instance, reply_to)
 
     async def _send(self, message: say.ServerMessage) -> None:
         if self._socket.client_state is WebSocketState.CONNECTED:

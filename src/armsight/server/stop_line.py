@@ -24,15 +24,15 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from armsight.app.robot.channels import granted
-from armsight.app.robot.host import LoopEvent
+from armsight.control.session.channels import granted
+from armsight.control.session.loop_host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
 from armsight.priority import listen_first
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
 from armsight.server.connections import LINE, Connections
 from armsight.server.limited import age_of, known_as
-from armsight.server.session import Session
+from armsight.server.messages import Session
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, web_server
 
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
     from multiprocessing.synchronize import Event
 
-    from armsight.app.robot.channels import LineChannels
-    from armsight.app.robot.service import Service
+    from armsight.control.session.channels import LineChannels
+    from armsight.control.session.service import Service
 
 ORPHAN_S = 0.2
 """How often it looks whether the server that started it lives."""
@@ -178,6 +178,7 @@ def run_stop_line(
     up: Event,
 ) -> None:
     """Serve until the process that started this one ends; up is set once it does."""
+    # other work of a busy machine must not keep a stop waiting
     listen_first()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
     line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))

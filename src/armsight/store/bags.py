@@ -14,8 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from armsight.drivers.images import decode_image
-from armsight.drivers.pixel_layouts import CHANNELS, grey_or_bgr, unpack_image
+from armsight.drivers.images import CHANNELS, decode_image, grey_or_bgr, unpack_image
 from armsight.errors import BadFile, BadImage, DataRefused, DeviceNotFound, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, Motion
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 import armsight
 from armsight.app.robot.hosting import ThreadHost
-from armsight.app.robot.service import Service
+from armsight.control.session.service import Service
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.server.serving import background
 from armsight.store.arm_file import arm_from_mapping

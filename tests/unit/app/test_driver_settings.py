@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app.robot.driver_settings import LinkArm, driver_settings
+from armsight.app.robot.opening import LinkArm, driver_settings
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
 

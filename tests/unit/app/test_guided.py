@@ -15,13 +15,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
-from armsight.app.guided.charts import figures_of
-from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
 from armsight.app.live.station import Shown
 from armsight.app.live.views import Counts, LiveView, RunView, SideView, live_view
-from armsight.app.operator.teach import seen
+from armsight.app.operator.teach_controller import seen
 from armsight.clock import ManualClock
 from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
@@ -337,25 +336,25 @@ class Told:
     ],
 )
 def test_why_nothing_was_calibrated_is_told_whatever_it_was(error: Exception, said: str) -> None:
-    desk = StepDesk(Told(fails=error))
-    desk.run(Silent())
-    assert desk.state.not_done.startswith(said)
-    assert desk.state.verdict is None and desk.state.busy == ""
+    runner = GuidedStepRunner(Told(fails=error))
+    runner.run(Silent())
+    assert runner.state.not_done.startswith(said)
+    assert runner.state.verdict is None and runner.state.busy == ""
 
 
 def test_calibrate_pressed_while_a_sample_is_taken_waits_for_it_and_its_verdict_stays() -> None:
     step = Told()
-    desk = StepDesk(step)
-    accepting = threading.Thread(target=desk.accept, args=(lambda: None,))
+    runner = GuidedStepRunner(step)
+    accepting = threading.Thread(target=runner.accept, args=(lambda: None,))
     accepting.start()
     assert step.entered.wait(60.0)
-    assert desk.state.busy == "accept"
-    running = threading.Thread(target=desk.run, args=(Silent(),))
+    assert runner.state.busy == "accept"
+    running = threading.Thread(target=runner.run, args=(Silent(),))
     running.start()
     step.leave.set()
     for thread in (accepting, running):
         thread.join(60.0)
-    verdict = desk.state.verdict
+    verdict = runner.state.verdict
     assert verdict is not None and verdict.words == "1 taken"
-    desk.drop(0)
-    assert desk.state.verdict is None, "it is of samples that are no more"
+    runner.drop(0)
+    assert runner.state.verdict is None, "it is of samples that are no more"

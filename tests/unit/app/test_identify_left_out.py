@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
-from armsight.app.operator.identify import FOLDER, IdentifyRequest, Range, entries, fits
+from armsight.app.operator.identify_run import FOLDER, IdentifyRequest, Range, entries, fits
 from armsight.cli.commands import app
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets

@@ -18,7 +18,7 @@ from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.record.recorder import Recorder
 from armsight.app.simulate.run import simulate
 from armsight.clock import ManualClock
-from armsight.console.pictures import picture_message
+from armsight.console.routes import picture_message
 from armsight.console.state import Console
 from armsight.errors import UsageError
 from armsight.store import read_poses

@@ -1,4 +1,4 @@
-"""A simulated cell for a page: its files, the arm that its cameras see, places, ranges and the path's desk."""
+"""A simulated cell for a page: its files, the arm that its cameras see, places, ranges and the path's editor."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
+from armsight.app.operator.cell_poses import arm_points, flange_pose, rig_pose
 from armsight.app.operator.job_runner import JobRunner
-from armsight.app.operator.path_desk import PathDesk
-from armsight.app.operator.placing import arm_points, flange_pose, rig_pose
+from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
-from armsight.app.robot.channels import JointTrack
 from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import ManualClock
+from armsight.control.session.channels import JointTrack
 from armsight.errors import DeviceFailed, NotEnoughData, StaleData, UsageError
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
@@ -119,55 +119,55 @@ def down():
 
 
 def test_every_change_of_a_path_can_be_taken_back(tmp_path):
-    desk = PathDesk(tmp_path)
+    editor = PathEditor(tmp_path)
     with pytest.raises(NotEnoughData):
-        desk.require()
+        editor.require()
     write_path(tmp_path / "taught.csv", line())
-    desk.load(tmp_path / "taught.csv")
-    desk.delete([3, 4])
-    desk.change("resample", 5.0)
-    desk.change("offset", 10.0)
-    assert desk.require().xyz_m[:, 2] == pytest.approx(-0.01)
-    before = desk.changes
+    editor.load(tmp_path / "taught.csv")
+    editor.delete([3, 4])
+    editor.change("resample", 5.0)
+    editor.change("offset", 10.0)
+    assert editor.require().xyz_m[:, 2] == pytest.approx(-0.01)
+    before = editor.changes
     for _ in range(before):
-        desk.undo()
-    assert len(desk.require()) == 11 and desk.changes == 0
-    assert len(PathDesk(tmp_path).require()) == 11, "the file follows"
+        editor.undo()
+    assert len(editor.require()) == 11 and editor.changes == 0
+    assert len(PathEditor(tmp_path).require()) == 11, "the file follows"
 
 
 def test_a_wrong_change_leaves_the_path_as_it_is(tmp_path):
-    desk = PathDesk(tmp_path)
+    editor = PathEditor(tmp_path)
     write_path(tmp_path / "taught.csv", line())
-    desk.load(tmp_path / "taught.csv")
+    editor.load(tmp_path / "taught.csv")
     for tool, value, error in (("resample", -1.0, UsageError), ("fold", 1.0, UsageError), ("angle", 400.0, UsageError)):
         with pytest.raises(error):
-            desk.change(tool, value)
-    assert len(desk.require()) == 11 and desk.changes == 0
+            editor.change(tool, value)
+    assert len(editor.require()) == 11 and editor.changes == 0
 
 
 def test_one_piece_of_work_at_a_time_and_its_question_waits_for_an_answer():
-    bench, go = JobRunner(), threading.Event()
-    work = bench.begin("play", "a", lambda work: (go.wait(10.0), work.ask("Move?"))[1])
+    jobs, go = JobRunner(), threading.Event()
+    work = jobs.begin("play", "a", lambda work: (go.wait(10.0), work.ask("Move?"))[1])
     with pytest.raises(DeviceFailed, match="play is still under way"):
-        bench.begin("identify", "b", lambda work: None)
+        jobs.begin("identify", "b", lambda work: None)
     go.set()
     while not work.state.question:
         pass
     work.answer(True, "b")
     work.wait(10.0)
     assert work.result is True and work.browser == "b" and not work.failure
-    assert bench.named("play") is work and bench.named("identify") is None
+    assert jobs.named("play") is work and jobs.named("identify") is None
 
 
 def test_work_that_fails_says_why_and_a_question_that_is_cancelled_is_a_no():
-    bench = JobRunner()
+    jobs = JobRunner()
 
     def fail(_):
         raise UsageError("this cannot be", cure="Do otherwise")
 
-    failed = bench.begin("play", "a", fail)
+    failed = jobs.begin("play", "a", fail)
     failed.wait(10.0)
     assert "this cannot be" in failed.failure
-    asked = bench.begin("play", "a", lambda work: work.ask("Move?"))
-    bench.close()
+    asked = jobs.begin("play", "a", lambda work: work.ask("Move?"))
+    jobs.close()
     assert asked.result is False

@@ -105,7 +105,7 @@ def cell(tmp_path_factory):
         arm=arm,
         T_flange_target=handeye.T_parent_target,
         T_world_rig=arm.T_world_base * handeye.T_parent_camera,
-        robot=SimpleNamespace(seat=SimpleNamespace(arm=arm, override=1.0), joints=lambda: HOME.copy()),
+        robot=SimpleNamespace(session=SimpleNamespace(arm=arm, override=1.0), joints=lambda: HOME.copy()),
         asked=IsoRequest(folder=folder, cell=read_cell(folder), cycles=8, speed_mm_s=500.0, frames=3),
     )
 

@@ -33,16 +33,16 @@ class Cell:
         T_world_rig = arm.T_world_base * handeye.T_parent_camera
         self.T_rig_target = T_world_rig.inv() * T_flange * handeye.T_parent_target
         self.t_s, self.stops = 10.0, []
-        host = SimpleNamespace(snapshot=self.snapshot)
-        desk = SimpleNamespace(robot=SimpleNamespace(cycle_s=0.01))
-        seat = SimpleNamespace(arm=arm, stop=self.stops.append)
+        host = SimpleNamespace(status=self.status)
+        authority = SimpleNamespace(robot=SimpleNamespace(cycle_s=0.01))
+        session = SimpleNamespace(arm=arm, stop=self.stops.append)
         self.robot = SimpleNamespace(
-            service=SimpleNamespace(host=host, authority=desk), seat=seat, joints=lambda: HOME.copy()
+            service=SimpleNamespace(host=host, authority=authority), session=session, joints=lambda: HOME.copy()
         )
         self.station = SimpleNamespace(shown=None)
         self.number, self.heard = 0, threading.Event()
 
-    def snapshot(self):
+    def status(self):
         self.t_s += 0.01
         if self.t_s > 10.05:  # some readings are there
             self.heard.set()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.operator import watched as watched_module
+from armsight.app.operator import path_editor as watched_module
+from armsight.app.operator.path_editor import watcher_of
 from armsight.app.operator.robot_cell import prepare_simulated
-from armsight.app.operator.watched import watcher_of
 from armsight.clock import ManualClock
 from armsight.records import PoseStatus
 from armsight.store.arm_file import read_arm

@@ -10,9 +10,9 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from armsight.app.operator.one_console import one_console
+from armsight.app.operator.robot_cell import one_console
+from armsight.console.routes import LARGEST_BYTES, add_files
 from armsight.console.state import Console
-from armsight.console.uploads import LARGEST_BYTES, add_files
 from armsight.errors import DeviceFailed
 from armsight.store.cell_file import CellFile, write_cell
 

@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import pytest
 
-from armsight.console import fields
-from armsight.console.fields import file_name, number, text, ticked, whole_number
+from armsight.console import layout as fields
+from armsight.console.layout import file_name, number, text, ticked, whole_number
 from armsight.console.pages.live import MASKS, masked
 from armsight.console.scene import Scene
 from armsight.console.state import Console

@@ -13,11 +13,11 @@ from nicegui import Client, ui
 from tests.unit.console.test_console_state import view
 
 from armsight.app.arm_files import load_arm
-from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.tracks import APART_M, PLACES, Ticks, Tracks
+from armsight.console.tracks import APART_M, POINTS, Ticks, Tracks
 
 
 class Page:
@@ -27,7 +27,7 @@ class Page:
         prepare_simulated("sim:webcam-cell", folder)
         self.arm = load_arm(str(folder / "arm.yaml"))
         self.q = np.array([0.1, -1.2, 1.4, -0.3, 0.2, 0.0])
-        robot = SimpleNamespace(seat=SimpleNamespace(arm=self.arm), joints=lambda: self.q)
+        robot = SimpleNamespace(session=SimpleNamespace(arm=self.arm), joints=lambda: self.q)
         self.console = Console.of_folder(folder, robot)  # type: ignore[arg-type]
         self.sent: list[tuple[str, list[Any]]] = []
         self.scene = Scene(self.console)
@@ -84,7 +84,7 @@ def test_a_target_at_rest_does_not_push_its_track_out() -> None:
     way = np.array([[0.002 * i, 0.0, 0.5] for i in range(50)])
     for xyz in way:
         tracks.add_measured(xyz, 1e-4)
-    for _ in range(2 * PLACES):
+    for _ in range(2 * POINTS):
         tracks.add_measured(way[-1] + rng.uniform(-0.3, 0.3, 3) * APART_M, 1e-4)
     assert np.allclose([place for place, _ in tracks.measured], way)
 

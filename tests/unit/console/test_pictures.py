@@ -16,7 +16,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import Counts, LiveView, SideView
-from armsight.console.pictures import WIDEST_PX, add_pictures
+from armsight.console.routes import WIDEST_PX, add_pictures
 from armsight.console.state import Console
 
 

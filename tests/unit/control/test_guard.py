@@ -31,7 +31,7 @@ ARM = preset("ur10")
 HOME = np.radians([10.0, -60.0, 90.0, -30.0, 80.0, 20.0])
 
 
-class JobRunner:
+class Bench:
     """A guard and a robot that goes exactly where it is sent."""
 
     def __init__(self, limits: Limits | None = None, arm=ARM, q=HOME) -> None:
@@ -62,7 +62,7 @@ class JobRunner:
 
 
 def test_a_joint_goal_is_reached_within_all_limits() -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(JointGoal(q=HOME + 0.05), 300)
     assert np.abs(bench.q[-1] - HOME - 0.05).max() < 1e-9
     q = np.array(bench.q)
@@ -75,7 +75,7 @@ def test_a_joint_goal_is_reached_within_all_limits() -> None:
 
 
 def test_a_twist_moves_the_tool_along_it() -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(ToolTwist(velocity_m_s=[0.0, 0.03, 0.0], angular_rad_s=[0.0, 0.0, 0.1]), 250)
     T = bench.tool()
     assert (T[-1, :3, 3] - T[-2, :3, 3]) / CYCLE_S == pytest.approx([0.0, 0.03, 0.0], abs=1e-4)
@@ -84,7 +84,7 @@ def test_a_twist_moves_the_tool_along_it() -> None:
 
 
 def test_a_timed_path_within_the_limits_is_followed_exactly() -> None:
-    bench = JobRunner()
+    bench = Bench()
     start = RigidTransform.from_matrix(ARM.fk(HOME))
     poses = [RigidTransform.from_translation([0.0, 0.02 * (1.0 - math.cos(0.01 * k)), 0.0]) * start for k in range(300)]
     for pose in poses[1:]:
@@ -95,7 +95,7 @@ def test_a_timed_path_within_the_limits_is_followed_exactly() -> None:
 
 
 def test_a_path_that_is_too_fast_is_a_stop() -> None:
-    bench = JobRunner()
+    bench = Bench()
     start = RigidTransform.from_matrix(ARM.fk(HOME))
     for k in range(200):
         bench.cycle(ToolPose(T_base_tool=RigidTransform.from_translation([0.0, 0.2 * CYCLE_S * k, 0.0]) * start))
@@ -105,7 +105,7 @@ def test_a_path_that_is_too_fast_is_a_stop() -> None:
 
 @pytest.mark.parametrize("wanted", [Hold(), Finished()])
 def test_hold_and_finished_bring_it_to_rest(wanted: SetPoint) -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(JointVelocity(qd=np.full(6, 0.05)), 50)
     assert not bench.decisions[-1].at_rest
     assert bench.run(wanted, 100).at_rest
@@ -113,7 +113,7 @@ def test_hold_and_finished_bring_it_to_rest(wanted: SetPoint) -> None:
 
 
 def test_a_reason_to_hold_is_a_state_and_an_event() -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(JointVelocity(qd=np.full(6, 0.05)), 20)
     decision = bench.cycle(Hold(why="no spot in the left view"))
     assert decision.state is GuardState.HOLDING
@@ -121,7 +121,7 @@ def test_a_reason_to_hold_is_a_state_and_an_event() -> None:
 
 
 def test_a_source_is_told_whether_it_was_refused_for_its_own_sake() -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(JointGoal(q=HOME), 2, enabled=False)
     state = bench.guard.cycle_state(0.0, None)
     assert not state.running and not state.refused
@@ -134,7 +134,7 @@ def test_a_source_is_told_whether_it_was_refused_for_its_own_sake() -> None:
 
 @pytest.mark.parametrize("state", [RobotState.LOST, RobotState.STOPPED, RobotState.CLOSED])
 def test_nothing_is_sent_to_a_robot_that_takes_nothing(state: RobotState) -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(JointVelocity(qd=np.full(6, 0.05)), 20)
     decision = bench.cycle(JointVelocity(qd=np.full(6, 0.05)), robot=state)
     assert decision.state is GuardState.STOPPED
@@ -143,7 +143,7 @@ def test_nothing_is_sent_to_a_robot_that_takes_nothing(state: RobotState) -> Non
 
 
 def test_a_stop_lasts_until_the_reset_and_needs_a_new_enable() -> None:
-    bench = JobRunner()
+    bench = Bench()
     motion = JointVelocity(qd=np.full(6, 0.05))
     bench.run(motion, 20)
     assert bench.cycle(motion, stop="enough").state is GuardState.STOPPED
@@ -157,7 +157,7 @@ def test_a_stop_lasts_until_the_reset_and_needs_a_new_enable() -> None:
 
 
 def test_a_command_that_the_robot_cut_is_a_stop() -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.run(JointVelocity(qd=np.full(6, 0.05)), 20)
     bench.guard.acknowledge(bench.q[-1] - 0.01, ("range of j1",))
     decision = bench.cycle(Hold())
@@ -166,7 +166,7 @@ def test_a_command_that_the_robot_cut_is_a_stop() -> None:
 
 
 def test_it_retreats_slowly_when_the_target_is_away_for_long() -> None:
-    bench = JobRunner(Limits(retreat=HOME + 0.02, retreat_after_s=0.1, retreat_speed=0.25))
+    bench = Bench(Limits(retreat=HOME + 0.02, retreat_after_s=0.1, retreat_speed=0.25))
     states = [bench.cycle(Hold(), target=TargetState.LOST).state for _ in range(450)]
     assert states[0] is GuardState.HOLDING
     assert states[-1] is GuardState.RETREATING
@@ -179,7 +179,7 @@ def test_it_retreats_slowly_when_the_target_is_away_for_long() -> None:
 def test_from_beyond_a_limit_it_may_only_come_back() -> None:
     at = ARM.fk(HOME)[:3, 3]
     pillar = Box(lower_m=at - 0.3, upper_m=at + np.array([0.3, 0.02, 0.3]), name="pillar")
-    bench = JobRunner(Limits(forbidden=(pillar,)))
+    bench = Bench(Limits(forbidden=(pillar,)))
     decision = bench.run(ToolTwist(velocity_m_s=[0.0, -0.05, 0.0], angular_rad_s=np.zeros(3)), 5)
     assert decision.state is GuardState.HOLDING
     assert "pillar" in decision.why
@@ -191,28 +191,28 @@ def test_from_beyond_a_limit_it_may_only_come_back() -> None:
 
 
 def test_outside_it_does_not_move_along_the_limit() -> None:
-    bench = JobRunner(Limits(joints=(JointLimit(lower=HOME[0] + 0.2), *(JointLimit(),) * 5)))
+    bench = Bench(Limits(joints=(JointLimit(lower=HOME[0] + 0.2), *(JointLimit(),) * 5)))
     decision = bench.run(JointVelocity(qd=0.1 * LAST), 5)
     assert decision.state is GuardState.HOLDING and "range of joint 1 (lower) by 0.2" in decision.why
     assert np.array_equal(bench.q[-1], HOME)
 
 
 def test_goals_beyond_a_joints_range_are_not_begun() -> None:
-    bench = JobRunner(Limits(joints=tuple(JointLimit(lower=q - 0.2, upper=q + 0.2) for q in HOME)))
+    bench = Bench(Limits(joints=tuple(JointLimit(lower=q - 0.2, upper=q + 0.2) for q in HOME)))
     decision = bench.run(JointGoal(q=HOME + 0.3), 10)
     assert decision.state is GuardState.HOLDING
     assert np.array_equal(bench.q[-1], HOME)
 
 
 def test_goals_that_no_joint_can_have_are_a_hold() -> None:
-    decision = JobRunner().cycle(JointGoal(q=np.degrees(HOME)))
+    decision = Bench().cycle(JointGoal(q=np.degrees(HOME)))
     assert decision.state is GuardState.HOLDING and "radians" not in decision.why
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_pose_beside_a_singularity_is_followed_or_a_hold(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    bench = JobRunner(q=[0.3, -1.0, 10.0 ** rng.uniform(-7, -1), -0.5, 10.0 ** rng.uniform(-8, -1), 0.0])
+    bench = Bench(q=[0.3, -1.0, 10.0 ** rng.uniform(-7, -1), -0.5, 10.0 ** rng.uniform(-8, -1), 0.0])
     off = RigidTransform.from_components(rng.normal(0.0, 0.003, 3), Rotation.from_rotvec(rng.normal(0.0, 0.02, 3)))
     T_base_tool = RigidTransform.from_matrix(ARM.fk(bench.q[0]))
     decision = bench.cycle(ToolPose(T_base_tool=T_base_tool * off))
@@ -223,7 +223,7 @@ def test_a_pose_beside_a_singularity_is_followed_or_a_hold(seed: int) -> None:
 def test_a_coupled_arm_is_guarded_in_its_own_values() -> None:
     coupled = dataclasses.replace(ARM, couplings=(Coupling(joint=ARM.joints[2].name, by=ARM.joints[1].name),))
     readings = coupled.readings(HOME)
-    bench = JobRunner(arm=coupled, q=readings)
+    bench = Bench(arm=coupled, q=readings)
     bench.run(ToolTwist(velocity_m_s=[0.0, 0.0, 0.03], angular_rad_s=np.zeros(3)), 150)
     p = coupled.fk(coupled.values(np.array(bench.q)))[:, :3, 3]
     assert (p[-1] - p[-2]) / CYCLE_S == pytest.approx([0.0, 0.0, 0.03], abs=1e-4)
@@ -232,7 +232,7 @@ def test_a_coupled_arm_is_guarded_in_its_own_values() -> None:
 def test_an_arm_of_three_joints_follows_positions() -> None:
     arm = dh_arm("three", [(0.0, math.pi / 2, 0.4, 0.0), (0.5, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0)])
     q = np.array([0.1, 0.5, -1.2])
-    bench = JobRunner(arm=arm, q=q)
+    bench = Bench(arm=arm, q=q)
     bench.run(ToolTwist(velocity_m_s=[0.02, 0.0, 0.01], angular_rad_s=np.zeros(3)), 150)
     p = arm.fk(np.array(bench.q))[:, :3, 3]
     assert (p[-1] - p[-2]) / CYCLE_S == pytest.approx([0.02, 0.0, 0.01], abs=1e-4)
@@ -272,7 +272,7 @@ LAST = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     ],
 )
 def test_turning_keeps_each_limit_and_uses_it(limits: Limits, order: int, most: float) -> None:
-    bench = JobRunner(limits)
+    bench = Bench(limits)
     bench.run(JointVelocity(qd=0.9 * LAST), 120)
     found = np.abs(np.diff(np.array(bench.q)[:, 5], order)).max() / CYCLE_S**order
     assert 0.5 * most < found <= most * (1.0 + 1e-9)
@@ -288,7 +288,7 @@ def test_the_tool_stops_its_margin_before_a_wall(margin_m: float, inside: bool) 
     else:
         box = Box(lower_m=at + np.array([-2.0, 0.05, -2.0]), upper_m=at + 2.0)
         limits = Limits(forbidden=(box,), margin_m=margin_m)
-    bench = JobRunner(limits)
+    bench = Bench(limits)
     last = bench.run(ToolTwist(velocity_m_s=[0.0, 0.05, 0.0], angular_rad_s=np.zeros(3)), 300)
     y = bench.tool()[:, 1, 3] - at[1]
     assert 0.05 - margin_m - 2e-3 < y.max() <= 0.05 - margin_m + 1e-9
@@ -304,7 +304,7 @@ def test_the_flange_keeps_the_walls_as_the_tool_does() -> None:
     lower, upper = np.minimum(flange, T.translation) - 1.0, np.maximum(flange, T.translation) + 1.0
     axis = int(np.argmax(np.abs(way)))
     (upper if way[axis] > 0 else lower)[axis] = face * way[axis]
-    bench = JobRunner(Limits(workspace=Box(lower_m=lower, upper_m=upper)), arm=arm)
+    bench = Bench(Limits(workspace=Box(lower_m=lower, upper_m=upper)), arm=arm)
     last = bench.run(ToolTwist(velocity_m_s=0.05 * way, angular_rad_s=np.zeros(3)), 300)
     poses = [RigidTransform.from_matrix(arm.fk(q)) * arm.T_flange_tool.inv() for q in bench.q]
     assert max(float(way @ pose.translation) for pose in poses) <= face - 0.005 + 1e-9
@@ -312,7 +312,7 @@ def test_the_flange_keeps_the_walls_as_the_tool_does() -> None:
 
 
 def test_motion_in_space_keeps_its_distance_to_singularities() -> None:
-    bench = JobRunner(Limits(singularity=0.1))
+    bench = Bench(Limits(singularity=0.1))
     outwards = ARM.fk(HOME)[:3, 3] * [1.0, 1.0, 0.0]
     velocity = 0.09 * outwards / np.linalg.norm(outwards)
     last = bench.run(ToolTwist(velocity_m_s=velocity, angular_rad_s=np.zeros(3)), 1500)
@@ -336,7 +336,7 @@ def test_motion_in_space_keeps_its_distance_to_singularities() -> None:
     ],
 )
 def test_each_fault_leads_to_its_state_and_the_arm_comes_to_rest(inputs: dict, state: GuardState, word: str) -> None:
-    bench = JobRunner()
+    bench = Bench()
     motion = JointVelocity(qd=np.full(6, 0.05))
     assert bench.run(motion, 20).state is GuardState.RUNNING
     decision = bench.cycle(motion, **inputs)
@@ -345,7 +345,7 @@ def test_each_fault_leads_to_its_state_and_the_arm_comes_to_rest(inputs: dict, s
 
 
 def test_motion_goes_on_after_five_cycles_in_time() -> None:
-    bench = JobRunner()
+    bench = Bench()
     motion = JointVelocity(qd=np.full(6, 0.05))
     bench.cycle(motion, late_s=0.6 * CYCLE_S)
     states = [bench.cycle(motion).state for _ in range(5)]
@@ -365,7 +365,7 @@ def test_readings_that_stay_away_hold_and_then_stop() -> None:
 
 
 def test_a_robot_that_is_elsewhere_than_sent_is_stopped() -> None:
-    bench = JobRunner()
+    bench = Bench()
     bench.q[-1] = HOME + 0.03
     decision = bench.cycle(Hold())
     assert decision.state is GuardState.STOPPED and "not where it was sent" in decision.why
@@ -380,4 +380,4 @@ def test_a_robot_that_is_elsewhere_than_sent_is_stopped() -> None:
     ],
 )
 def test_a_set_point_of_another_arm_or_without_numbers_is_a_stop(wanted: SetPoint) -> None:
-    assert JobRunner().cycle(wanted).state is GuardState.STOPPED
+    assert Bench().cycle(wanted).state is GuardState.STOPPED

@@ -17,14 +17,13 @@ from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.clock import ManualClock
 from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
-from armsight.control.enable import Enable
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, Limits
-from armsight.control.jitter import Jitter
 from armsight.control.loop import ControlLoop
-from armsight.control.sources import ClientSource, GoalSource, JogFrame, JogSource
+from armsight.control.sources import ClientSource, Enable, GoalSource, JogFrame, JogSource
+from armsight.control.status import Jitter
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.joint_goals import JointLimits
+from armsight.drivers.goals import JointLimits
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.recording import Recording
@@ -64,7 +63,7 @@ def test_a_goal_is_reached_and_the_loop_ends_at_rest(cell) -> None:
     timing = loop.run(until=lambda now: now.finished, for_s=20.0)
     assert np.abs(loop.status.q_sent - goal).max() < 1e-6
     assert timing.missed == timing.late == 0
-    assert timing.n_cycles == loop.status.n_cycles
+    assert timing.n_cycles == loop.status.cycle
     assert gc.isenabled()
 
 
@@ -73,7 +72,7 @@ def test_a_stop_is_taken_in_the_next_cycle_and_lasts_until_the_reset(cell) -> No
     states = []
 
     def until(now) -> bool:
-        states.append(now.state)
+        states.append(now.guard)
         if len(states) == 20:
             loop.stop("enough")
         if len(states) == 120:
@@ -107,9 +106,9 @@ def test_a_source_that_fails_is_a_hold_and_the_loop_goes_on(cell) -> None:
     seen = []
     loop = ControlLoop(robot, guard_for(robot), Failing(), clock, enabled=lambda: True)
     loop.run(until=lambda now: bool(seen.append(now)) or len(seen) == 60)
-    assert seen[19].state is GuardState.HOLDING
+    assert seen[19].guard is GuardState.HOLDING
     assert seen[19].why == "the source failing failed: float division by zero"
-    assert seen[-1].state is GuardState.RUNNING
+    assert seen[-1].guard is GuardState.RUNNING
 
 
 @pytest.mark.parametrize(
@@ -169,7 +168,7 @@ def test_what_it_does_is_in_the_recording(cell, tmp_path: Path) -> None:
         loop.run(for_s=0.6)
     with Recording(tmp_path / "run.mcap") as recording:
         events = [event.message for event in recording.events()]
-        assert len(list(recording.commands())) == loop.status.n_cycles
+        assert len(list(recording.commands())) == loop.status.cycle
     assert events[0] == "running"
     assert events[1].startswith("disabled: no enable")
 
@@ -258,14 +257,14 @@ def test_the_loop_may_be_stopped_from_another_thread(cell) -> None:
 
     def until(now) -> bool:
         begun.set()
-        return now.state is GuardState.STOPPED
+        return now.guard is GuardState.STOPPED
 
     thread = threading.Thread(target=loop.run, kwargs={"until": until})
     thread.start()
     begun.wait()
     loop.stop()
     thread.join()
-    assert loop.status.state is GuardState.STOPPED and loop.status.at_rest
+    assert loop.status.guard is GuardState.STOPPED and loop.status.at_rest
 
 
 class Cyclic(CyclicRobot):
@@ -341,7 +340,7 @@ def test_a_step_that_was_not_taken_goes_out_again_and_none_is_added(paced) -> No
     ask()
     cycle()
     assert robot.goals[-1] - before == pytest.approx(0.001)
-    assert loop.status.state is GuardState.RUNNING
+    assert loop.status.guard is GuardState.RUNNING
 
 
 def test_a_command_that_came_late_waits_for_a_cycle_of_its_own(paced) -> None:

@@ -293,7 +293,7 @@ def test_a_weave_on_the_true_arm_is_within_a_third_of_a_millimetre() -> None:
         tips, states = [], set()
 
         def until(status) -> bool:
-            states.add((status.state.value, status.limited))
+            states.add((status.guard.value, status.limited))
             if 0.002 < source.progress.s_m < 0.0299:
                 tips.append((robot.true_flange(status.t_s) * tip).translation)
             return status.finished

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import Limits
 from armsight.control.paths import PathTrouble, check_path, outliers, resampled
-from armsight.control.paths.jumps import jump_step
+from armsight.control.paths.outliers import jump_step
 from armsight.control.play import PathSource, PlaySettings, Weave, plan_path
 from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
 from armsight.errors import Inconsistent, UsageError

@@ -10,9 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import TargetState
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, on_axis
-from armsight.control.servo.delay import ArmLag, CameraDelay
-from armsight.control.servo.lateness import Lateness
-from armsight.control.servo.reaction import STANDS, Reaction
+from armsight.control.servo.delay import ArmLag, CameraDelay, Lateness
+from armsight.control.servo.law import STANDS, Reaction
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
 from armsight.errors import Inconsistent
@@ -43,7 +42,7 @@ def settings(mount: Mount = Mount.EYE_IN_HAND, **more) -> ServoSettings:
     return ServoSettings(**{**known, **more})
 
 
-class JobRunner:
+class Bench:
     """An arm at rest, of which the servo knows readings, and a target that moves before its cameras."""
 
     def __init__(self, source: ServoSource) -> None:
@@ -91,8 +90,8 @@ class JobRunner:
         return self.wanted
 
 
-def bench(**more) -> JobRunner:
-    return JobRunner(ServoSource(ARM, RIG, TARGET, settings(**more), CYCLE_S))
+def bench(**more) -> Bench:
+    return Bench(ServoSource(ARM, RIG, TARGET, settings(**more), CYCLE_S))
 
 
 @pytest.mark.parametrize("mount", list(Mount))

@@ -74,7 +74,7 @@ def test_a_vector_is_the_last_of_its_frames_or_their_mean_and_spans_no_lost_one(
 
 def test_undo_forgets_the_last_stretch_only() -> None:
     told: list[str] = []
-    recorder = standing(tell=told.append)
+    recorder = standing(notify=told.append)
     recorder.start()
     led(recorder, [0.0, 0.1])
     recorder.pause()

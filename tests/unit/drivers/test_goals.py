@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from armsight.drivers.joint_goals import JointGoals, JointLimits
+from armsight.drivers.goals import JointGoals, JointLimits
 from armsight.errors import DataRefused, UsageError
 
 CYCLE_S = 0.004

@@ -11,7 +11,7 @@ import pytest
 from armsight.clock import ManualClock
 from armsight.drivers import LivePairs, OpenCvCamera, known, load
 from armsight.drivers import live as live_module
-from armsight.drivers.registry import CAMERAS
+from armsight.drivers.opening import CAMERAS
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
 

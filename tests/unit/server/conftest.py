@@ -10,10 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from armsight.app.robot.channels import LineChannels
-from armsight.app.robot.host import LoopEvent, Snapshot
-from armsight.app.robot.service import Service
+from armsight.control.guard import GuardState
+from armsight.control.session.channels import LineChannels
+from armsight.control.session.loop_host import LoopEvent
+from armsight.control.session.service import Service
 from armsight.control.setpoints import JointGoal
+from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceLost
@@ -58,13 +60,13 @@ class FakeHost:
     def now_s(self) -> float:
         return self.t_s
 
-    def snapshot(self) -> Snapshot:
+    def status(self) -> RobotStatus:
         if self.ended:
             raise DeviceLost("the loop has ended")
         reading = JointReading(q=self.q, t_s=self.t_s - 0.01, sequence=self.cycle, source="fake")
-        return Snapshot(
-            t_s=self.t_s, cycle=self.cycle, robot=self.robot, guard=self.guard, why="", reading=reading,
-            q_sent=self.q, enabled=True, dropped=self.dropped, late=0, missed=0,
+        return RobotStatus(
+            t_s=self.t_s, cycle=self.cycle, robot=self.robot, guard=GuardState(self.guard), reading=reading,
+            q_sent=self.q, enabled=True, dropped=self.dropped,
         )  # fmt: skip
 
     enable_age_s = 0.25

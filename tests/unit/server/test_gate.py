@@ -9,8 +9,7 @@ import httpx
 import pytest
 from fastapi import FastAPI, Request
 
-from armsight.server.auth import COOKIE, Authenticator
-from armsight.server.gate import IDENTITY, Gate
+from armsight.server.auth import COOKIE, IDENTITY, Authenticator, Gate
 from armsight.store.tokens import add_token, read_tokens
 
 

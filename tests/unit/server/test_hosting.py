@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.channels import Newest, Queue
-from armsight.app.robot.host import LoopCommand, LoopEvent
+from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
-from armsight.app.robot.loop_side import Channels, CountedClock, lateness_s
-from armsight.app.robot.models import arm_model
 from armsight.clock import ManualClock
 from armsight.control.guard.limits import ENABLE_AGE_S
+from armsight.control.session.channels import Newest, Queue
+from armsight.control.session.loop_host import LoopCommand, LoopEvent
+from armsight.control.session.loop_side import Channels, CountedClock, lateness_s
 from armsight.control.setpoints import JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, UsageError
@@ -52,7 +52,7 @@ class Loop:
 
     @property
     def q(self):
-        return self.host.snapshot().q_sent
+        return self.host.status().q_sent
 
 
 @contextmanager
@@ -73,7 +73,7 @@ def test_a_goal_is_gone_to_while_the_driver_lives():
         loop.host.post(JointGoal(q=UP))
         loop.advance(3.0, beat=True)
         assert pytest.approx(UP, abs=1e-9) == loop.q
-        assert loop.host.snapshot().guard == "running"
+        assert loop.host.status().guard == "running"
 
 
 def test_without_enable_nothing_moves_then_or_later():
@@ -90,7 +90,7 @@ def test_a_driver_who_is_gone_is_a_hold(how):
         loop.host.beat(enable=True)
         loop.host.post(JointGoal(q=np.array([2.0, 0.3])))
         loop.advance(0.4, beat=True)
-        assert loop.host.snapshot().guard == "running"
+        assert loop.host.status().guard == "running"
         if how == "silent":
             loop.advance(ENABLE_AGE_S + 2 * CYCLE_S)
         elif how == "release":
@@ -99,7 +99,7 @@ def test_a_driver_who_is_gone_is_a_hold(how):
         else:
             loop.host.beat(enable=False)
             loop.advance(CYCLE_S)
-        assert loop.host.snapshot().guard == "disabled"
+        assert loop.host.status().guard == "disabled"
         loop.advance(1.0)
         rest = loop.q
         assert 0.0 < rest[0] < 2.0
@@ -125,16 +125,16 @@ def test_a_stop_lasts_until_a_reset_and_a_new_enable():
         loop.advance(0.2, beat=True)
         loop.host.stop("bert")
         loop.advance(2.0, beat=True)
-        found = loop.host.snapshot()
+        found = loop.host.status()
         assert (found.guard, found.robot) == ("stopped", RobotState.STOPPED)
         rest = loop.q
         loop.host.reset()
         loop.advance(0.5, beat=True)
-        assert loop.host.snapshot().guard == "disabled", "the enable was not let go of"
+        assert loop.host.status().guard == "disabled", "the enable was not let go of"
         loop.host.beat(enable=False)
         loop.host.beat(enable=True)
         loop.advance(0.5, beat=True)
-        assert loop.host.snapshot().guard == "running"
+        assert loop.host.status().guard == "running"
         assert loop.q == pytest.approx(rest, abs=1e-6), "what was asked before the stop is forgotten"
         loop.host.post(JointGoal(q=UP))
         loop.advance(2.0, beat=True)
@@ -147,7 +147,7 @@ def test_stop_wins_over_what_is_asked_in_the_same_cycle():
         loop.host.stop("bert")
         loop.host.post(JointGoal(q=UP))
         loop.advance(1.0, beat=True)
-        assert loop.host.snapshot().guard == "stopped"
+        assert loop.host.status().guard == "stopped"
         assert loop.q.tolist() == [0.0, 0.3]
 
 
@@ -155,7 +155,7 @@ def test_a_lost_robot_is_told():
     with running() as loop:
         loop.robot.fault(RobotFault.LINK_LOST)
         loop.advance(2 * CYCLE_S)
-        found = loop.host.snapshot()
+        found = loop.host.status()
         assert (found.guard, found.robot) == ("stopped", RobotState.LOST)
 
 
@@ -181,7 +181,7 @@ def test_a_stop_is_not_lost_where_the_loop_takes_nothing():
         loop.advance(CYCLE_S)
         loop.host.records()
         loop.advance(0.5)
-        assert loop.host.snapshot().guard == "stopped"
+        assert loop.host.status().guard == "stopped"
 
 
 class DoesNotOpen(SimRobot):
@@ -207,7 +207,7 @@ def test_an_ended_loop_is_lost_and_says_why():
         loop.advance(0.5)
         messages = [record.message for record in loop.host.records() if isinstance(record, LoopEvent)]
         assert any("a fault of the driver" in message for message in messages)
-        for refused in (loop.host.snapshot, loop.host.reset, lambda: loop.host.post(JointGoal(q=UP))):
+        for refused in (loop.host.status, loop.host.reset, lambda: loop.host.post(JointGoal(q=UP))):
             with pytest.raises(DeviceLost):
                 refused()
 
@@ -215,9 +215,9 @@ def test_an_ended_loop_is_lost_and_says_why():
 def test_a_process_of_its_own_moves_the_robot_and_its_death_is_noticed():
     spec = RobotSpec(robot="sim:webcam-cell", arm=arm_model("sim:webcam-cell", None))
     with ProcessHost(spec) as host:
-        begin, deadline_s = host.snapshot().q_sent, time.monotonic() + 60.0
+        begin, deadline_s = host.status().q_sent, time.monotonic() + 60.0
         assert host.description.n_joints == 6
-        while np.array_equal(host.snapshot().q_sent, begin):
+        while np.array_equal(host.status().q_sent, begin):
             host.beat(enable=True)
             host.post(JointVelocity(qd=np.full(6, 0.05)))
             assert time.monotonic() < deadline_s
@@ -226,7 +226,7 @@ def test_a_process_of_its_own_moves_the_robot_and_its_death_is_noticed():
         host._process.kill()
         host._process.join()
         with pytest.raises(DeviceLost):
-            host.snapshot()
+            host.status()
         host.stop("anyone")
         host.release("anyone")
 
@@ -292,7 +292,7 @@ def test_an_enable_of_the_line_counts_only_while_its_key_is_granted():
             for _ in range(4):
                 loop.host.line.orders.put(pickle.dumps(("beat", (True, None), loop.clock.now_s(), 0, key)))
                 loop.advance(CYCLE_S)
-            assert loop.host.snapshot().enabled is moves, key
+            assert loop.host.status().enabled is moves, key
             loop.host.line.orders.put(pickle.dumps(("beat", (False, None), loop.clock.now_s(), 0, "old")))
             loop.advance(2 * CYCLE_S)
-            assert not loop.host.snapshot().enabled, "letting go counts by whatever key"
+            assert not loop.host.status().enabled, "letting go counts by whatever key"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import armsight
-from armsight.app.robot.event_log import RecordingLog
+from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import ManualClock
 
 

@@ -11,10 +11,9 @@ from fastapi import FastAPI
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from armsight.app.operator.operator_session import OperatorSession
 from armsight.console import robot_link
-from armsight.console.messages import LONGEST, Beat, JogKey
-from armsight.console.robot_link import RobotLink, add_robot_link
+from armsight.console.robot_link import LONGEST, Beat, JogKey, RobotLink, add_robot_link
+from armsight.control.session.operator_session import OperatorSession
 
 NOW = 100.0
 KEY = {"frame": "joints", "axis": 0, "sense": "1"}
@@ -139,7 +138,7 @@ def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable
         asked = json.loads(said)
         assert asked["do"] == "reset" or (asked["do"] == "beat" and asked["enable"] is True and asked["seen"] >= NOW)
     link.take('{"do": "stop"}')
-    link._seat.leave("a")
+    link._session.leave("a")
 
 
 def test_bytes_and_a_page_that_goes_end_nothing_but_the_connection(service, host):
@@ -162,7 +161,7 @@ def test_bytes_and_a_page_that_goes_end_nothing_but_the_connection(service, host
 @pytest.mark.parametrize("query", ["", *[f"browser={name}" for name in ("", "x" * 65, "a%20b", "%00", "%C2%B2")]])
 def test_a_page_without_a_name_is_refused(service, query):
     pages, sent = FastAPI(), []
-    add_robot_link(pages, SimpleNamespace(robot=SimpleNamespace(seat=OperatorSession(service))))
+    add_robot_link(pages, SimpleNamespace(robot=SimpleNamespace(session=OperatorSession(service))))
 
     async def receive():
         return {"type": "websocket.connect"}

@@ -17,8 +17,8 @@ from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.server.connections import UNKNOWN_PER_ADDRESS
 from armsight.server.limited import QUIET
+from armsight.server.messages import VIOLATIONS
 from armsight.server.serving import background
-from armsight.server.session import VIOLATIONS
 from armsight.server.sockets import CROWDED, WATCHERS_PER_ADDRESS
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token

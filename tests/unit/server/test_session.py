@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from armsight.drivers.remote import protocol as say
 from armsight.errors import Inconsistent, UsageError
-from armsight.server.session import VIOLATIONS, Session
+from armsight.server.messages import VIOLATIONS, Session
 
 
 def text(session, seq, kind="joint_step", **fields):

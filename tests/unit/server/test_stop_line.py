@@ -10,14 +10,14 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from armsight.app.operator.operator_session import FRESH_S, OperatorSession, Person
-from armsight.app.robot.channels import LineChannels, granted
-from armsight.app.robot.service import Service
+from armsight.control.session.channels import LineChannels, granted
+from armsight.control.session.operator_session import FRESH_S, OperatorSession, Person
+from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
 from armsight.server.auth import COOKIE, Authenticator, Caller, Denied, Identity
 from armsight.server.limited import CONNECTION
-from armsight.server.session import Session
+from armsight.server.messages import Session
 from armsight.server.stop_line import StopLine, stop_line
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token
@@ -123,20 +123,20 @@ def test_pages_of_a_port_that_browsers_leave_away(tmp_path, origin, port, own):
 
 
 def test_a_pages_enable_counts_on_the_line_only_while_it_does_on_the_page(service, host):
-    seat, line = OperatorSession(service), host.line.grant
+    session, line = OperatorSession(service), host.line.grant
 
     def beat(enable, age_s=0.0):
-        seat.beat("a", ANN, enable=enable, seen_s=host.t_s - age_s, number=1, key="key")
+        session.beat("a", ANN, enable=enable, seen_s=host.t_s - age_s, number=1, key="key")
 
     beat(True)
     assert granted(line) == (1, "key")
     beat(False)
     assert granted(line) == (1, ""), "let go of"
     beat(True)
-    seat.stop(Person(who="eve"))
+    session.stop(Person(who="eve"))
     assert granted(line) == (1, ""), "stopped"
     beat(True)
-    seat.reset("a", ANN)
+    session.reset("a", ANN)
     assert granted(line) == (1, ""), "reset while it is held on"
     with pytest.raises(DeviceFailed):
         beat(True)
@@ -148,7 +148,7 @@ def test_a_pages_enable_counts_on_the_line_only_while_it_does_on_the_page(servic
     assert granted(line) == (1, ""), "out of a buffer"
     beat(False)
     beat(True)
-    seat.leave("a")
+    session.leave("a")
     assert granted(line) == (1, ""), "gone"
 
 

@@ -67,7 +67,7 @@ def test_why_it_fell_silent_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     warned: list[str] = []
     given = dict.fromkeys(("port", "connect", "arm", "cycle_s"))
-    twins.run_twin("quiet", **given, on=lambda: False, tell=told.append, warn=warned.append)  # type: ignore[arg-type]
+    twins.run_twin("quiet", **given, on=lambda: False, ready=told.append, warn=warned.append)  # type: ignore[arg-type]
     assert (told, warned) == (["quiet:"], ["quiet twin: the arm was stopped"])
     messages: list[str] = []
     note_silence(messages, BEHIND_S)

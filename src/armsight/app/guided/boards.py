@@ -137,7 +137,7 @@ class BoardCalibration:
         return seen
 
     def _require_moved(self, view: BoardView) -> None:
-        """Raise BadImage where an accepted view of the first side shows the board at the same place."""
+        """Raise BadImage where an accepted view of the first side shows the board at the same position."""
         for name, before in zip(self._names, self._views, strict=True):
             _, now, then = np.intersect1d(view.index, before[0].index, return_indices=True)
             way_px = np.linalg.norm(view.uv_px[now] - before[0].uv_px[then], axis=1)

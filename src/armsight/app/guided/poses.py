@@ -17,7 +17,7 @@ from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye, calibr
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
 from armsight.app.live.views import LiveView
-from armsight.app.operator.placing import flange_pose
+from armsight.app.operator.cell_poses import flange_pose
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, NotEnoughData
@@ -100,8 +100,8 @@ class PoseSamples:
         out = []
         for i, pose in enumerate(self._poses):
             T = np.asarray(pose.T_parent_target)
-            place = " ".join(f"{1e3 * v:.1f}" for v in T[:3, 3])
-            out.append(Sample(name=str(i + 1), detail=f"x y z {place} mm"))
+            position = " ".join(f"{1e3 * v:.1f}" for v in T[:3, 3])
+            out.append(Sample(name=str(i + 1), detail=f"x y z {position} mm"))
         return tuple(out)
 
     def coverage(self) -> dict[str, tuple[int, ...]]:

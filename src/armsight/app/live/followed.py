@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Self
 
-from armsight.app.robot.channels import JointTrack
 from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import Clock
+from armsight.control.session.channels import JointTrack
 from armsight.drivers import Skew
 from armsight.records import Frame
 

@@ -13,11 +13,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
-from armsight.app.operator.teach import seen
+from armsight.app.operator.teach_controller import seen
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.clock import Clock, SystemClock
@@ -39,7 +39,7 @@ from armsight.verify.results import VerifyOutput
 
 Array = NDArray[np.float64]
 
-WORK = "iso"
+JOB_NAME = "iso"
 SMALL_SIDES_M = (0.16, 0.1, 0.063)
 """Cubes below the standard's smallest, for cameras that see no more."""
 STEP_M = 0.005
@@ -51,7 +51,7 @@ FEWEST_VISITS = 3
 LOOK_S, WAIT_S = 0.005, 10.0
 """Between two looks for a newer moment; without one for so long the station is taken for lost."""
 FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
-"""What a page shows, each with its places."""
+"""What a page shows, each with its poses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +99,7 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
         raise UsageError("the cameras ride on the arm", cure="Put them beside it: they have to see where the arm goes")
     if not (asked.cycles >= FEWEST_VISITS and asked.speed_mm_s > 0.0 and asked.side_mm >= 0.0):
         raise UsageError(f"at least {FEWEST_VISITS} cycles, and a speed above 0, are needed")
-    arm = robot.seat.arm
+    arm = robot.session.arm
     handeye = cell_path(asked.folder, asked.cell.handeye, "handeye")
     T_world_rig = rig_pose(asked.folder, asked.cell, arm, None)
     if arm is None or handeye is None or T_world_rig is None:
@@ -142,23 +142,23 @@ def _poses(arm: Arm, q: Array, cube: TestCube) -> RigidTransform:
     """Return T_world_target of P1 to P5, with the attitude that the target has now."""
     R = _here(arm, q).rotation
     return arm.T_world_base * RigidTransform.concatenate(
-        [RigidTransform.from_components(place, R) for place in cube.points_m.values()]
+        [RigidTransform.from_components(position, R) for position in cube.points_m.values()]
     )
 
 
 def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig: RigidTransform) -> IsoPlan | str:
     """Return the plan in a cube, or why the arm cannot make it."""
-    places = dict(zip(cube.points_m, _poses(arm, q, cube), strict=True))
+    corners = dict(zip(cube.points_m, _poses(arm, q, cube), strict=True))
     at, tracks = arm.values(q), []
     for start, end in pairwise(("P1", *POSE_ORDER)):
-        line = _straight(places[start], places[end])
+        line = _straight(corners[start], corners[end])
         track = track_path(arm, line, start=at)
         if track.issues:
             return track.issues[0].text
         at = track.q[-1]
         tracks.append(arm.readings(track.q))
     legs = [
-        _leg(name, readings, asked, float(np.linalg.norm(places[start].translation - places[name].translation)))
+        _leg(name, readings, asked, float(np.linalg.norm(corners[start].translation - corners[name].translation)))
         for readings, (start, name) in zip(tracks, pairwise(("P1", *POSE_ORDER)), strict=True)
     ]
     small = cube.side_m < min(SIDES_M)
@@ -170,13 +170,13 @@ def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig:
         figures=("AP", "RP"),
         names=POSE_ORDER,
         repeats=asked.cycles,
-        xyz_m=np.array([places[name].translation for name in POSE_ORDER]),
+        xyz_m=np.array([corners[name].translation for name in POSE_ORDER]),
         q=q_poses,
     )
     test = TestPlan(
         arm=arm.name,
         cube=cube,
-        quat_xyzw=np.asarray(places["P1"].rotation.as_quat(canonical=True)),
+        quat_xyzw=np.asarray(corners["P1"].rotation.as_quat(canonical=True)),
         motions=(poses,),
         speed_m_s=asked.speed_mm_s * MM,
         branch=(),
@@ -206,7 +206,7 @@ def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Leg:
     return Leg(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 
-def run(asked: IsoRequest, robot: RobotCell, station: Station, work: BackgroundJob) -> IsoDone:
+def run(asked: IsoRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IsoDone:
     """Visit the poses while the operator holds the enable, and judge what was seen.
 
     What was measured before an early end is kept and judged. Raises as plan; NotEnoughData where no pose was visited
@@ -214,14 +214,16 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, work: BackgroundJ
     """
     made = plan(asked, robot)
     side_mm = made.test.cube.side_m / MM
-    if not work.ask(f"The arm visits five poses in a cube of {side_mm:.0f} mm, {asked.cycles} times. Is the way free?"):
+    if not background.ask(
+        f"The arm visits five poses in a cube of {side_mm:.0f} mm, {asked.cycles} times. Is the way free?"
+    ):
         raise NotEnoughData("it was not begun", consequence="Nothing was moved")
     clock = SystemClock()
-    moved = SessionRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
     out = asked.folder / time.strftime("iso-%Y%m%d-%H%M%S")
     with moved:
-        override = max(robot.seat.override, 0.01)
-        visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, work)
+        override = max(robot.session.override, 0.01)
+        visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, background)
     return judged(made, asked, visits, ended, out)
 
 
@@ -320,7 +322,7 @@ def visits_csv(visits: list[Visit]) -> str:
 
 
 def figures(done: IsoDone) -> tuple[tuple[str, str, str, str], ...]:
-    """Return rows for a page: figure and place, value in mm, its standard deviation, visits or why it is withheld."""
+    """Return rows for a page: figure and pose, value in mm, its standard deviation, visits or why it is withheld."""
     rows = []
     for key, figure in done.output.iso9283.items():
         if key.split(" ")[0] not in FIGURES:

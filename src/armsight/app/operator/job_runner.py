@@ -35,7 +35,7 @@ class BackgroundJob:
         self.browser = browser
         self.result: Any = None
         self.failure = ""
-        self._told: tuple[float, float, str] = (0.0, 0.0, "")
+        self._progress: tuple[float, float, str] = (0.0, 0.0, "")
         self._question = ""
         self._answer: bool | None = None
         self._asked = threading.Condition()
@@ -55,7 +55,7 @@ class BackgroundJob:
     @property
     def state(self) -> WorkState:
         """How far it is."""
-        done, total, note = self._told
+        done, total, note = self._progress
         return WorkState(
             name=self.name,
             running=self.running,
@@ -68,7 +68,7 @@ class BackgroundJob:
 
     def update(self, done: float, total: float, note: str = "") -> None:
         """Take how far it is."""
-        self._told = (done, total, note)
+        self._progress = (done, total, note)
 
     def cancelled(self) -> bool:
         """Return whether the person ended it."""
@@ -113,27 +113,27 @@ class JobRunner:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.work: BackgroundJob | None = None
+        self.current: BackgroundJob | None = None
 
     def begin(self, name: str, browser: str, act: Callable[[BackgroundJob], Any]) -> BackgroundJob:
         """Begin work. Raises DeviceFailed where other work runs."""
         with self._lock:
-            if self.work is not None and self.work.running:
+            if self.current is not None and self.current.running:
                 raise DeviceFailed(
-                    f"{self.work.name} is still under way",
+                    f"{self.current.name} is still under way",
                     consequence=f"{name} is not begun",
                     cure="Wait for its end, or end it",
                 )
-            self.work = BackgroundJob(name, browser)
-            self.work.begin(act)
-            return self.work
+            self.current = BackgroundJob(name, browser)
+            self.current.begin(act)
+            return self.current
 
     def named(self, name: str) -> BackgroundJob | None:
         """Return the work of this name, under way or ended; None where there is none."""
-        return self.work if self.work is not None and self.work.name == name else None
+        return self.current if self.current is not None and self.current.name == name else None
 
     def close(self) -> None:
         """End what is under way."""
-        if self.work is not None:
-            self.work.cancel()
-            self.work.wait(10.0)
+        if self.current is not None:
+            self.current.cancel()
+            self.current.wait(10.0)

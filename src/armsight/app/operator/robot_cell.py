@@ -1,4 +1,4 @@
-"""A cell whose robot a page moves: its loop in a process, its log, its seat, and a simulated cell's cameras."""
+"""A cell whose robot a page moves: its loop in a process, its log, its session, and a simulated cell's cameras."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
-from armsight.app.operator.operator_session import OperatorSession
-from armsight.app.robot.channels import JointTrack
-from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.event_log import RecordingLog, default_log
+from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.models import arm_model
-from armsight.app.robot.opening import SIM
-from armsight.app.robot.service import Service
+from armsight.app.robot.opening import SIM, driver_settings
+from armsight.app.robot.recorder import RecordingLog, default_log
 from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
 from armsight.control.guard import Limits
+from armsight.control.session.channels import JointTrack
+from armsight.control.session.operator_session import OperatorSession
+from armsight.control.session.service import Service
+from armsight.drivers.lock import DeviceLock
 from armsight.errors import NotEnoughData
 from armsight.records import JointReading
+from armsight.store.atomic import disk_errors
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
 from armsight.store.limits_file import read_limits
 
@@ -37,10 +38,10 @@ class RobotCell:
 
     robot: str
     service: Service
-    seat: OperatorSession
+    session: OperatorSession
     limits: Limits
     followed: FollowedCell | None = None
-    bench: JobRunner = field(default_factory=JobRunner)
+    jobs: JobRunner = field(default_factory=JobRunner)
 
     def joints(self) -> Array:
         """Return the newest values (n,) in rad or m. Raises as reading."""
@@ -49,7 +50,7 @@ class RobotCell:
     def reading(self) -> JointReading:
         """Return the newest reading, with its time on the machine's clock. Raises DeviceLost, NotEnoughData before the
         first."""
-        reading = self.service.host.snapshot().reading
+        reading = self.service.host.status().reading
         if reading is None:
             raise NotEnoughData("the robot told no joints yet", consequence="No pose was taken", cure="Try again")
         return reading
@@ -75,14 +76,14 @@ def open_robot_cell(robot: str, folder: Path) -> Iterator[RobotCell]:
         made = RobotCell(
             robot=robot,
             service=service,
-            seat=OperatorSession(service),
+            session=OperatorSession(service),
             limits=kept,
             followed=None if scenario is None or track is None else FollowedCell(scenario, track),
         )
         try:
             yield made
         finally:
-            made.bench.close()
+            made.jobs.close()
             service.authority.note("info", "the console ends")
             service.pump()
 
@@ -129,3 +130,18 @@ def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
     )
     write_cell(folder, cell)
     return read_cell(folder)
+
+
+def one_console(folder: Path) -> DeviceLock:
+    """Return what a console holds while it serves a cell's folder, which is made where it is missing.
+
+    Raises DeviceFailed where it cannot be made, and on entering where another console serves it.
+    """
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return DeviceLock(
+        "the console of this folder",
+        folder=folder,
+        consequence="Two consoles would write over each other's files; nothing is served",
+        cure=f"Open the page of the other one, stop it, or choose another folder than {folder}",
+    )

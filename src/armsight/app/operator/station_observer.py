@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 LOOK_S = 0.005
 PIXEL_COV = 0.04 * np.eye(2)
-"""Of a light's centre, px squared, where only its first place is wanted."""
+"""Of a light's centre, px squared, where only its first position is wanted."""
 WAIT_S = 10.0
 """A station that shows nothing new for so long is taken for lost."""
 LOST_LOOKS = 10
@@ -72,15 +72,15 @@ class StationObserver:
 
     def _found(self, view: LiveView) -> Array | None:
         """Return the light's uv_px (2, 2) in both pictures: by its name, or as it has become; None where lost."""
-        places = []
+        positions = []
         for side, pictured in enumerate((view.left, view.right)):
-            place = _named(pictured, self._light)
-            if place is None and self._uv is not None:
-                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
-            if place is None:
+            position = _named(pictured, self._light)
+            if position is None and self._uv is not None:
+                position = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
+            if position is None:
                 return None
-            places.append(place)
-        return np.array(places)
+            positions.append(position)
+        return np.array(positions)
 
 
 def _named(view: SideView, name: str) -> Array | None:
@@ -89,12 +89,12 @@ def _named(view: SideView, name: str) -> Array | None:
 
 def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None:
     """Return the spot that a light at before_px (2,) has become; None where none or more than one may be it."""
-    places = np.array([[spot.u_px, spot.v_px] for spot in view.spots]).reshape(-1, 2)
-    away = np.sort(np.linalg.norm(places - before_px, axis=1))
+    positions = np.array([[spot.u_px, spot.v_px] for spot in view.spots]).reshape(-1, 2)
+    away = np.sort(np.linalg.norm(positions - before_px, axis=1))
     gate = min(FASTEST_PX_S * passed_s + STILL_PX, WIDEST_PX)
     if not len(away) or away[0] > gate or (len(away) > 1 and away[1] < 2.0 * gate):
         return None
-    return np.asarray(places[np.argmin(np.linalg.norm(places - before_px, axis=1))])
+    return np.asarray(positions[np.argmin(np.linalg.norm(positions - before_px, axis=1))])
 
 
 def around_px(shown: Shown | None, light: str) -> float:

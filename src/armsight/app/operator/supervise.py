@@ -12,14 +12,14 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.operator_session import Person
-from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.teach import LEAST_CYCLE_S
-from armsight.app.operator.teach import seen as pose_of_view
+from armsight.app.operator.teach_controller import LEAST_CYCLE_S
+from armsight.app.operator.teach_controller import seen as pose_of_view
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
+from armsight.control.session.operator_session import Person
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
@@ -115,6 +115,7 @@ class StationSupervisor:
     def _run(self) -> None:
         last: Shown | None = None
         newest_s = time.monotonic()
+        # joints are read between pictures as well, so that those at each exposure are known
         while not self._ended.wait(LOOK_S):
             self._read()
             station = self._station()
@@ -128,7 +129,7 @@ class StationSupervisor:
 
     def _read(self) -> None:
         try:
-            reading = self._robot.service.host.snapshot().reading
+            reading = self._robot.service.host.status().reading
         except ArmsightError:
             return
         if reading is not None:
@@ -143,7 +144,7 @@ class StationSupervisor:
             self._log.raised(alarm)
             self._why = alarm.why
             if alarm.level is Level.STOP:
-                self._robot.seat.stop(SUPERVISION)
+                self._robot.session.stop(SUPERVISION)
                 self._log.stopped = True
         if self._watch.level is Level.GOOD:
             self._why = ""
@@ -153,6 +154,7 @@ class StationSupervisor:
         self._log.add(
             shown.view.sequence, pose, compared, self._watch.level, lost, (time.perf_counter() - begun_s) * 1e3
         )
+        # a tenth at once: to shift the list by one with every picture would cost more each hour
         if len(self._log.rows) > KEPT:
             del self._log.rows[: KEPT // 10]
 
@@ -174,7 +176,7 @@ def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
     if cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
     handeye = cell_path(folder, cell.handeye, "handeye")
-    arm = robot.seat.arm
+    arm = robot.session.arm
     T_world_rig = rig_pose(folder, cell, arm, None)
     if arm is None or handeye is None or T_world_rig is None:
         raise NotEnoughData(

@@ -10,7 +10,7 @@ import numpy as np
 
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
-from armsight.app.play.job import tipped
+from armsight.app.play.play_job import tipped
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, PathIssue, check_path
 from armsight.kinematics import Arm

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
-from armsight.app.play.job import tipped
+from armsight.app.play.play_job import tipped
 from armsight.control.guard import Limits
 from armsight.control.paths import (
     PathCheck,
@@ -27,7 +27,7 @@ from armsight.control.paths import (
     urscript,
     with_approach,
 )
-from armsight.control.paths.jumps import PathJump, path_jumps
+from armsight.control.paths.outliers import PathJump, path_jumps
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.records import TaughtPath

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.control.paths.scene import along_edges, path_through_points
+from armsight.control.paths.along import along_edges, path_through_points
 from armsight.drivers.images import read_image
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.measure.correspondence import Correspondence, PatchSettings, StereoViews, find_in_other_view

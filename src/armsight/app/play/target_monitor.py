@@ -7,11 +7,10 @@ from contextlib import ExitStack
 from typing import Protocol
 
 from armsight.app.measure.run import target_of
-from armsight.app.play.job import PlayJob, load_sight
-from armsight.app.servo.devices import open_servo
-from armsight.app.servo.job import ServoDevices
-from armsight.app.servo.run import measuring
-from armsight.app.servo.vision import Vision, VisionThread, probe
+from armsight.app.play.play_job import PlayJob, load_sight
+from armsight.app.servo.run_servo import measuring
+from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.vision import Vision, VisionThread, open_servo, probe
 from armsight.control.events import QueueSink
 from armsight.control.play import CameraPlacement
 from armsight.errors import ArmsightError

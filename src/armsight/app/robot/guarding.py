@@ -1,4 +1,4 @@
-"""The guard of a robot: from the arm's file, from the robot itself, or from its joints alone."""
+"""The guard of a robot and its arm's model: from the arm's file, from the robot itself, or from its joints alone."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
+from armsight.app.robot.opening import open_robot
+from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
-from armsight.control.guard.fit import check_fit
+from armsight.control.guard.limits import check_fit
 from armsight.control.guard.space import Space
-from armsight.drivers import Robot
+from armsight.drivers import Robot, RobotTraits
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping
@@ -43,7 +45,7 @@ def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None,
             cure="Give for instance 0.2",
         )
     kept = Limits() if limits is None else read_limits(limits)
-    if getattr(robot, "guarded", False):  # the loop that moves it watches its readings and cycles itself
+    if RobotTraits.of(robot).guarded:  # the loop that moves it watches its readings and cycles itself
         cycles = BEHIND_LOOP_S / robot.cycle_s
         kept = replace(kept, silent_cycles=max(kept.silent_cycles, cycles), late_cycles=max(kept.late_cycles, cycles))
     known = arm_of(robot, arm)
@@ -80,7 +82,7 @@ def _of_file(file: Path | None) -> Iterator[None]:
 
 def standing(robot: Robot, n: int) -> Array:
     """Return the readings (n,) at which an open robot was last told to stand; by its own where it takes only poses."""
-    if not getattr(robot, "takes_joints", True):
+    if not RobotTraits.of(robot).takes_joints:
         return robot.read().q
     return robot.step_joints(np.zeros(n)).q
 
@@ -92,8 +94,8 @@ def standing_outside(guard: Guard, robot: Robot) -> str:
     """
     n = guard.arm.n
     q, still = standing(robot, n), np.zeros(n)
-    told = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).told()
-    return f"the arm stands {told}" if told else ""
+    outside = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).describe()
+    return f"the arm stands {outside}" if outside else ""
 
 
 def noted(outside: str) -> str:
@@ -113,11 +115,28 @@ def beside_outside(outside: str) -> Iterator[None]:
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:
-    """Return the arm of the file or preset, or the one that the robot tells; None where neither is there.
+    """Return the arm of the file or preset, or the one that the robot knows; None where neither is there.
 
     Raises BadFile, UsageError.
     """
     if arm is not None:
         return load_arm(str(arm))
-    told = getattr(robot, "arm_mapping", None)
-    return None if told is None else arm_from_mapping(told(), robot.name)
+    mapping = RobotTraits.of(robot).arm_mapping
+    return None if mapping is None else arm_from_mapping(mapping(), robot.name)
+
+
+def arm_model(robot: str, arm: str | None) -> Arm:
+    """Return the arm of a robot DRIVER:DEVICE: the given file's or preset's; a simulated robot brings its own.
+
+    Nothing is opened. Raises UsageError where none is given, and as load_arm and open_robot do.
+    """
+    if arm is not None:
+        return load_arm(arm)
+    known = arm_of(open_robot(robot, SystemClock()), None)
+    if known is None:
+        raise UsageError(
+            f"the arm behind {robot} is not known",
+            consequence="The guard cannot keep the limits of its tool, so it is not served",
+            cure="Give --arm with its arm.yaml, its .urdf or a preset's name",
+        )
+    return known

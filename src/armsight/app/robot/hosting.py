@@ -19,13 +19,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import JointTrack, LineChannels
-from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
-from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
 from armsight.app.robot.opening import open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
+from armsight.control.session.channels import JointTrack, LineChannels
+from armsight.control.session.loop_host import LoopEvent, LoopRecord
+from armsight.control.session.loop_side import Channels, lateness_s, run_loop
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, UsageError
@@ -52,8 +53,8 @@ class RobotSpec:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-class _LoopHost:
-    """The server's side of the channels; a Host. Subclasses run the loop. For one thread at a time."""
+class _SharedMemoryHost:
+    """The server's side of the channels; a LoopHost. Subclasses run the loop. For one thread at a time."""
 
     def __init__(self, arm: Arm, limits: Limits, clock: Clock, track: JointTrack | None = None) -> None:
         self._arm, self._limits = arm, limits
@@ -98,9 +99,10 @@ class _LoopHost:
         """Return how many cycles began how much too late, in the bins of loop_side.lateness_s."""
         return np.frombuffer(self._channels.lateness, dtype=np.uint64).copy()
 
-    def snapshot(self) -> Snapshot:
+    def status(self) -> RobotStatus:
         """Return the newest state. Raises DeviceLost where the loop has ended or hangs."""
         found = self._newest()
+        # a loop that hangs writes no more, though its process lives: its last status would be shown for ever
         if found is None or self._ended or not self._runs() or self.now_s() - found.t_s > LOST_S:
             raise DeviceLost(
                 f"the loop of the robot does not run{': ' if self._ended else ''}{self._ended}",
@@ -154,6 +156,7 @@ class _LoopHost:
 
     def _urge(self, *order: Any) -> None:
         """Give an order that must not be lost: where there is no room for it now it waits, and others behind it."""
+        # through the same deque as those before it: a release must not overtake a stop
         self._urgent.append(order)
         self._push()
 
@@ -173,9 +176,9 @@ class _LoopHost:
         else:
             self._kept.append(record)
 
-    def _newest(self) -> Snapshot | None:
+    def _newest(self) -> RobotStatus | None:
         data = self._channels.state.read()
-        found: Snapshot | None = None if data is None else pickle.loads(data)
+        found: RobotStatus | None = None if data is None else pickle.loads(data)
         return found
 
     def _wait(self) -> None:
@@ -199,7 +202,7 @@ class _LoopHost:
         raise NotImplementedError
 
 
-class ProcessHost(_LoopHost):
+class ProcessHost(_SharedMemoryHost):
     """A robot's loop in a process of its own: nothing that the web server does makes a cycle wait."""
 
     def __init__(self, spec: RobotSpec, track: JointTrack | None = None) -> None:
@@ -236,7 +239,7 @@ class ProcessHost(_LoopHost):
         return self._process.is_alive()
 
 
-class ThreadHost(_LoopHost):
+class ThreadHost(_SharedMemoryHost):
     """A robot's loop in a thread of this process, on a given clock: for tests and simulation, not for real time."""
 
     def __init__(

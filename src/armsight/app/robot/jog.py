@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
-from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Guard, GuardState
-from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.loop import ControlLoop
 from armsight.control.sources import GoalSource
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Progress, Silent
@@ -67,14 +67,14 @@ class _Watcher:
         self.limited: list[str] = []
         self.stuck = False
 
-    def __call__(self, status: LoopStatus) -> bool:
+    def __call__(self, status: RobotStatus) -> bool:
         self.limited += [name for name in status.limited if name not in self.limited]
-        ended = status.finished or status.state is not GuardState.RUNNING
+        ended = status.finished or status.guard is not GuardState.RUNNING
         self._cycles = self._cycles + 1 if status.at_rest and ended else 0
         stands = not ended and np.array_equal(status.q_sent, self._sent)
         self._stood, self._sent = self._stood + 1 if stands else 0, status.q_sent
         self.stuck |= self._stood * self._cycle_s > STUCK_S
-        longest_s = STUCK_S if status.state is GuardState.HOLDING else SETTLE_S
+        longest_s = STUCK_S if status.guard is GuardState.HOLDING else SETTLE_S
         return self.stuck or self._cycles * self._cycle_s > longest_s
 
 
@@ -108,11 +108,11 @@ def jog_robot(
             source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
             loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=sink)
 
-            def tell() -> None:
+            def show_progress() -> None:
                 if loop.status is not None:
                     progress.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
 
-            run_with_progress(lambda: loop.run(until=watcher), tell)
+            run_with_progress(lambda: loop.run(until=watcher), show_progress)
         with beside_outside(outside):
             _check_end(loop.status, robot, stuck=watcher.stuck)
         sent = start if loop.status is None else loop.status.q_sent
@@ -191,7 +191,7 @@ def _check_range(job: JogJob, guard: Guard, start: float, outside: str) -> None:
         )
 
 
-def _check_end(status: LoopStatus | None, robot: Robot, *, stuck: bool = False) -> None:
+def _check_end(status: RobotStatus | None, robot: Robot, *, stuck: bool = False) -> None:
     """Raise where the guard did not let the motion come to its end, or the robot did not go."""
     if stuck:
         raise DeviceFailed(
@@ -199,11 +199,11 @@ def _check_end(status: LoopStatus | None, robot: Robot, *, stuck: bool = False) 
             consequence="It was stopped before its goal",
             cure="Look at the speed override and the limits of its controller; a driver's Sent.q is where it goes",
         )
-    if status is None or status.state is GuardState.RUNNING:
+    if status is None or status.guard is GuardState.RUNNING:
         return
-    if status.state is GuardState.DISABLED:
+    if status.guard is GuardState.DISABLED:
         raise Cancelled("stopped", consequence=f"{robot.name} came to rest before its goal")
-    if status.state is GuardState.HOLDING:
+    if status.guard is GuardState.HOLDING:
         raise Inconsistent(
             status.why,
             consequence=f"{robot.name} came to rest before its goal",

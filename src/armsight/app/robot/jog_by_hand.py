@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import os
+import select
+import sys
 import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from armsight.app.arm_files import load_arm
-from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, recording
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
-from armsight.control.enable import Enable
 from armsight.control.guard import Guard, GuardState
-from armsight.control.loop import ControlLoop, LoopStatus
-from armsight.control.sources import JogFrame, JogSource
+from armsight.control.loop import ControlLoop
+from armsight.control.sources import Enable, JogFrame, JogSource
+from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
-from armsight.drivers.jog_inputs import JogInput, open_jog_input
+from armsight.drivers.jog_inputs import JogInput, open_jog_input, single_keys
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
 from armsight.records import Progress, Silent
 from armsight.units import DEG, MM
@@ -91,30 +93,32 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
     limited: list[str] = []
     resting_since_s: list[float] = []
 
-    def done(status: LoopStatus) -> bool:
+    def done(status: RobotStatus) -> bool:
         limited.extend(name for name in status.limited if name not in limited)
         if not hand.ended or not status.at_rest:
-            return status.state is GuardState.STOPPED
+            return status.guard is GuardState.STOPPED
+        # the motors lag behind what was sent: where the arm is, is read once they have settled
         resting_since_s.append(status.t_s)
         return status.t_s - resting_since_s[0] >= SETTLE_S
 
-    def tell() -> None:
+    def show_progress() -> None:
         status = loop.status
         if progress.cancelled():
             hand.end()
         if status is not None:
-            progress.update(float(status.n_cycles), 0.0, status.why)
+            progress.update(float(status.cycle), 0.0, status.why)
 
     hand.start()
     try:
-        run_with_progress(lambda: loop.run(until=done), tell)
+        run_with_progress(lambda: loop.run(until=done), show_progress)
     finally:
+        # first let go, then wait: the hand's thread may be in its last look for a while
         hand.end()
         hand.join()
     if hand.error is not None:
         raise hand.error
     status = loop.status
-    if status is not None and status.state is GuardState.STOPPED:
+    if status is not None and status.guard is GuardState.STOPPED:
         raise DeviceFailed(
             status.why,
             consequence="The robot was stopped",
@@ -183,3 +187,33 @@ def _question(robot: Robot, guard: Guard, frame: JogFrame, hand: JogInput) -> st
         f"Move {robot.name} by hand ({frame}), at up to {guard.limits.turn_rad_s / DEG:.1f} deg/s and "
         f"{guard.limits.speed_m_s / MM:.0f} mm/s at the tool? {hand.help()}"
     )
+
+
+KEYS_S = 0.1
+
+
+@contextmanager
+def listening(actions: Mapping[str, Callable[[], object]]) -> Iterator[None]:
+    """Call the action of each key that is pressed, from a thread, until it ends. Without a terminal nothing happens."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    end = threading.Event()
+
+    def look(fd: int) -> None:
+        while not end.is_set():
+            if not select.select([fd], [], [], KEYS_S)[0]:
+                continue
+            for key in os.read(fd, 64).decode("ascii", "ignore"):
+                action = actions.get(key)
+                if action is not None:
+                    action()
+
+    with single_keys() as fd:
+        thread = threading.Thread(target=look, args=(fd,), name="keys", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            end.set()
+            thread.join()

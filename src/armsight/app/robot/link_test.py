@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
 from armsight.clock import Clock, SystemClock
-from armsight.control.jitter import Jitter
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
+from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, StaleData, UsageError
 from armsight.records import JointReading, Progress, Silent
@@ -42,10 +41,10 @@ def test_robot(
     clock, progress = clock or SystemClock(), progress or Silent()
     arm = opened or open_robot(robot, clock, driver_settings(robot, rsi_config=rsi_config))
     with arm:
-        start_s, told = clock.now_s(), progress
+        start_s, shown = clock.now_s(), progress
         jitter, reading, silence_s = run_with_progress(
-            lambda: _watched(arm, for_s, told.cancelled, clock),
-            lambda: told.update(min(for_s, clock.now_s() - start_s), for_s),
+            lambda: _watched(arm, for_s, shown.cancelled, clock),
+            lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
         )
         state = arm.state
     timing = jitter.timing()

@@ -1,14 +1,21 @@
-"""A robot by what the person calls it: DRIVER:DEVICE."""
+"""A robot by what the person calls it, DRIVER:DEVICE, and the settings of its driver."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import Clock
 from armsight.drivers import ROBOTS, Robot, known, load
-from armsight.errors import UsageError
+from armsight.errors import DataRefused, UsageError
+from armsight.kinematics import Arm
 
 SIM = "sim"
 
@@ -33,3 +40,45 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
         return cast(Robot, maker("", settings=model.model_dump(), clock=clock))
     name = text if driver in ("ws", "wss") else device
     return cast(Robot, maker(name, settings=dict(settings or {}), clock=clock))
+
+
+NEEDS_ARM, TAKES_TAGS = "alter", "rsi"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinkArm:
+    """An arm as a link of poses wants it: joint values to T_base_flange and back, on the branch of given joints."""
+
+    arm: Arm
+
+    def fk(self, q: NDArray[np.float64]) -> RigidTransform:
+        """Return T_base_flange of the controller's joint values q (n,) in rad or m."""
+        T_world_tool = RigidTransform.from_matrix(self.arm.fk(self.arm.values(q)))
+        return self.arm.T_world_base.inv() * T_world_tool * self.arm.T_flange_tool.inv()
+
+    def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the controller's joint values (n,) nearest to near (n,). Raises DataRefused out of reach."""
+        T_world_tool = self.arm.T_world_base * T_base_flange * self.arm.T_flange_tool
+        found = self.arm.ik(T_world_tool, near=self.arm.values(near))
+        if len(found) == 0:
+            raise DataRefused(f"the pose is out of reach of {self.arm.name}", consequence="It is not sent")
+        return self.arm.readings(found[0].q)
+
+
+def driver_settings(robot: str, *, arm: Arm | None = None, rsi_config: Path | None = None) -> dict[str, Any]:
+    """Return the settings of the driver that DRIVER:DEVICE names.
+
+    arm: alter sends poses and needs it for joints. rsi_config: the RSI Ethernet XML file with the tags of
+    the user's own configuration. Raises UsageError for a file that the driver has no use for.
+    """
+    driver = robot.partition(":")[0]
+    settings: dict[str, Any] = {}
+    if driver == NEEDS_ARM and arm is not None:
+        settings["arm"] = LinkArm(arm=arm)
+    if rsi_config is not None:
+        if driver != TAKES_TAGS:
+            raise UsageError(
+                f"{robot} takes no RSI configuration", cure="Leave --rsi-config away, or give rsi:UDP_PORT"
+            )
+        settings["rsi_config"] = rsi_config
+    return settings

@@ -32,24 +32,24 @@ def run_twin(
     arm: str | None,
     cycle_s: float | None,
     on: Callable[[], bool],
-    tell: Callable[[str], None],
+    ready: Callable[[str], None],
     warn: Callable[[str], None],
 ) -> None:
-    """Run the twin of a driver in real time as long as on() holds; tell the address that opens it.
+    """Run the twin of a driver in real time as long as on() holds; ready is called with the address that opens it.
 
-    arm: a file or a preset's name. warn is told why the twin stopped its arm or fell silent. A controller has its own
+    arm: a file or a preset's name. warn is answer why the twin stopped its arm or fell silent. A controller has its own
     computer: its twin goes before other work of this one where the system allows that. Raises UsageError,
     DeviceNotFound with the twins there are, DeviceFailed.
     """
     with _made(name, port, connect, arm, cycle_s) as twin:
-        tell(twin.address)
+        ready(twin.address)
 
-        def tell_messages() -> None:
+        def show_messages() -> None:
             while twin.messages:
                 warn(f"{name} twin: {twin.messages.pop(0)}")
 
-        run_with_progress(lambda: twin.run(on), tell_messages)
-        tell_messages()
+        run_with_progress(lambda: twin.run(on), show_messages)
+        show_messages()
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def twin_beside(
     In a thread of this process it would wait for the interpreter's lock, and its driver with it. Its warnings go to
     stderr. Raises as run_twin, DeviceFailed where the process ended by itself.
     """
-    _made(name, port, connect, arm, cycle_s)  # what is wrong with it is told at once
+    _made(name, port, connect, arm, cycle_s)  # what is wrong with it is answer at once
     begin = "import sys; sys.path.insert(0, sys.argv[1]); from armsight.app.robot.twin import serve_twin; serve_twin()"
     command = [sys.executable, "-c", begin, str(Path(__file__).parents[3])]
     process = subprocess.Popen(
@@ -73,9 +73,9 @@ def twin_beside(
         with suppress(BrokenPipeError):
             orders.write(json.dumps(given).encode() + b"\n")
             orders.flush()
-        yield _told(answers)
+        yield _address_from(answers)
         if process.poll() is not None:
-            _told(answers)
+            _address_from(answers)
     finally:
         with suppress(BrokenPipeError):
             orders.close()
@@ -95,8 +95,8 @@ def serve_twin() -> None:
         sys.stdin.buffer.read()
         ended.set()
 
-    def tell(told: object) -> None:
-        sys.stdout.write(json.dumps(told) + "\n")
+    def send(answer: object) -> None:
+        sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
 
     def warn(text: str) -> None:
@@ -105,9 +105,9 @@ def serve_twin() -> None:
 
     threading.Thread(target=wait, daemon=True).start()
     try:
-        run_twin(**given, on=lambda: not ended.is_set(), tell=tell, warn=warn)
+        run_twin(**given, on=lambda: not ended.is_set(), ready=send, warn=warn)
     except ArmsightError as error:
-        tell({"kind": type(error).__name__, "of": [error.cause, error.consequence, error.cure]})
+        send({"kind": type(error).__name__, "of": [error.cause, error.consequence, error.cure]})
 
 
 def _made(name: str, port: str | None, connect: str | None, arm: str | None, cycle_s: float | None) -> Any:
@@ -117,13 +117,13 @@ def _made(name: str, port: str | None, connect: str | None, arm: str | None, cyc
     return maker(port=port, connect=connect, arm=mapping, cycle_s=cycle_s, clock=SystemClock())
 
 
-def _told(pipe: IO[bytes]) -> str:
+def _address_from(pipe: IO[bytes]) -> str:
     """Return the address that a twin's process tells. Raises what it raised, DeviceFailed where it tells nothing."""
     line = pipe.readline()
     if not line:
         raise DeviceFailed("the twin's process ended by itself", consequence="There is no twin")
-    told = json.loads(line)
-    if isinstance(told, str):
-        return told
-    cause, consequence, cure = told["of"]
-    raise getattr(errors, told["kind"], DeviceFailed)(cause, consequence=consequence, cure=cure)
+    answer = json.loads(line)
+    if isinstance(answer, str):
+        return answer
+    cause, consequence, cure = answer["of"]
+    raise getattr(errors, answer["kind"], DeviceFailed)(cause, consequence=consequence, cure=cure)

@@ -1,4 +1,4 @@
-"""A loop in a thread of its own, while this one tells the person how far it is."""
+"""A loop in a thread of its own, while this one shows the person how far it is."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from armsight.priority import bound_control, control_first
 
 Result = TypeVar("Result")
 
-TOLD_S = 0.2
-"""Time between two tellings."""
+SHOW_S = 0.2
+"""Time between two calls of show, in s."""
 
 
-def run_with_progress(work: Callable[[], Result], tell: Callable[[], None]) -> Result:
-    """Return what work returns, or raise what it raises; tell is called now and then meanwhile, from this thread.
+def run_with_progress(target: Callable[[], Result], show: Callable[[], None]) -> Result:
+    """Return what target returns, or raise what it raises; show is called now and then meanwhile, from this thread.
 
-    work runs before other work of the machine where the system allows that. No cycle of a loop within it waits for the
-    screen that tell writes to.
+    target goes before all else on the machine where the system allows that. No cycle of a loop within it waits for the
+    screen that show writes to.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
@@ -26,7 +26,7 @@ def run_with_progress(work: Callable[[], Result], tell: Callable[[], None]) -> R
     def run() -> None:
         control_first()
         try:
-            results.append(work())
+            results.append(target())
         except BaseException as error:  # raised again below, where somebody hears it
             errors.append(error)
 
@@ -34,8 +34,8 @@ def run_with_progress(work: Callable[[], Result], tell: Callable[[], None]) -> R
     thread = threading.Thread(target=run, name="control loop")
     thread.start()
     while thread.is_alive():
-        thread.join(TOLD_S)
-        tell()
+        thread.join(SHOW_S)
+        show()
     if errors:
         raise errors[0]
     return results[0]

@@ -1,4 +1,4 @@
-"""Frames to poses to the servo: what the thread of the cameras does."""
+"""From pairs of frames to target poses for a servo, and the cameras, real or simulated, that they come from."""
 
 from __future__ import annotations
 
@@ -8,20 +8,26 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol, cast
 
 import numpy as np
 
-from armsight.app.servo.job import ServoDevices
-from armsight.clock import Clock
+from armsight.app.robot.opening import open_robot
+from armsight.app.servo.servo_job import ServoDevices, ServoJob, SteppedClock
+from armsight.app.simulate.scenarios import live_cell
+from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
+from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.servo import ServoSource
 from armsight.control.servo.delay import CameraDelay
-from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData
+from armsight.drivers import CameraSettings, is_live
+from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker, lost_pair
-from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.optics import Rig
+from armsight.records import Frame, PoseStatus, Target, TargetPose
 
 JOIN_S = 2.0
 """How long the end of the thread is waited for."""
@@ -153,3 +159,53 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
                 cure="Check the cameras, their exposure and their rate",
             )
         clock.sleep_until(clock.now_s() + 0.02)
+
+
+SIM = "sim:"
+
+
+def open_servo(job: ServoJob, rig: Rig, target: Target, clock: Clock | None = None) -> ServoDevices:
+    """Return what the job names; nothing is opened yet. Raises UsageError, DeviceNotFound, BadFile."""
+    if job.robot.startswith(SIM):
+        return _simulated(job)
+    if job.hand is not None:
+        raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
+    clock = clock or SystemClock()
+    settings, colour = CameraSettings(exposure_s=job.exposure_s), target.colour is not None
+    if job.image is not None and job.left is job.right is None:
+        _check_live(job.image)
+        source = partial(open_source, job.image, colour=colour, settings=settings, clock=clock)
+        pairs, overlaid = complex_pairs(source, rig)
+        return ServoDevices(robot=open_robot(job.robot, clock), pairs=pairs, clock=clock, overlaid=overlaid)
+    if job.image is not None or job.left is None or job.right is None:
+        raise UsageError(
+            "which cameras see the target is not said", cure="Give --left and --right, or --image for a mirror rig"
+        )
+    _check_live(job.left)
+    _check_live(job.right)
+    both = open_pairs(job.left, job.right, colour=colour, settings=settings)
+    return ServoDevices(robot=open_robot(job.robot, clock), pairs=both, clock=clock)
+
+
+def _check_live(text: str) -> None:
+    if not is_live(text) or text.startswith("camera:sim:"):
+        raise UsageError(f"{text} does not see the target now", cure="Give camera:NAME")
+
+
+def _simulated(job: ServoJob) -> ServoDevices:
+    """Return a simulated cell, whose time moves with the loop."""
+    given = [name for name in ("left", "right", "image", "exposure_s") if getattr(job, name) is not None]
+    if given:
+        raise UsageError(
+            f"the simulated cell {job.robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
+        )
+    clock = SteppedClock()
+    cell = live_cell(job.robot.removeprefix(SIM), clock, hand=job.hand, speed_m_s=job.hand_speed_m_s)
+    return ServoDevices(
+        robot=cell.robot,
+        pairs=cell.pairs,
+        clock=clock,
+        overlaid=cell.one_image,
+        origin_s=lambda: float(cell.origin_s),
+        stepped=clock,
+    )

@@ -9,12 +9,11 @@ from pathlib import Path
 from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 
-from armsight.app.guided.desk import DeskState, StepDesk
 from armsight.app.guided.step import Hint, Sample
+from armsight.app.guided.step_runner import GuidedStepRunner, GuidedStepState
 from armsight.app.live.measurement import COMPLEX
 from armsight.console import texts
-from armsight.console.jog import jog_card
-from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, jog_card, set_attribute, set_text, text_of
 from armsight.console.pages.mirrors import alignment_card, built_card
 from armsight.console.plots import Plot
 from armsight.console.state import Console, steps_of
@@ -73,9 +72,9 @@ def _step(console: Console, name: str) -> None:
 class _Step:
     """One guided calibration on the page; what several pages do to it, and what a page loaded anew finds, is shown."""
 
-    def __init__(self, console: Console, desk: StepDesk, title: str) -> None:
-        self._console, self._desk = console, desk
-        self._shown: DeskState | None = None
+    def __init__(self, console: Console, runner: GuidedStepRunner, title: str) -> None:
+        self._console, self._runner = console, runner
+        self._shown: GuidedStepState | None = None
         with card(title):
             text_of("h3", texts.WHAT_NEXT)
             self._hint = text_of("p", testid="hint", role="status").style("font-size: 1.3rem; font-weight: 600")
@@ -102,24 +101,24 @@ class _Step:
             for side in self._console.pictures:
                 with ui.element("div"):
                     canvas_of(side, plain=True)
-                    if side in self._desk.state.coverage:
+                    if side in self._runner.state.coverage:
                         with ui.element("div").classes("coverage"):
                             self._cells[side] = [text_of("span", "0") for _ in range(CELLS)]
 
     async def _on_accept(self) -> None:
-        if not self._desk.state.busy:  # pressed twice
-            await run.io_bound(self._desk.accept, self._console.require_station)
+        if not self._runner.state.busy:  # pressed twice
+            await run.io_bound(self._runner.accept, self._console.require_station)
 
     async def _on_run(self) -> None:
-        if self._desk.state.busy != "run":
-            await run.io_bound(self._desk.run, Silent())
+        if self._runner.state.busy != "run":
+            await run.io_bound(self._runner.run, Silent())
 
     async def _drop(self, index: int, sample: Sample) -> None:
-        if sample in self._desk.state.samples[index : index + 1]:  # else it was dropped on another page
-            await run.io_bound(self._desk.drop, index)
+        if sample in self._runner.state.samples[index : index + 1]:  # else it was dropped on another page
+            await run.io_bound(self._runner.drop, index)
 
     def _tick(self) -> None:
-        state, before = self._desk.state, self._shown
+        state, before = self._runner.state, self._shown
         if state is before:
             return
         self._shown = state
@@ -133,9 +132,9 @@ class _Step:
         if before is None or (state.verdict, state.not_done) != (before.verdict, before.not_done):
             self._verdict.clear()
             with self._verdict:
-                _show_verdict(self._console, self._desk.name, state)
+                _show_verdict(self._console, self._runner.name, state)
 
-    def _show(self, state: DeskState) -> None:
+    def _show(self, state: GuidedStepState) -> None:
         set_text(self._hint, hint_text(state.hint))
         for side, cells in self._cells.items():
             for i, (cell, n) in enumerate(zip(cells, state.coverage[side], strict=True)):
@@ -175,7 +174,7 @@ def _table(rows: Iterable[tuple[str, str]]) -> None:
                 text_of("td", value)
 
 
-def _plots(state: DeskState) -> None:
+def _plots(state: GuidedStepState) -> None:
     """Plot residual, standard deviations and coverage against the number of samples."""
     if not state.curves:
         text_of("p", texts.NO_PLOT_YET).classes("hint")
@@ -185,7 +184,7 @@ def _plots(state: DeskState) -> None:
         Plot(title, (words,), testid=f"chart-{i}", dots=True, first=i).show([points])
 
 
-def _show_verdict(console: Console, name: str, state: DeskState) -> None:
+def _show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
     verdict = state.verdict
     if verdict is None and not state.not_done:
         return

@@ -8,17 +8,25 @@ from functools import partial
 import numpy as np
 from nicegui import run, ui
 
-from armsight.app.operator import identify as work_of
-from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest, Range, SweepFit
+from armsight.app.operator import identify_run as sweeps
+from armsight.app.operator.identify_run import FOLDER, JOB_NAME, Entry, IdentifyRequest, Range, SweepFit
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
-from armsight.console.fields import number, ticked, whole_number
-from armsight.console.jog import jog_card
-from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    Working,
+    button,
+    card,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text_of,
+    ticked,
+    whole_number,
+)
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.working import Working
 from armsight.errors import ArmsightError
 from armsight.units import DEG, MM
 
@@ -27,7 +35,7 @@ def identify_page(console: Console) -> None:
     """Build the page."""
     try:
         robot = console.require_robot()
-        ranges = work_of.proposed_ranges(robot)
+        ranges = sweeps.proposed_ranges(robot)
         console.require_station()
     except ArmsightError as error:
         text_of("p", str(error)).classes("notice")
@@ -44,7 +52,7 @@ class _Identify:
         self._robot = console.require_robot()
         self._browser = ui.context.client.id
         with card(texts.JOINT_RANGES):
-            text_of("p", texts.JOINT_RANGES_HELP.format(light=work_of.light_of(console.folder, console.cell))).classes(
+            text_of("p", texts.JOINT_RANGES_HELP.format(light=sweeps.light_of(console.folder, console.cell))).classes(
                 "hint"
             )
             self._fields = [self._row(one) for one in ranges]
@@ -61,7 +69,7 @@ class _Identify:
             self._scene = self._made_scene()
         with self._found:
             self._table = ui.element("div")
-            Working(self._robot.bench, WORK, self._show)
+            Working(self._robot.jobs, JOB_NAME, self._show)
 
     def _made_scene(self) -> Scene | None:
         try:
@@ -86,15 +94,15 @@ class _Identify:
     def _ticked(self) -> None:
         """Tell what leaving joints out means, or why it cannot be."""
         self._plan.clear()
-        self._tell_left_out()
+        self._show_left_out()
 
-    def _tell_left_out(self) -> None:
+    def _show_left_out(self) -> None:
         try:
             words = self._asked().consequence()
         except ArmsightError as error:
-            self._tell(str(error), "bad")
+            self._say(str(error), "bad")
             return
-        self._tell(words, "warn" if words else "good")
+        self._say(words, "warn" if words else "good")
 
     def _asked(self) -> IdentifyRequest:
         pairs = zip(self._ranges, self._fields, strict=True)
@@ -115,39 +123,39 @@ class _Identify:
         self._plan.clear()
         try:
             asked = self._asked()
-            plan = await run.io_bound(partial(work_of.expected, asked, self._robot, self._console.require_station()))
+            plan = await run.io_bound(partial(sweeps.expected, asked, self._robot, self._console.require_station()))
         except ArmsightError as error:
-            self._tell(str(error), "bad")
+            self._say(str(error), "bad")
             return
         if plan is None:  # the server is ending
             return
-        self._tell_left_out()
+        self._show_left_out()
         with self._plan:
             _plan_table(plan)
 
     def _run(self) -> None:
         try:
             asked, station = self._asked(), self._console.require_station()
-            self._robot.bench.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
-            self._tell_left_out()
+            self._robot.jobs.begin(JOB_NAME, self._browser, partial(sweeps.run, asked, self._robot, station))
+            self._show_left_out()
         except ArmsightError as error:
-            self._tell(str(error), "bad")
+            self._say(str(error), "bad")
 
-    def _tell(self, words: str, level: str) -> None:
+    def _say(self, words: str, level: str) -> None:
         set_text(self._said, words)
         set_attribute(self._said, "data-level", level)
 
-    def _show(self, work: BackgroundJob) -> None:
+    def _show(self, job: BackgroundJob) -> None:
         """Show the table and the fits of sweeps that are done."""
-        done: IdentifyOutput = work.result
+        done: IdentifyOutput = job.result
         self._table.clear()
         with self._table:
-            _entries_table(work_of.entries(done, self._robot.seat.arm))
+            _entries_table(sweeps.entries(done, self._robot.session.arm))
             for note in done.notes:
                 text_of("p", note).classes("hint")
             text_of("p", texts.SAVED_ARM.format(file=f"{FOLDER}/arm.yaml"), testid="verdict")
             text_of("a", texts.REPORT, href=f"/console/files/{FOLDER}/arm.report.html", target="_blank")
-        fits = work_of.fits(self._console.folder)
+        fits = sweeps.fits(self._console.folder)
         self._fitted.clear()
         with self._fitted:
             _fits_table(done, fits)

@@ -15,11 +15,20 @@ from armsight.app.live.measurement import COMPLEX, DetectionSettings
 from armsight.app.live.station import Shown
 from armsight.app.live.views import SideView
 from armsight.console import texts
-from armsight.console.fields import number, ticked
-from armsight.console.jog import jog_card
-from armsight.console.layout import TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
-from armsight.console.messages import drawn
+from armsight.console.layout import (
+    TICK_S,
+    button,
+    canvas_of,
+    card,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text_of,
+    ticked,
+)
 from armsight.console.plots import Plot
+from armsight.console.robot_link import drawn
 from armsight.console.scene import Scene
 from armsight.console.state import Console, values_of
 from armsight.errors import ArmsightError, UsageError

@@ -13,8 +13,7 @@ from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
 from armsight.app.schemas.cameras import MirrorCheckOutput
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.console import texts
-from armsight.console.fields import number, ticked
-from armsight.console.layout import SIGNS, button, card, set_attribute, set_text, text_of
+from armsight.console.layout import SIGNS, button, card, number, set_attribute, set_text, text_of, ticked
 from armsight.console.plots import Plot
 from armsight.console.state import Console
 from armsight.errors import ArmsightError

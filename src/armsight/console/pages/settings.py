@@ -5,10 +5,9 @@ from __future__ import annotations
 from nicegui import run, ui
 
 from armsight.console import texts
-from armsight.console.fields import file_name, text, ticked
-from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.layout import button, card, file_name, set_attribute, set_text, text, text_of, ticked
+from armsight.console.routes import LARGEST_BYTES
 from armsight.console.state import Console
-from armsight.console.uploads import LARGEST_BYTES
 from armsight.errors import ArmsightError
 
 SOURCES = ("left", "right", "board")

@@ -7,19 +7,28 @@ from typing import Any
 
 from nicegui import run, ui
 
-from armsight.app.operator import path_desk
+from armsight.app.operator import path_editor as path_desk
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.path_desk import TOOLS, WORK, PathDesk, PlayRequest
-from armsight.app.operator.teach import TeachDesk
+from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayRequest
+from armsight.app.operator.teach_controller import TeachController
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts
-from armsight.console.fields import number, text, ticked
-from armsight.console.jog import jog_card
-from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    TICK_S,
+    Working,
+    button,
+    card,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text,
+    text_of,
+    ticked,
+)
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.working import Working
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM
@@ -35,7 +44,7 @@ def teach_page(console: Console) -> None:
     try:
         robot = console.require_robot()
         console.require_station()
-        recorder, desk = console.teaching(), console.path_desk()
+        recorder, editor = console.teaching(), console.path_editor()
     except ArmsightError as error:
         text_of("p", str(error)).classes("notice")
         return
@@ -43,14 +52,14 @@ def teach_page(console: Console) -> None:
     with ui.element("div").classes("columns"):
         with ui.element("div").classes("stack"):
             above = ui.element("div")
-            path = _Path(console, desk, said)
+            path = _Path(console, editor, said)
             with above:
-                _Recording(recorder, desk, path, said)
+                _Recording(recorder, editor, path, said)
         with card(texts.PATHS_SCENE):
             path.scene = _scene(console, path)
             if path.scene is not None:
                 _look(path.scene)
-    _Play(console, desk)
+    _Play(console, editor)
     path.show()
     jog_card(robot)
 
@@ -86,7 +95,7 @@ def _look(scene: Scene) -> None:
         set_text(said, "" if scene.look_at_paths() else texts.NO_PATHS)
 
 
-def _tell(said: Any, words: str, level: str = "good") -> None:
+def _say(said: Any, words: str, level: str = "good") -> None:
     set_text(said, words)
     set_attribute(said, "data-level", level)
 
@@ -94,8 +103,8 @@ def _tell(said: Any, words: str, level: str = "good") -> None:
 class _Recording:
     """The keys of the recorder."""
 
-    def __init__(self, recorder: TeachDesk, desk: PathDesk, path: _Path, said: Any) -> None:
-        self._recorder, self._desk, self._path, self._said = recorder, desk, path, said
+    def __init__(self, recorder: TeachController, editor: PathEditor, path: _Path, said: Any) -> None:
+        self._recorder, self._editor, self._path, self._said = recorder, editor, path, said
         with card(texts.TEACH):
             text_of("p", texts.TEACH_HELP).classes("hint")
             with ui.element("div").classes("row"):
@@ -116,33 +125,33 @@ class _Recording:
         try:
             self._recorder.recorder.tag(text(self._tag))
         except ArmsightError as error:
-            _tell(self._said, str(error), "bad")
+            _say(self._said, str(error), "bad")
 
     def _save(self) -> None:
         try:
-            self._desk.load(self._recorder.save())
-            _tell(self._said, "")
+            self._editor.load(self._recorder.save())
+            _say(self._said, "")
         except ArmsightError as error:
-            _tell(self._said, str(error), "bad")
+            _say(self._said, str(error), "bad")
         self._path.show()
 
     def _tick(self) -> None:
         state = self._recorder.state
-        told = texts.TEACH_STATE.format(n=state.n, stretches=state.stretches, lost=state.lost)
-        set_text(self._state, (texts.TEACH_RECORDING if state.recording else "") + told)
+        words = texts.TEACH_STATE.format(n=state.n, stretches=state.stretches, lost=state.lost)
+        set_text(self._state, (texts.TEACH_RECORDING if state.recording else "") + words)
         set_text(self._record, texts.TEACH_PAUSE if state.recording else texts.TEACH_RECORD)
 
 
 class _Path:
-    """The path in a table and in the scene; places are chosen in both."""
+    """The path in a table and in the scene; positions are chosen in both."""
 
     scene: Scene | None = None
 
-    def __init__(self, console: Console, desk: PathDesk, said: Any) -> None:
-        self._console, self._desk, self._said = console, desk, said
+    def __init__(self, console: Console, editor: PathEditor, said: Any) -> None:
+        self._console, self._editor, self._said = console, editor, said
         self._chosen: set[int] = set()
         with card(texts.PATH):
-            self._told = text_of("p", testid="path")
+            self._words = text_of("p", testid="path")
             self._table = ui.element("div").classes("scroll tall")
             with ui.element("div").classes("row"):
                 button(texts.PATH_DELETE, self._delete, kind="act quiet", testid="delete")
@@ -154,17 +163,17 @@ class _Path:
                 button(texts.PATH_USE, self._change, kind="act quiet", testid="change")
 
     def pick(self, row: int) -> None:
-        """Choose a place, or choose it no more; a row that the path has not is none."""
-        if self._desk.path is None or row >= len(self._desk.path):
+        """Choose a position, or choose it no more; a row that the path has not is none."""
+        if self._editor.path is None or row >= len(self._editor.path):
             return
         self._chosen ^= {row}
         self.show()
 
     def show(self) -> None:
         """Show the path as it stands."""
-        path = self._desk.path
+        path = self._editor.path
         self._table.clear()
-        set_text(self._told, texts.NO_PATH if path is None else _told(path))
+        set_text(self._words, texts.NO_PATH if path is None else format_path(path))
         if path is None:
             return
         with self._table:
@@ -195,34 +204,35 @@ class _Path:
 
     def _delete(self) -> None:
         if self._chosen:
-            self._do(partial(self._desk.delete, sorted(self._chosen)))
+            self._do(partial(self._editor.delete, sorted(self._chosen)))
 
     def _undo(self) -> None:
-        self._do(self._desk.undo)
+        self._do(self._editor.undo)
 
     def _change(self) -> None:
         tool = str(self._tool.value)
-        self._do(lambda: self._desk.change(tool, number(self._figure) if TOOLS.get(tool) else 0.0))
+        self._do(lambda: self._editor.change(tool, number(self._figure) if TOOLS.get(tool) else 0.0))
 
     def _do(self, act: Any) -> None:
         try:
             act()
             self._chosen.clear()
-            _tell(self._said, "")
+            _say(self._said, "")
         except ArmsightError as error:
-            _tell(self._said, str(error), "bad")
+            _say(self._said, str(error), "bad")
         self.show()
 
 
-def _told(path: TaughtPath) -> str:
+def format_path(path: TaughtPath) -> str:
+    """Return how many rows a path has, and how long it is."""
     return texts.PATH_TOLD.format(n=len(path), length=float(path.length_m[-1]) / MM)
 
 
 class _Play:
     """Check and play; what runs is found again by a page loaded anew."""
 
-    def __init__(self, console: Console, desk: PathDesk) -> None:
-        self._console, self._desk = console, desk
+    def __init__(self, console: Console, editor: PathEditor) -> None:
+        self._console, self._editor = console, editor
         self._robot = console.require_robot()
         self._browser = ui.context.client.id
         with card(texts.PLAY_CARD):
@@ -236,7 +246,7 @@ class _Play:
             self._said = text_of("p", role="status", testid="verdict").classes("hint")
             self._issues = ui.element("div")
             self._at = text_of("p", testid="play-at").style("font-size: 1.3rem; font-weight: 700")
-            Working(self._robot.bench, WORK, self._ended)
+            Working(self._robot.jobs, JOB_NAME, self._ended)
         ui.timer(TICK_S, self._tick)
 
     def _asked(self) -> PlayRequest:
@@ -250,20 +260,20 @@ class _Play:
     async def _check(self) -> None:
         self._issues.clear()
         try:
-            self._desk.require()
+            self._editor.require()
             found = await run.io_bound(partial(path_desk.check_path, self._asked(), self._robot))
         except ArmsightError as error:
-            _tell(self._said, str(error), "bad")
+            _say(self._said, str(error), "bad")
             return
         if found is not None:  # None: the server is ending
-            self._tell_check(found)
+            self._show_check(found)
 
-    def _tell_check(self, found: PathCheckOutput) -> None:
+    def _show_check(self, found: PathCheckOutput) -> None:
         if found.ok:
             figures = {"n": found.n, "length": found.length_m / MM, "time": found.duration_s}
-            _tell(self._said, texts.PATH_OK.format(**figures))
+            _say(self._said, texts.PATH_OK.format(**figures))
         else:
-            _tell(self._said, texts.PATH_NOT_OK, "bad")
+            _say(self._said, texts.PATH_NOT_OK, "bad")
         with self._issues:
             for issue in found.issues[:5]:
                 text_of("p", issue.text)
@@ -271,19 +281,19 @@ class _Play:
 
     def _play(self) -> None:
         try:
-            act = partial(path_desk.play, self._asked(), self._robot, self._desk, self._console.station)
-            self._robot.bench.begin(WORK, self._browser, act)
-            _tell(self._said, "")
+            act = partial(path_desk.play, self._asked(), self._robot, self._editor, self._console.station)
+            self._robot.jobs.begin(JOB_NAME, self._browser, act)
+            _say(self._said, "")
         except ArmsightError as error:
-            _tell(self._said, str(error), "bad")
+            _say(self._said, str(error), "bad")
 
     def _toggle(self) -> None:
-        source = self._desk.source
+        source = self._editor.source
         if source is not None:
             (source.resume if source.progress.paused else source.pause)()
 
     def _tick(self) -> None:
-        source = self._desk.source
+        source = self._editor.source
         if source is None:
             set_text(self._at, "")
             return
@@ -293,12 +303,12 @@ class _Play:
         figures = {"s": at.s_m / MM, "length": at.length_m / MM, "speed": at.speed_m_s / MM}
         set_text(self._at, texts.PLAY_AT.format(stage=stage, **figures))
 
-    def _ended(self, work: BackgroundJob) -> None:
-        done: PlayOutput = work.result
+    def _ended(self, job: BackgroundJob) -> None:
+        done: PlayOutput = job.result
         why = texts.PLAY_END if done.finished else done.stopped_by
-        told = texts.PLAY_DONE.format(share=done.share, length=done.length_m / MM, time=done.took_s, why=why)
+        words = texts.PLAY_DONE.format(share=done.share, length=done.length_m / MM, time=done.took_s, why=why)
         kept = texts.PLAY_KEPT.format(folder=done.recording)
-        _tell(self._said, f"{told} {_watched(done)} {kept}", "good" if done.finished else "bad")
+        _say(self._said, f"{words} {_watched(done)} {kept}", "good" if done.finished else "bad")
 
 
 def _watched(done: PlayOutput) -> str:

@@ -2,23 +2,215 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 
 from nicegui import run, ui
 
+from armsight.app.operator import iso_run
+from armsight.app.operator.iso_run import JOB_NAME, IsoDone, IsoPlan, IsoRequest
+from armsight.app.operator.job_runner import BackgroundJob
+from armsight.app.operator.supervise import StationSupervisor, SupervisedState, limits_of
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.console import texts
-from armsight.console.fields import file_name
-from armsight.console.layout import button, card, set_attribute, set_text, text_of
-from armsight.console.pages.iso import iso_card
-from armsight.console.pages.supervision import supervision_card
+from armsight.console.layout import (
+    TICK_S,
+    Working,
+    button,
+    card,
+    file_name,
+    jog_card,
+    number,
+    set_attribute,
+    set_text,
+    text_of,
+    whole_number,
+)
+from armsight.console.plots import Plot
+from armsight.console.routes import reports
 from armsight.console.state import Console
-from armsight.console.uploads import reports
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
+from armsight.units import MM
 from armsight.verify.results import VerifyOutput
+from armsight.verify.supervision import Level
+
+LEVELS = {Level.GOOD: "good", Level.WARN: "warn", Level.STOP: "bad"}
+SLOW_S = 0.5
+
+
+def supervision_card(console: Console) -> None:
+    """Build the card; nothing where the cell has no robot or no cameras."""
+    try:
+        console.require_robot()
+        console.require_station()
+    except ArmsightError:
+        return
+    _Supervision(console)
+
+
+class _Supervision:
+    """The card of a cell with robot and cameras; what runs is found again by a page loaded anew."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        with card(texts.SUPERVISION):
+            text_of("p", texts.SUPERVISION_HELP).classes("hint")
+            with ui.element("div").classes("row"):
+                self._warn = ui.number(texts.SUPERVISION_WARN, value=2.0, min=0.0, step=0.5)
+                self._stop = ui.number(texts.SUPERVISION_STOP, value=5.0, min=0.0, step=0.5)
+                self._begin = button(texts.SUPERVISE, self._toggle, testid="supervise")
+            self._said = text_of("p", role="status", testid="supervision").style("font-size: 1.3rem; font-weight: 700")
+            self._words = text_of("p", role="alert").classes("hint")
+            self._plot = Plot(texts.SUPERVISION_PLOT, ("mm",), testid="plot-supervision", along="{value} s")
+            self._report = ui.element("div")
+        ui.timer(TICK_S, self._tick)
+        ui.timer(SLOW_S, self._draw)
+
+    def _toggle(self) -> None:
+        try:
+            if self._console.supervisor is None:
+                self._console.supervisor = StationSupervisor(
+                    self._console.folder,
+                    self._console.cell,
+                    self._console.require_robot(),
+                    lambda: self._console.station,
+                    limits_of(number(self._warn), number(self._stop)),
+                )
+                self._say("", "good")
+            else:
+                self._end(self._console.supervisor)
+        except ArmsightError as error:
+            self._say(str(error), "bad")
+
+    def _end(self, running: StationSupervisor) -> None:
+        self._console.supervisor = None
+        done = running.end()
+        self._say(" ".join([done.verdict, *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in done.doubts)]), "good")
+        self._report.clear()
+        with self._report:
+            text_of("a", texts.REPORT, href=f"/console/files/{running.out.name}/report.html", target="_blank")
+
+    def _say(self, words: str, level: str) -> None:
+        set_text(self._words, words)
+        set_attribute(self._words, "data-level", level)
+
+    def _tick(self) -> None:
+        running = self._console.supervisor
+        set_text(self._begin, texts.SUPERVISE if running is None else texts.SUPERVISE_END)
+        if running is None:
+            set_text(self._said, "")
+            return
+        state = running.state
+        set_text(self._said, _words(state))
+        set_attribute(self._said, "data-level", LEVELS[state.level])
+
+    def _draw(self) -> None:
+        running = self._console.supervisor
+        if running is None or not running.curve:
+            return
+        curve = list(running.curve)
+        self._plot.show([[(t_s - curve[-1][0], mm) for t_s, mm, _ in curve]])
+
+
+def _words(state: SupervisedState) -> str:
+    level = texts.SUPERVISION_LEVELS[state.level.word]
+    if state.error_mm is None:
+        return f"{level}. {texts.SUPERVISION_BLIND.format(why=state.why)}"
+    words = texts.SUPERVISION_AT.format(mm=state.error_mm, std=state.std_mm, deg=state.error_deg)
+    return f"{level}. {words} {state.why}".strip()
+
+
+def iso_card(console: Console, reported: Callable[[], object]) -> None:
+    """Build the card, and the jog keys; nothing without robot or cameras. reported: is told of a new report."""
+    try:
+        robot = console.require_robot()
+        console.require_station()
+    except ArmsightError:
+        return
+    _Iso(console, reported)
+    jog_card(robot)
+
+
+class _Iso:
+    """The card of a cell with robot and cameras."""
+
+    def __init__(self, console: Console, reported: Callable[[], object]) -> None:
+        self._reported = reported
+        self._console, self._robot = console, console.require_robot()
+        self._browser = ui.context.client.id
+        with card(texts.ISO):
+            text_of("p", texts.ISO_HELP).classes("hint")
+            with ui.element("div").classes("row"):
+                self._side = ui.number(texts.ISO_SIDE, value=None, min=10, max=1000, step=10)
+                self._cycles = ui.number(texts.ISO_CYCLES, value=10, min=iso_run.FEWEST_VISITS, max=100, step=1)
+                self._speed = ui.number(texts.ISO_SPEED, value=100, min=1, max=1000, step=10)
+            with ui.element("div").classes("row"):
+                button(texts.ISO_PLAN, self._plan, kind="act quiet", testid="iso-plan")
+                button(texts.ISO_RUN, self._run, testid="iso-run")
+            self._said = text_of("p", role="alert", testid="iso-said").classes("hint")
+            self._table = ui.element("div").classes("scroll")
+            Working(self._robot.jobs, JOB_NAME, self._show)
+
+    def _asked(self) -> IsoRequest:
+        return IsoRequest(
+            folder=self._console.folder,
+            cell=self._console.cell,
+            side_mm=number(self._side, empty=0.0),
+            cycles=whole_number(self._cycles),
+            speed_mm_s=number(self._speed),
+        )
+
+    async def _plan(self) -> None:
+        try:
+            made = await run.io_bound(partial(iso_run.plan, self._asked(), self._robot))
+        except ArmsightError as error:
+            self._say(str(error), "bad")
+            return
+        if made is not None:  # else the server is ending
+            self._say(format_plan(made), "good")
+
+    def _run(self) -> None:
+        try:
+            asked, station = self._asked(), self._console.require_station()
+            self._robot.jobs.begin(JOB_NAME, self._browser, partial(iso_run.run, asked, self._robot, station))
+            self._say("", "good")
+        except ArmsightError as error:
+            self._say(str(error), "bad")
+
+    def _say(self, words: str, level: str) -> None:
+        set_text(self._said, words)
+        set_attribute(self._said, "data-level", level)
+
+    def _show(self, job: BackgroundJob) -> None:
+        """Show the figures of a run that is done."""
+        done: IsoDone = job.result
+        self._table.clear()
+        with self._table:
+            text_of("p", texts.ISO_DONE.format(done=done.cycles, wanted=done.wanted), testid="verdict")
+            if done.ended:
+                text_of("p", texts.ENDED_WORK.format(why=done.ended)).classes("hint")
+            with ui.element("table").classes("plain"):
+                with ui.element("tr"):
+                    for head in texts.ISO_HEAD:
+                        text_of("th", head)
+                for row in iso_run.figures(done):
+                    with ui.element("tr"):
+                        for words in row:
+                            text_of("td", words)
+            for doubt in done.output.doubts:
+                text_of("p", doubt).classes("hint")
+            text_of("a", texts.REPORT, href=f"/console/files/{done.folder.name}/report.html", target="_blank")
+        self._reported()
+
+
+def format_plan(made: IsoPlan) -> str:
+    """Return the cube of a test that is planned, and what is to be said of it."""
+    places = texts.ISO_PLANNED.format(side=made.test.cube.side_m / MM)
+    return " ".join([places, *(f"{note[0].upper()}{note[1:]}." for note in made.notes)])
+
 
 FIELDS = ("measured", "joints")
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard.decision import GuardState
+from armsight.control.guard.faults import Fault, hold_reason
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.guard.motion import Ceiling, Course, Planner, State
 from armsight.control.guard.space import HAIR, Breach, Sight, Space, pose_difference
-from armsight.control.guard.watch import Fault, hold_reason
 from armsight.control.setpoints import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm
@@ -24,7 +24,7 @@ from armsight.units import DEG, MM
 Array = NDArray[np.float64]
 
 BRAKE_SAMPLES = 16
-"""Places along the way to rest that are checked."""
+"""Positions along the way to rest that are checked."""
 TOO_FAST = 1e3
 """Joint speed (rad/s or m/s) beyond every limit."""
 SHARES = (1.0, 0.5, 0.2)
@@ -92,7 +92,7 @@ class Follower:
 
     def outside(self) -> str:
         """Return which limits it stands outside of and the way back, in words; empty inside."""
-        return self._breach_now(in_space=False).told()
+        return self._breach_now(in_space=False).describe()
 
     def correct(self, q: Array) -> None:
         """Take note that the robot was really sent to q (n,), near where it was told."""
@@ -284,7 +284,7 @@ class Follower:
     def _check_way_back(self, there: Breach, before: Breach, q: Array) -> None:
         """Raise Refused where the arm stands outside and would not, at rest at q (n,), be nearer to any such limit."""
         if not there.lessens(before, float(np.abs(q - self._now.q).max())):
-            raise Refused(Fault(GuardState.HOLDING, "outside", f"the arm stands {before.told()}"))
+            raise Refused(Fault(GuardState.HOLDING, "outside", f"the arm stands {before.describe()}"))
 
     def _allow(self, before: Breach) -> Array:
         """Return by how much each limit may be broken: no more than ever since the arm was stood here.
@@ -292,9 +292,9 @@ class Follower:
         Compared with the cycle before, rounding might lead it outwards a hair at a time.
         """
         if self._allowed is None or len(self._allowed) != len(before.depths):
-            self._allowed = np.where(before.limits.of_place, np.inf, before.depths)
-        place = before.limits.of_place
-        self._allowed = np.where(place, np.minimum(self._allowed, np.maximum(before.depths, 0.0)), before.depths)
+            self._allowed = np.where(before.limits.of_position, np.inf, before.depths)
+        position = before.limits.of_position
+        self._allowed = np.where(position, np.minimum(self._allowed, np.maximum(before.depths, 0.0)), before.depths)
         return self._allowed
 
     def _breach_now(self, in_space: bool) -> Breach:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.control.guard.decision import Decision, GuardEvent, GuardState, Inputs
+from armsight.control.guard.faults import Fault, Watch
 from armsight.control.guard.follow import Follower, Move
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.guard.watch import Fault, Watch
 from armsight.control.setpoints import (
     CycleState,
     Hold,

@@ -45,14 +45,15 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LimitNames:
-    """What messages call each limit. of_motion, of_place: which of them a slower motion keeps, and which are places.
+    """What messages call each limit. of_motion, of_position: which of them a slower motion keeps, and which are
+    positions.
 
     Where only limits of motion are broken the arm slows down and goes on.
     """
 
     names: tuple[str, ...]
     of_motion: NDArray[np.bool_]
-    of_place: NDArray[np.bool_]
+    of_position: NDArray[np.bool_]
 
     def of(self, which: NDArray[np.bool_]) -> tuple[str, ...]:
         """Return the names of those in a mask."""
@@ -80,8 +81,8 @@ class Breach:
         return self.limits.of(worse) if worse.any() else ()
 
     def outside(self) -> NDArray[np.bool_]:
-        """Return the limits of place that are broken by more than rounding."""
-        return np.asarray(self.limits.of_place & (self.end > OUTSIDE))
+        """Return the limits of position that are broken by more than rounding."""
+        return np.asarray(self.limits.of_position & (self.end > OUTSIDE))
 
     def lessens(self, before: Breach, way: float) -> bool:
         """Tell whether this ends less far outside than before, of one limit at least; inside there is nothing to.
@@ -91,7 +92,7 @@ class Breach:
         out = before.outside()
         return not out.any() or bool((self.end < before.end - LESS - LESS_SHARE * way)[out].any())
 
-    def told(self) -> str:
+    def describe(self) -> str:
         """Return where it stands outside and the way back, in words; empty inside."""
         found = ", ".join(
             f"{self.limits.names[i]} by {self.end[i]:.3g} (way back: {_way_back(self.limits.names[i])})"
@@ -101,7 +102,7 @@ class Breach:
 
 
 def _way_back(name: str) -> str:
-    """Return in which direction a limit of place is kept again."""
+    """Return in which direction a limit of position is kept again."""
     return "+" if "(lower" in name else "-" if "(upper" in name else "out of it"
 
 
@@ -195,10 +196,10 @@ class Space:
         return Breach(self.names, found, end), self._in_base(q[0], T[0], J[0])
 
     def _beyond(self, found: Array, before: Breach | None) -> bool:
-        """Tell whether a limit of place is broken more than before: then singularities need not be looked for."""
+        """Tell whether a limit of position is broken more than before: then singularities need not be looked for."""
         if before is None:
             return False
-        return bool((self.names.of_place & (found > np.maximum(before.depths, 0.0) + HAIR)).any())
+        return bool((self.names.of_position & (found > np.maximum(before.depths, 0.0) + HAIR)).any())
 
     def _singular(self, J: Array) -> float:
         """Return by how much the distance to singularities is too small over Jacobians (m, 6, n); 0 where it is not.

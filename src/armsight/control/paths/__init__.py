@@ -2,14 +2,10 @@
 
 from armsight.control.paths.along import corners, poses_at, resampled
 from armsight.control.paths.check import PathCheck, PathIssue, PathTrouble, check_path
-from armsight.control.paths.export_krl import krl
-from armsight.control.paths.export_python import python_module
-from armsight.control.paths.export_rapid import rapid
-from armsight.control.paths.export_urscript import urscript
-from armsight.control.paths.fillets import filleted
+from armsight.control.paths.exports import krl, python_module, rapid, urscript
 from armsight.control.paths.outliers import PathOutlier, outliers, without_rows
 from armsight.control.paths.program import Program, ProgramMove, program_moves, with_approach
-from armsight.control.paths.smoothing import moved_by, smoothed
+from armsight.control.paths.smoothing import filleted, moved_by, smoothed
 from armsight.control.paths.tools import joined, offset_along_tool, reversed_path, tilted
 
 __all__ = [

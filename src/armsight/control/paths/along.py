@@ -1,4 +1,4 @@
-"""A path by its length: poses between its rows, its corners, and the path sampled anew."""
+"""A path by its length: poses between its rows, its corners, the path sampled anew, and as a scene's points."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def positive(name: str, value: float) -> float:
 def moving(path: TaughtPath) -> Array:
     """Return the length (n,) up to each row of a path that moves at every row.
 
-    Raises NotEnoughData below two rows, Inconsistent where two rows are at one place.
+    Raises NotEnoughData below two rows, Inconsistent where two rows are at one position.
     """
     if len(path) < 2:
         raise NotEnoughData(f"a path of {len(path)} poses has no length", cure="Give at least two poses")
@@ -56,24 +56,24 @@ def moving(path: TaughtPath) -> Array:
     return path.length_m
 
 
-def places_at(path: TaughtPath, s_m: Array) -> Array:
-    """Return the places (k, 3) at lengths s_m (k,) along the straight stretches of a path."""
+def positions_at(path: TaughtPath, s_m: Array) -> Array:
+    """Return the positions (k, 3) at lengths s_m (k,) along the straight stretches of a path."""
     return np.stack([np.interp(s_m, path.length_m, path.xyz_m[:, k]) for k in range(3)], axis=1)
 
 
 def poses_at(path: TaughtPath, s_m: Array) -> Array:
-    """Return the poses (k, 4, 4) at lengths s_m (k,): places linear, rotations by slerp (Shoemake 1985)."""
+    """Return the poses (k, 4, 4) at lengths s_m (k,): positions linear, rotations by slerp (Shoemake 1985)."""
     length = moving(path)
     s = np.clip(s_m, 0.0, length[-1])
     turns = Slerp(length, Rotation.from_matrix(path.T_world_tip[:, :3, :3]))(s)
-    return np.asarray(RigidTransform.from_components(places_at(path, s), turns).as_matrix())
+    return np.asarray(RigidTransform.from_components(positions_at(path, s), turns).as_matrix())
 
 
 def turning(path: TaughtPath, *, window_m: float = WINDOW_M) -> Array:
     """Return the angle (n,) in rad between the chords over window_m before and after each row; 0 at both ends."""
     s = moving(path)
-    back = places_at(path, np.maximum(s - positive("window_m", window_m), 0.0))
-    ahead = places_at(path, np.minimum(s + window_m, s[-1]))
+    back = positions_at(path, np.maximum(s - positive("window_m", window_m), 0.0))
+    ahead = positions_at(path, np.minimum(s + window_m, s[-1]))
     before, after = (path.xyz_m - back)[1:-1], (ahead - path.xyz_m)[1:-1]
     angle = np.zeros(len(s))
     sine = np.linalg.norm(np.cross(before, after), axis=1)
@@ -114,7 +114,7 @@ def resampled(
 ) -> TaughtPath:
     """Return the path with rows at most step_m apart, evenly spread between rows that are kept.
 
-    Kept are both ends, rows with a tag, and the rows keep (its corners where None). Places between the old rows lie
+    Kept are both ends, rows with a tag, and the rows keep (its corners where None). Positions between the old rows lie
     on straight lines, or with spline on a cubic spline over chord length that is broken at kept rows; rotations are
     slerped. Speeds are those of the old row before; times are interpolated where every row has one. Raises
     UsageError for a step that is no length or gives more than MOST_ROWS rows, Inconsistent where the path stands.
@@ -157,3 +157,40 @@ def with_poses(path: TaughtPath, T: Array, s_m: Array, tags: tuple[str, ...]) ->
     t_s = np.interp(s_m, s, path.t_s) if known else np.full(len(s_m), np.nan)
     row = np.clip(np.searchsorted(s, s_m + 1e-12, side="right") - 1, 0, len(s) - 1)
     return replace(path, T_world_tip=T, t_s=t_s, speed_m_s=path.speed_m_s[row], tags=tags)
+
+
+def along_edges(uv_px: Array, edges: Sequence[str], step_px: float) -> tuple[Array, NDArray[np.intp]]:
+    """Return pixels (m, 2) with more of them between neighbours of one edge, and of which pick (m,) each is.
+
+    Neighbours are at most step_px apart then; a pixel between two picks is of the one before it. Raises UsageError for
+    a step that is none.
+    """
+    positive("step_px", step_px)
+    out, rows = [], []
+    for i, here in enumerate(uv_px):
+        out.append(here[None])
+        rows.append(i)
+        if i + 1 < len(uv_px) and edges[i] and edges[i] == edges[i + 1]:
+            count = math.ceil(float(np.linalg.norm(uv_px[i + 1] - here)) / step_px - 1e-9)
+            share = np.arange(1, count)[:, None] / max(count, 1)
+            out.append(here + share * (uv_px[i + 1] - here))
+            rows += [i] * len(share)
+    return np.concatenate(out), np.array(rows, dtype=np.intp)
+
+
+def path_through_points(xyz_m: Array, tool_axis: Array, *, parent: str) -> TaughtPath:
+    """Return the path through points (n, 3) with the tool's z along tool_axis (3,), all in the frame parent.
+
+    The tool's x is the frame's x, or its y where that lies along the tool, made square to z. Raises UsageError for an
+    axis without a direction.
+    """
+    length = float(np.linalg.norm(tool_axis))
+    if not (math.isfinite(length) and length > 1e-9):
+        raise UsageError("the tool's axis has no direction", cure="Give three numbers, for instance 0,0,-1")
+    z = tool_axis / length
+    nearest = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = nearest - (nearest @ z) * z
+    x = x / np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z], axis=1)
+    turns = Rotation.from_matrix(np.repeat(R[None], len(xyz_m), axis=0))
+    return TaughtPath.of_poses(RigidTransform.from_components(xyz_m, turns), parent=parent)

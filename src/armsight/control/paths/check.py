@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.paths.jumps import path_jumps
+from armsight.control.paths.outliers import path_jumps
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointPath, track_path
 from armsight.kinematics.path import JUMP

@@ -26,7 +26,7 @@ APPROACH_M, APPROACH_SPEED_M_S = 0.05, 0.05
 MOST_ACCELERATION_M_S2 = 50.0
 """Five times gravity, as the quickest picking arms have; mm/s^2 taken for m/s^2 go beyond."""
 JOINT_SPEED = 0.2
-"""rad/s, of the joint motion to the first place, from wherever the arm stands."""
+"""rad/s, of the joint motion to the first position, from wherever the arm stands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class ProgramMove:
 class Program:
     """Motions in base axes, the first from wherever the arm stands.
 
-    start (6,): the joints' readings at the first place, rad; None: it is gone to on a straight line. tool: the
+    start (6,): the joints' readings at the first position, rad; None: it is gone to on a straight line. tool: the
     controller's name or number of the tool. T_flange_tool: what that tool must be, where known. weld_output: the name
     or number of the digital output of weld_on and weld_off; None: these are comments.
     """
@@ -175,9 +175,9 @@ def ascii_only(text: str) -> str:
     return text.encode("ascii", "replace").decode("ascii")
 
 
-def decimals(value: float, places: int) -> str:
+def decimals(value: float, digits: int) -> str:
     """Return a number with so many decimal places, without a sign on nothing."""
-    text = f"{value:.{places}f}"
+    text = f"{value:.{digits}f}"
     return text.lstrip("-") if float(text) == 0.0 else text
 
 

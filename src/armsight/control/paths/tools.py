@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.control.paths.along import WINDOW_M, moving, places_at
+from armsight.control.paths.along import WINDOW_M, moving, positions_at
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG
@@ -61,7 +61,7 @@ def tilted(
                 cure="Give the angle in the unit asked for, and a smaller one",
             )
     s = moving(path)
-    chord = places_at(path, np.minimum(s + window_m, s[-1])) - places_at(path, np.maximum(s - window_m, 0.0))
+    chord = positions_at(path, np.minimum(s + window_m, s[-1])) - positions_at(path, np.maximum(s - window_m, 0.0))
     length = np.linalg.norm(chord, axis=1)
     z = path.T_world_tip[:, :3, 2]
     axis = np.cross(z, chord / np.maximum(length, 1e-12)[:, None])
@@ -101,9 +101,9 @@ def reversed_path(path: TaughtPath) -> TaughtPath:
 def joined(first: TaughtPath, second: TaughtPath, *, gap_m: float = GAP_M, gap_rad: float = GAP_RAD) -> TaughtPath:
     """Return both paths one after the other, without times.
 
-    Where the ends are at one place the second's first row is left out, and its tag and speed go to the row before it.
-    Raises Inconsistent where the ends are further apart than gap_m and gap_rad, the frames differ, a path is empty, or
-    both rows that become one have a tag.
+    Where the ends are at one position the second's first row is left out, and its tag and speed go to the row before
+    it. Raises Inconsistent where the ends are further apart than gap_m and gap_rad, the frames differ, a path is empty,
+    or both rows that become one have a tag.
     """
     if not len(first) or not len(second) or first.parent != second.parent:
         raise Inconsistent(

@@ -11,10 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
-from armsight.control.paths.jumps import SAME_M, distinct_rows, of_rows, path_jumps
-from armsight.control.play.pace import SPEED_SHARE, timed
-from armsight.control.play.track import Leg, Track, Way, quats
-from armsight.control.play.weave import Weave, WeaveKind
+from armsight.control.paths.outliers import SAME_M, distinct_rows, of_rows, path_jumps
+from armsight.control.play.track import SPEED_SHARE, Leg, Track, Way, Weave, WeaveKind, quats, timed
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.kinematics.target import target_matrices
@@ -30,7 +28,7 @@ MOST_SAMPLES = 40_000
 PER_WAVE = 40
 """Least samples of a wave of a weave."""
 LEG_PLACES = 33
-"""Places of a leg at which the flange's speed is looked at: it differs along a leg that turns about the tip."""
+"""Positions of a leg at which the flange's speed is looked at: it differs along a leg that turns about the tip."""
 CHECK_M = 1e-3
 """Between two poses that are checked for the arm; also half a millimetre and less where a weave is narrow."""
 BLEND_SHARE = 0.5
@@ -121,8 +119,8 @@ def plan_path(
 ) -> PathPlan:
     """Return the path made ready for an arm that stands at readings q (n,); arm's tool is the tip.
 
-    Raises NotEnoughData for a path of less than two places, Inconsistent for a path with a jump, out of reach, beyond
-    a limit, near a singularity or with a corner that cannot be run through, with the row or length where it is.
+    Raises NotEnoughData for a path of less than two positions, Inconsistent for a path with a jump, out of reach,
+    beyond a limit, near a singularity or with a corner that cannot be run through, with the row or length where it is.
     """
     settings = settings or PlaySettings()
     stand = np.asarray(q, dtype=np.float64)
@@ -176,7 +174,7 @@ def _in_world(path: TaughtPath, arm: Arm) -> Array:
 
 
 def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransform) -> TaughtPath:
-    """Return the path without rows at one place and with the rotations to run. Raises for jumps and too few rows."""
+    """Return the path without rows at one position and with the rotations to run. Raises for jumps and too few rows."""
     keep = distinct_rows(path)
     if len(keep) < 2:
         raise NotEnoughData(
@@ -265,7 +263,7 @@ def _woven(T: Array, s: Array, weave: Weave, welded: Array) -> Array:
 
 
 def _approach(stand: RigidTransform, start: RigidTransform, settings: PlaySettings, limits: Limits) -> tuple[Leg, ...]:
-    """Return the legs from where the tip stands to the path's start, by way of a place before it on the tool's axis."""
+    """Return the legs from where the tip stands to the path's start, by way of one before it on the tool's axis."""
     before = start * RigidTransform.from_translation([0.0, 0.0, -settings.retract_m])
     speed = min(settings.approach_speed_m_s, SPEED_SHARE * limits.speed_m_s)
     legs = (Leg(stand, before, speed), Leg(before, start, speed))
@@ -277,7 +275,7 @@ def _fastest(arm: Arm, legs: tuple[Leg, ...], s: Array, T: Array, speed: Array) 
     ways = [(T, s, speed, "along it")]
     for leg in legs:
         at = np.linspace(0.0, leg.length_m, LEG_PLACES)
-        poses = np.array([leg.pose(place).as_matrix() for place in at])
+        poses = np.array([leg.pose(s).as_matrix() for s in at])
         ways.append((poses, at, np.full(LEG_PLACES, leg.speed_at(0.0)), "on the way to it"))
     T_tool_flange = arm.T_flange_tool.inv().as_matrix()
     found = []
@@ -303,8 +301,8 @@ def _checked(
         poses += [leg.pose(at).as_matrix() for at in np.linspace(0.0, leg.length_m, count + 1)[:-1]]
         parts += [f"on the way to the path (leg {k + 1})"] * count
     n = len(poses)
-    whole = TaughtPath.of_poses(RigidTransform.from_matrix(np.array([*poses, *T[rows]])), parent="base")
-    check = check_path(whole, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
+    joined = TaughtPath.of_poses(RigidTransform.from_matrix(np.array([*poses, *T[rows]])), parent="base")
+    check = check_path(joined, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
     for issue in check.issues:
         if issue.trouble in SLOWED:
             continue

@@ -1,14 +1,20 @@
-"""Ways of the tip by length: straight legs and sampled tracks, each with the speed allowed at every place."""
+"""Ways of the tip by length: legs, sampled tracks and weaves, each with the speed allowed at every position."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import minimum_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.control.guard.limits import JointBounds, Limits
+from armsight.errors import UsageError
 from armsight.geometry import pose_difference
 
 Array = NDArray[np.float64]
@@ -78,3 +84,136 @@ def quats(T: Array) -> Array:
     flips = np.where(np.sum(out[1:] * out[:-1], axis=1) < 0.0, -1.0, 1.0)
     out[1:] *= np.cumprod(flips)[:, None]
     return np.asarray(out)
+
+
+PATH_ACCELERATION_M_S2 = 0.2
+PATH_JERK_M_S3 = 20.0
+"""With which speed along the path changes: gentler than the guard's limits, which curves and weaves need."""
+SPEED_SHARE, ACCELERATION_SHARE, JERK_SHARE = 0.85, 0.4, 0.3
+"""Of the limits, which curves and weaves may use: the rest is for changes of speed, and the guard keeps some back."""
+REACH_M = 1e-3
+"""So far before and behind a slow position the speed is that of the position: braking takes its time to begin."""
+
+
+def timed(s: Array, T: Array, joints: tuple[Array, Array], wanted: Array, limits: Limits, bounds: JointBounds) -> Array:
+    """Return the speed (n,) along the path: as wanted, less where tool or joints would exceed their limits.
+
+    joints: lengths (k,) and readings (k, n) there. Braking before a slow position begins early enough.
+    """
+    most = np.minimum(wanted, SPEED_SHARE * limits.speed_m_s)
+    R = Rotation.from_matrix(T[:, :3, :3])
+    turned = np.concatenate([[np.zeros(3)], np.cumsum((R[1:] * R[:-1].inv()).as_rotvec(), axis=0)])
+    of_tool = (limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3)
+    of_turn = (limits.turn_rad_s, limits.turn_acceleration_rad_s2, limits.turn_jerk_rad_s3)
+    for values, (v, a, j) in ((T[:, :3, 3], of_tool), (turned, of_turn)):
+        sizes = [np.linalg.norm(d, axis=1) for d in _derivatives(s, values)]
+        most = np.minimum(most, _speed_of(sizes, v, a, j))
+    at, q = joints
+    by_joint = np.full(len(at), np.inf)
+    for k, (v, a, j) in enumerate(zip(bounds.speed, bounds.acceleration, bounds.jerk, strict=True)):
+        sizes = [np.abs(d[:, 0]) for d in _derivatives(at, q[:, k : k + 1])]
+        by_joint = np.minimum(by_joint, _speed_of(sizes, v, a, j))
+    most = np.minimum(most, np.interp(s, at, by_joint))
+    reach = max(1, int(REACH_M / (s[1] - s[0])))
+    return _braked(s, minimum_filter1d(most, 2 * reach + 1, mode="nearest"))
+
+
+def _derivatives(s: Array, values: Array) -> list[Array]:
+    """Return the first three derivatives (m, n) by the length."""
+    first = np.gradient(values, s, axis=0)
+    second = np.gradient(first, s, axis=0)
+    return [first, second, np.gradient(second, s, axis=0)]
+
+
+def _speed_of(sizes: list[Array], speed: float, acceleration: float, jerk: float) -> Array:
+    """Return the speed along the path (m,) at which a value with these derivatives keeps its shares of the limits."""
+    first, second, third = (np.maximum(size, 1e-12) for size in sizes)
+    return np.asarray(
+        np.minimum.reduce(
+            [
+                SPEED_SHARE * speed / first,
+                np.sqrt(ACCELERATION_SHARE * acceleration / second),
+                np.cbrt(JERK_SHARE * jerk / third),
+            ]
+        )
+    )
+
+
+def _braked(s: Array, most: Array) -> Array:
+    """Return speeds (n,) that change no faster than PATH_ACCELERATION allows, half of it kept for the jerk."""
+    squared = most**2
+    gain = PATH_ACCELERATION_M_S2 * np.diff(s)
+    for i in range(len(s) - 2, -1, -1):
+        squared[i] = min(squared[i], squared[i + 1] + gain[i])
+    for i in range(1, len(s)):
+        squared[i] = min(squared[i], squared[i - 1] + gain[i - 1])
+    return np.asarray(np.sqrt(squared))
+
+
+MOST_M = {"amplitude_m": 0.025, "wavelength_m": 0.1}
+"""Wider or longer weaves are millimetres taken for metres: welding robots weave by 25 mm at most."""
+HARMONICS = 3
+"""Of a zigzag: its flanks are straight to a few per cent, its tips round, so that the arm need not stop there."""
+
+
+class WeaveKind(StrEnum):
+    """What a weave looks like from above."""
+
+    NONE = "none"
+    SINE = "sine"
+    ZIGZAG = "zigzag"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Weave:
+    """amplitude_m: from the seam to the farthest position on either side. wavelength_m: along the seam."""
+
+    kind: WeaveKind = WeaveKind.NONE
+    amplitude_m: float = 0.0
+    wavelength_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind is WeaveKind.NONE:
+            return
+        for name in ("amplitude_m", "wavelength_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and 0.0 < value <= MOST_M[name]):
+                raise UsageError(
+                    f"the weave's {name} is {value:g}, which is not above zero and up to {MOST_M[name]:g} m",
+                    consequence="Nothing is moved",
+                    cure="Give metres, for instance --weave sine:0.002:0.008",
+                )
+
+    @classmethod
+    def parse(cls, text: str) -> Weave:
+        """Return the weave of a text none, sine:AMPLITUDE:WAVELENGTH or zigzag:..., in m. Raises UsageError."""
+        name, *numbers = text.split(":")
+        try:
+            kind = WeaveKind(name)
+            values = [float(part) for part in numbers]
+            if len(values) != (0 if kind is WeaveKind.NONE else 2):
+                raise ValueError
+        except ValueError:
+            raise UsageError(
+                f"{text[:60]!r} is no weave",
+                consequence="Nothing is moved",
+                cure="Give none, sine:AMPLITUDE:WAVELENGTH or zigzag:AMPLITUDE:WAVELENGTH in metres",
+            ) from None
+        return cls() if not values else cls(kind=kind, amplitude_m=values[0], wavelength_m=values[1])
+
+    def offset_m(self, s_m: ArrayLike) -> Array:
+        """Return the offset across the seam (n,) at lengths s_m (n,) along it; 0 at length 0."""
+        s = np.asarray(s_m, dtype=np.float64)
+        if self.kind is WeaveKind.NONE:
+            return np.zeros_like(s)
+        phase = s / self.wavelength_m
+        if self.kind is WeaveKind.SINE:
+            return np.asarray(self.amplitude_m * np.sin(2.0 * np.pi * phase))
+        return self.amplitude_m * _zigzag(phase)
+
+
+def _zigzag(phase: Array) -> Array:
+    """Return a zigzag (n,) of height 1 with tips rounded: the first harmonics of a triangular wave."""
+    angle = 2.0 * np.pi * phase
+    rows = [(-1) ** k * np.sin((2 * k + 1) * angle) / (2 * k + 1) ** 2 for k in range(HARMONICS)]
+    return np.asarray(np.sum(rows, axis=0) / sum(1.0 / (2 * k + 1) ** 2 for k in range(HARMONICS)))

@@ -10,7 +10,7 @@ from armsight.control.servo.law import (
     servo_twist,
     stability_gain,
 )
-from armsight.control.servo.source import Mount, ServoSettings, ServoSource, Turning, on_axis
+from armsight.control.servo.servo_source import Mount, ServoSettings, ServoSource, Turning, on_axis
 from armsight.control.servo.target_track import TargetMotion, TargetTrack, Tracked
 
 __all__ = [

@@ -44,21 +44,21 @@ LOST_S = 0.5
 class TargetMotion:
     """Pose T_base_target (4, 4) at a moment, with the velocity (3,) of its origin in m/s and its angular velocity (3,).
 
-    whole: whether its rotation was measured; else it is the one last seen, and means nothing where none was.
+    has_rotation: whether its rotation was measured; else it is the one last seen, and means nothing where none was.
     """
 
     T_base_target: Array
     velocity_m_s: Array
     angular_rad_s: Array
-    whole: bool
+    has_rotation: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tracked:
     """What is known of a target: its motion since begun_s, where it was at T_begun (4, 4), after a jump or not.
 
-    steady_s: since when there was no gap. whole: whether the newest pose has its rotation; turned: whether any since
-    begun_s had.
+    steady_s: since when there was no gap. has_rotation: whether the newest pose has its rotation; turned: whether any
+    since begun_s had.
     """
 
     filter: MotionFilter
@@ -66,7 +66,7 @@ class Tracked:
     T_begun: Array
     steady_s: float
     jumped: bool
-    whole: bool
+    has_rotation: bool
     turned: bool
 
     @property
@@ -86,7 +86,7 @@ class Tracked:
             T_base_target=state.T_rig_target,
             velocity_m_s=state.velocity[:3],
             angular_rad_s=state.velocity[3:],
-            whole=self.whole,
+            has_rotation=self.has_rotation,
         )
 
 
@@ -107,7 +107,7 @@ class TargetTrack:
         Where no motion leads to it, the target jumped: the track begins anew there. So it does after LOST_S without
         the target. A pose that is not newer than the last is left out.
         """
-        self._add(t_s, T_base_target, covariance, whole=True, turned=True)
+        self._add(t_s, T_base_target, covariance, has_rotation=True, turned=True)
 
     def add_position(self, t_s: float, xyz_m: Array, covariance: Array, centre_m: Array) -> None:
         """Take where the middle of the lights seen is, xyz_m (3,) with covariance (3, 3) in base axes.
@@ -125,30 +125,30 @@ class TargetTrack:
             arm = T[:3, :3] @ centre_m
             T[:3, 3] -= arm
             C[:3, :3] += skew(arm) @ state.covariance[3:, 3:] @ skew(arm).T
-        self._add(t_s, T, C, whole=False, turned=turned)
+        self._add(t_s, T, C, has_rotation=False, turned=turned)
 
-    def _add(self, t_s: float, T: Array, covariance: Array, *, whole: bool, turned: bool) -> None:
+    def _add(self, t_s: float, T: Array, covariance: Array, *, has_rotation: bool, turned: bool) -> None:
         C = covariance + ARM_COVARIANCE
         now = self.now
         if now is None or t_s - now.seen_s > LOST_S:
-            self.now = self._begun(t_s, T, C, jumped=False, whole=whole)
+            self.now = self._begun(t_s, T, C, jumped=False, has_rotation=has_rotation)
             return
         if t_s <= now.seen_s:
             return
         after, _, knocked2 = now.filter.add_pose(t_s, T, C)
-        if knocked2 > MOST_MAHALANOBIS2 or self._sudden(now, t_s, T, C, whole=whole):
-            self.now = self._begun(t_s, T, C, jumped=True, whole=whole)
+        if knocked2 > MOST_MAHALANOBIS2 or self._sudden(now, t_s, T, C, has_rotation=has_rotation):
+            self.now = self._begun(t_s, T, C, jumped=True, has_rotation=has_rotation)
             return
         self.now = replace(
             now,
             filter=after,
             steady_s=t_s if t_s - now.seen_s > GAP_S else now.steady_s,
             jumped=now.jumped and not (t_s - now.begun_s >= CALM_S),
-            whole=whole,
+            has_rotation=has_rotation,
             turned=now.turned or turned,
         )
 
-    def _sudden(self, now: Tracked, t_s: float, T: Array, covariance: Array, *, whole: bool) -> bool:
+    def _sudden(self, now: Tracked, t_s: float, T: Array, covariance: Array, *, has_rotation: bool) -> bool:
         """Tell whether no hand brings the target there: a knock could, and so the filter would take 10 mm for 3 m/s."""
         since_s = t_s - now.seen_s
         if since_s > GAP_S or now.seen_s - max(now.steady_s, now.begun_s) < STEADY_S:
@@ -156,8 +156,16 @@ class TargetTrack:
         way_m, turn = pose_difference(now.at(t_s).T_base_target, T)
         noise = NOISE_SIGMAS * np.sqrt([np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])])
         far = float(np.linalg.norm(way_m)) > 0.5 * HAND_M_S2 * since_s**2 + noise[0]
-        return bool(far or (whole and float(np.linalg.norm(turn)) > 0.5 * HAND_RAD_S2 * since_s**2 + noise[1]))
+        return bool(far or (has_rotation and float(np.linalg.norm(turn)) > 0.5 * HAND_RAD_S2 * since_s**2 + noise[1]))
 
-    def _begun(self, t_s: float, T: Array, covariance: Array, *, jumped: bool, whole: bool) -> Tracked:
+    def _begun(self, t_s: float, T: Array, covariance: Array, *, jumped: bool, has_rotation: bool) -> Tracked:
         begun = MotionFilter.begin(self._packed, np.zeros((0, 3)), t_s, T, covariance)
-        return Tracked(filter=begun, begun_s=t_s, T_begun=T, steady_s=t_s, jumped=jumped, whole=whole, turned=whole)
+        return Tracked(
+            filter=begun,
+            begun_s=t_s,
+            T_begun=T,
+            steady_s=t_s,
+            jumped=jumped,
+            has_rotation=has_rotation,
+            turned=has_rotation,
+        )

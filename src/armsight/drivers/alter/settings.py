@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from scipy.spatial.transform import RigidTransform
 
 from armsight.drivers.alter.frames import ANSWER_BYTES, STATE_BYTES
-from armsight.errors import UsageError
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+from armsight.drivers.link_settings import LinkSettings, Positive
 
 BITS_A_BYTE = 10
 """Start bit, eight bits, stop bit."""
@@ -33,7 +30,7 @@ class ArmOnLink(Protocol):
         ...
 
 
-class AlterSettings(BaseModel):
+class AlterSettings(LinkSettings):
     """Settings of a link of real-time path control.
 
     baud, cycle_s: the controller's. cumulative: an answer's way adds to those before; otherwise it is the whole way
@@ -42,15 +39,15 @@ class AlterSettings(BaseModel):
     the flange.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    link: ClassVar[str] = "the serial link"
 
     baud: Annotated[int, Field(ge=1200)] = 38400
     cycle_s: Positive = 0.028
     cumulative: bool = True
     axes: Literal["world", "tool"] = "world"
     arm: ArmOnLink | None = None
-    open_s: Positive = 5.0
-    max_speed_rad_s: Positive = math.pi / 3
     lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     speed_m_s: Positive = 0.1
@@ -62,17 +59,3 @@ class AlterSettings(BaseModel):
         if needed_s >= self.cycle_s:
             raise ValueError(f"a state and its answer take {needed_s:.4f} s at {self.baud} baud, longer than a cycle")
         return self
-
-
-def alter_settings(values: Mapping[str, Any]) -> AlterSettings:
-    """Return checked settings. Raises UsageError that names the wrong key."""
-    try:
-        return AlterSettings.model_validate(dict(values))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "cycle_s"
-        raise UsageError(
-            f"the setting {key!r} of the serial link cannot be: {first['msg']}",
-            consequence="The robot is not opened",
-            cure=f"Known are: {', '.join(AlterSettings.model_fields)}",
-        ) from error

@@ -1,4 +1,10 @@
-"""One packet from the controller as a checked record, and the answer to it: degrees and mm on the wire only."""
+"""The messages of EGM: a packet from the controller as a checked record, and the answer to it.
+
+Built at run time from field numbers and types, those of ABB's published definition of the sensor interface (package
+abb.egm, proto2), chapter "Externally Guided Motion" of the application manual "Controller software IRC5 / OmniCore".
+Fields left out here are skipped by every protobuf reader. All fields are optional here; what must be there is checked
+by `parse`. Degrees and mm are on the wire only.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +13,76 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.drivers.egm.messages import EgmRobotMessage, EgmSensorMessage
 from armsight.errors import Inconsistent
 from armsight.units import MM
 
 Array = NDArray[np.float64]
+
+FIELD = descriptor_pb2.FieldDescriptorProto
+UINT32, UINT64, BOOL, DOUBLE, ENUM = (
+    FIELD.TYPE_UINT32,
+    FIELD.TYPE_UINT64,
+    FIELD.TYPE_BOOL,
+    FIELD.TYPE_DOUBLE,
+    FIELD.TYPE_INT32,  # an enumeration and an int32 are the same on the wire, and unknown values stay readable
+)
+
+MESSAGES: dict[str, dict[str, tuple[int, int | str, bool]]] = {
+    "EgmHeader": {"seqno": (1, UINT32, False), "tm": (2, UINT32, False), "mtype": (3, ENUM, False)},
+    "EgmCartesian": {"x": (1, DOUBLE, False), "y": (2, DOUBLE, False), "z": (3, DOUBLE, False)},
+    "EgmQuaternion": {f"u{i}": (i + 1, DOUBLE, False) for i in range(4)},
+    "EgmPose": {"pos": (1, "EgmCartesian", False), "orient": (2, "EgmQuaternion", False)},
+    "EgmJoints": {"joints": (1, DOUBLE, True)},
+    "EgmClock": {"sec": (1, UINT64, False), "usec": (2, UINT64, False)},
+    "EgmPlanned": {"joints": (1, "EgmJoints", False), "cartesian": (2, "EgmPose", False)},
+    "EgmFeedBack": {
+        "joints": (1, "EgmJoints", False),
+        "cartesian": (2, "EgmPose", False),
+        "time": (4, "EgmClock", False),
+    },
+    "EgmState": {"state": (1, ENUM, False)},
+    "EgmRobot": {
+        "header": (1, "EgmHeader", False),
+        "feedBack": (2, "EgmFeedBack", False),
+        "planned": (3, "EgmPlanned", False),
+        "motorState": (4, "EgmState", False),
+        "mciState": (5, "EgmState", False),
+        "mciConvergenceMet": (6, BOOL, False),
+        "rapidExecState": (8, "EgmState", False),
+    },
+    "EgmSensor": {"header": (1, "EgmHeader", False), "planned": (2, "EgmPlanned", False)},
+}
+"""Field name: (number, type or message, repeated). EgmState stands for the three messages of one enumeration each."""
+
+
+def _classes() -> dict[str, Any]:
+    """Return the message classes by name, in a pool of their own."""
+    file = descriptor_pb2.FileDescriptorProto(name="armsight/egm.proto", package="armsight.egm", syntax="proto2")
+    for name, fields in MESSAGES.items():
+        message = file.message_type.add(name=name)
+        for field, (number, kind, repeated) in fields.items():
+            label = FIELD.LABEL_REPEATED if repeated else FIELD.LABEL_OPTIONAL
+            entry = message.field.add(name=field, number=number, label=label)
+            if isinstance(kind, str):
+                entry.type, entry.type_name = FIELD.TYPE_MESSAGE, f".armsight.egm.{kind}"
+            else:
+                entry.type = kind  # type: ignore[assignment]
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return {
+        name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"armsight.egm.{name}")) for name in MESSAGES
+    }
+
+
+CLASSES = _classes()
+EgmRobotMessage: Any = CLASSES["EgmRobot"]
+EgmSensorMessage: Any = CLASSES["EgmSensor"]
+
 
 LARGEST_RAD = 100.0
 """No joint of a robot turns 16 times: a larger value is not a reading."""
@@ -113,8 +180,8 @@ def answer_pose(sequence: int, tm_ms: int, pose: RigidTransform) -> bytes:
     """Return an EgmSensor packet that guides the flange to a pose in the controller's correction frame."""
     message = _answer(sequence, tm_ms)
     x, y, z, w = pose.rotation.as_quat(canonical=True).tolist()
-    place, turn = message.planned.cartesian.pos, message.planned.cartesian.orient
-    place.x, place.y, place.z = (np.asarray(pose.translation) / MM).tolist()
+    position, turn = message.planned.cartesian.pos, message.planned.cartesian.orient
+    position.x, position.y, position.z = (np.asarray(pose.translation) / MM).tolist()
     turn.u0, turn.u1, turn.u2, turn.u3 = w, x, y, z  # ABB puts the scalar first
     return bytes(message.SerializeToString())
 
@@ -143,8 +210,8 @@ def _pose(part: Any) -> RigidTransform | None:
     """Return a pose; None where the part has none."""
     if not (part.HasField("cartesian") and part.cartesian.HasField("pos") and part.cartesian.HasField("orient")):
         return None
-    place, turn = part.cartesian.pos, part.cartesian.orient
-    xyz_m = MM * np.array([place.x, place.y, place.z])
+    position, turn = part.cartesian.pos, part.cartesian.orient
+    xyz_m = MM * np.array([position.x, position.y, position.z])
     quat = np.array([turn.u1, turn.u2, turn.u3, turn.u0])
     if not ((np.abs(xyz_m) < LARGEST_M).all() and np.abs(quat).max() < 2.0 and abs(float(quat @ quat) - 1.0) < 1e-2):
         raise Inconsistent("a packet has a pose that no flange can have")

@@ -69,21 +69,24 @@ class Link:
 
         waits: for the answers, as who asks for it wants to know; a regular beat must not wait behind others.
         """
+        # the thread that beats and the program that asks for a beat share one count: a number given twice would not
+        # count
         with self._beating:
             self._beats += 1
             number = self._beats
         if self._line is not None and not self._line.ended:
             with contextlib.suppress(ArmsightError):  # the other way has the same beat
-                give = self._line.ask if waits else self._line.tell
-                give(say.Heartbeat, enable=enable, number=number, key=self.welcome.enable_key)
-        (self._wire.ask if waits else self._wire.tell)(say.Heartbeat, enable=enable, number=number)
+                deliver = self._line.ask if waits else self._line.send
+                deliver(say.Heartbeat, enable=enable, number=number, key=self.welcome.enable_key)
+        (self._wire.ask if waits else self._wire.send)(say.Heartbeat, enable=enable, number=number)
 
     def stop(self) -> None:
         """Stop the robot until it is reset, by the line that nothing else shares. Raises as ask."""
         if self._line is not None and not self._line.ended:
+            # if the line fails in between, the stop goes the other way below; a stop twice is a stop
             with contextlib.suppress(ArmsightError):
                 self._line.ask(say.StopMessage)
-                self._wire.tell(say.StopMessage)  # what is asked after it finds it stopped
+                self._wire.send(say.StopMessage)  # what is asked after it finds it stopped
                 return
         self._wire.ask(say.StopMessage)
 
@@ -103,6 +106,7 @@ class Link:
 
     def close(self) -> None:
         """End the connections; legal always."""
+        # taken out before it is closed: the thread that beats looks at it meanwhile
         line, self._line = self._line, None
         if line is not None:
             line.close()
@@ -116,8 +120,8 @@ class Link:
         try:
             line.open()
         except ArmsightError as error:
-            told = f"the line for stops cannot be reached, stops share the way of all else: {error.cause}"
-            self._events.append(say.EventMessage(t_s=0.0, level="warning", message=told))
+            warning = f"the line for stops cannot be reached, stops share the way of all else: {error.cause}"
+            self._events.append(say.EventMessage(t_s=0.0, level="warning", message=warning))
             return
         self._line = line
 

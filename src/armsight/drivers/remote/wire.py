@@ -145,7 +145,7 @@ class Wire:
             return answer
         raise DeviceFailed(f"{self.address.url} answered with {answer.type}", consequence="It is not known what it did")
 
-    def tell(self, make: Callable[..., say.Command], **fields: Any) -> None:
+    def send(self, make: Callable[..., say.Command], **fields: Any) -> None:
         """Send a message and do not wait for its answer. Raises DeviceLost without a connection."""
         self._send(make, fields, waits=False)
 
@@ -208,9 +208,11 @@ class Wire:
             connection = self._socket
             if connection is None or self.ended:
                 raise self._lost()
+            # number and sending belong together: a message that overtakes another is a replay to the server
             seq = self._seq + 1
             command = _made(make, session=self._session, seq=seq, **fields)
             self._seq = seq
+            # before it is sent: the answer may be there before this thread goes on
             if waits:
                 with self._news:
                     self._waiting.add(seq)

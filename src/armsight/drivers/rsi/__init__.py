@@ -1,5 +1,5 @@
 """KUKA's Robot Sensor Interface: the controller sends its state as XML over UDP and is answered with a correction."""
 
-from armsight.drivers.rsi.robot import RsiRobot
+from armsight.drivers.rsi.rsi_robot import RsiRobot
 
 __all__ = ["RsiRobot"]

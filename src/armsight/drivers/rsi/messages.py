@@ -1,4 +1,7 @@
-"""The two messages of RSI: Rob, the controller's state, and Sen, the answer. Millimetres and degrees on the wire."""
+"""The two messages of RSI, Rob, the controller's state, and Sen, the answer; what the controller's file says of them.
+
+Millimetres and degrees on the wire.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,86 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.drivers.rsi.settings import JOINTS, POSE, RsiTags
-from armsight.errors import Inconsistent
+from armsight._files import read_file
+from armsight.errors import BadFile, Inconsistent
 from armsight.records import frozen_array
 from armsight.units import MM
 
 Array = NDArray[np.float64]
+
+JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
+POSE = ("X", "Y", "Z", "A", "B", "C")
+
+LARGEST_FILE = 100_000
+"""Bytes of an RSI Ethernet file at most; KUKA's own examples have 3000."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RsiTags:
+    """Names in the two messages: Sen's type, the element of joint and of Cartesian corrections, what is sent."""
+
+    sen_type: str = "ImFree"
+    joint: str = "AK"
+    pose: str = "RKorr"
+    sends_pose: bool = True
+
+
+def read_tags(path: Path) -> RsiTags:
+    """Return what an RSI Ethernet file says. Raises BadFile where it is none, or no corrections can be sent by it."""
+    try:
+        data = read_file(path, limit=LARGEST_FILE)
+        text = data.decode("utf-8-sig")  # here, as in messages.parse
+    except UnicodeDecodeError as error:
+        raise BadFile(f"{path} is not UTF-8 text", cure="Give the controller's RSI Ethernet file") from error
+    except OSError as error:
+        raise BadFile(
+            f"{path} cannot be read: {error.strerror}", cure="Give the controller's RSI Ethernet file"
+        ) from error
+    if len(data) > LARGEST_FILE or any(part in text for part in ("<!DOCTYPE", "<!ENTITY", "\0")):
+        raise BadFile(f"{path} is no RSI Ethernet file", cure="Give the controller's RSI Ethernet file")
+    try:
+        root = ET.fromstring(text)
+    except (ET.ParseError, ValueError) as error:
+        raise BadFile(f"{path} is no XML: {error}", cure="Give the controller's RSI Ethernet file") from error
+    return _tags(root, path)
+
+
+def _tags(root: ET.Element, path: Path) -> RsiTags:
+    sent, taken = ([e.get("TAG", "") for e in root.findall(f"{part}/ELEMENTS/ELEMENT")] for part in ("SEND", "RECEIVE"))
+    sen_type = (root.findtext("CONFIG/SENTYPE") or "").strip()
+    if not (sen_type and sent):
+        raise BadFile(f"{path} names no SENTYPE, or sends nothing", cure="Give the controller's RSI Ethernet file")
+    if (root.findtext("CONFIG/ONLYSEND") or "").strip().upper() == "TRUE":
+        raise BadFile(f"{path} has ONLYSEND TRUE", consequence="The controller takes no answer", cure="Set it to FALSE")
+    joint, pose = _group(taken, JOINTS), _group(taken, POSE)
+    if not (joint or pose):
+        raise BadFile(
+            f"{path} takes neither joint (AK.A1 .. AK.A6) nor Cartesian (RKorr.X .. RKorr.C) corrections",
+            consequence="The robot cannot be moved",
+            cure="Add them under RECEIVE, here and on the controller",
+        )
+    if "DEF_AIPos" not in sent:
+        raise BadFile(
+            f"{path} does not send DEF_AIPos", consequence="Joint values are not known", cure="Add it to SEND"
+        )
+    return RsiTags(sen_type=sen_type, joint=joint, pose=pose, sends_pose="DEF_RIst" in sent)
+
+
+def _group(tags: list[str], parts: tuple[str, ...]) -> str:
+    """Return the name whose parts are all among tags such as AK.A1; empty where there is none."""
+    for tag in tags:
+        name, dot, part = tag.partition(".")
+        if dot and part == parts[0] and all(f"{name}.{other}" in tags for other in parts):
+            return name
+    return ""
+
 
 LARGEST_RAD = 100.0
 LARGEST_M = 100.0
@@ -53,7 +124,7 @@ def parse(data: bytes) -> RobMessage:
         ipoc = (root.findtext("IPOC") or "").strip()
         if re.fullmatch(r"[0-9]{1,18}", ipoc) is None:
             raise Inconsistent("a packet has no IPOC")
-        q, q_set, place = (_values(root, *what) for what in (("AIPos", JOINTS), ("ASPos", JOINTS), ("RIst", POSE)))
+        q, q_set, position = (_values(root, *what) for what in (("AIPos", JOINTS), ("ASPos", JOINTS), ("RIst", POSE)))
         delay = root.find("Delay")
         n_late = None if delay is None else int(delay.get("D", ""))
     except (ET.ParseError, ValueError, LookupError) as error:
@@ -64,7 +135,7 @@ def parse(data: bytes) -> RobMessage:
         ipoc=int(ipoc),
         q=_within(np.radians(q), LARGEST_RAD),
         q_set=None if q_set is None else _within(np.radians(q_set), LARGEST_RAD),
-        T_base_flange=None if place is None else pose_of(place),
+        T_base_flange=None if position is None else pose_of(position),
         n_late=n_late,
     )
 

@@ -135,10 +135,10 @@ def newest(link: socket.socket, goal: list[float] | None) -> list[float] | None:
         data = link.recv(100 * GOAL.size, socket.MSG_PEEK)
         if not data:
             return [math.nan] * 6
-    whole = len(data) // GOAL.size * GOAL.size
-    if whole:
-        link.recv(whole)
-        return list(GOAL.unpack(data[whole - GOAL.size : whole]))
+    complete = len(data) // GOAL.size * GOAL.size
+    if complete:
+        link.recv(complete)
+        return list(GOAL.unpack(data[complete - GOAL.size : complete]))
     return goal
 
 

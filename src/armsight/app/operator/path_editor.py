@@ -1,0 +1,262 @@
+"""The taught path of a cell: its changes, its playback at the page's enable, and the cameras that watch it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.live.station import Shown, Station
+from armsight.app.measure.outputs import moved_pose
+from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.job_runner import BackgroundJob
+from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.operator.teach_controller import seen as pose_of_view
+from armsight.app.path.check import PathCheckOutput, check
+from armsight.app.play.play_job import PlayJob, load_sight
+from armsight.app.play.play_path import run_play
+from armsight.app.play.target_monitor import Seen
+from armsight.app.schemas.play import PlayOutput
+from armsight.clock import Clock, SystemClock
+from armsight.control.events import QueueSink
+from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows
+from armsight.control.play import PathSource
+from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
+from armsight.kinematics import Arm
+from armsight.records import PoseStatus, TargetPose, TaughtPath
+from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.path_file import read_path, write_path
+from armsight.units import DEG, MM
+
+LOOK_S = 0.004
+SILENT_S = 2.0
+"""A station that shows nothing new for so long does not watch any more."""
+
+
+class StationWatcher:
+    """The measuring station as what watches a path: its poses, brought back into the rig's axes."""
+
+    stepped = False
+
+    def __init__(self, station: Station, handeye: Path, T_rig_parent: RigidTransform, clock: Clock) -> None:
+        """T_rig_parent: of the frame that the station's poses are in, seen from the rig. Raises BadFile."""
+        self.sight = load_sight(handeye)
+        self._station, self._T_rig_parent, self._clock = station, T_rig_parent, clock
+        self._counts = dict.fromkeys(PoseStatus, 0)
+        self._ended = threading.Event()
+        self._failed: ArmsightError | None = None
+
+    def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
+        """Tell what the station shows until stack ends."""
+        thread = threading.Thread(target=self._watch, args=(sink, seen), name="watching", daemon=True)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(self._ended.set)
+
+    def counts(self) -> Mapping[PoseStatus, int]:
+        """Return the moments so far by what they showed."""
+        return dict(self._counts)
+
+    def failed(self) -> ArmsightError | None:
+        """Return why nothing is watched any more."""
+        return self._failed
+
+    def _watch(self, sink: QueueSink, seen: Seen) -> None:
+        last: Shown | None = None
+        newest_s = self._clock.now_s()
+        while not self._ended.wait(LOOK_S):
+            shown, now_s = self._station.shown, self._clock.now_s()
+            if self._station.failure or now_s - newest_s > SILENT_S:
+                why = self._station.failure or "no pictures come any more"
+                self._failed = DeviceFailed(
+                    f"{why} while the path was played",
+                    consequence="The robot is held: nobody watched it",
+                    cure="Look at the cameras, then play again",
+                )
+                return
+            if shown is None or shown is last:
+                continue
+            last, newest_s = shown, now_s
+            pose = self._in_rig(pose_of_view(shown.view))
+            exposed_s = shown.view.t_s  # monotonic time is one for all processes of a machine
+            self._counts[pose.status] += 1
+            seen(pose, exposed_s)
+            sink.pose(replace(pose, t_s=exposed_s))
+
+    def _in_rig(self, pose: TargetPose) -> TargetPose:
+        if pose.T_parent_target is None:
+            return pose
+        return moved_pose(pose, self._T_rig_parent, "rig")
+
+
+def watcher_of(
+    folder: Path, cell: CellFile, arm: Arm | None, station: Station | None, clock: Clock
+) -> StationWatcher | None:
+    """Return what watches the cell's robot; None without cameras, or where their position on it is not known.
+
+    Raises BadFile.
+    """
+    handeye = cell_path(folder, cell.handeye, "handeye")
+    if station is None or handeye is None or station.job.rig is None:
+        return None
+    T_world_rig = rig_pose(folder, cell, arm, None) if cell.world else RigidTransform.identity()
+    return None if T_world_rig is None else StationWatcher(station, handeye, T_world_rig.inv(), clock)
+
+
+JOB_NAME = "play"
+FILE = "path.csv"
+STEPS_KEPT = 50
+TOOLS: Mapping[str, str] = MappingProxyType(
+    {"resample": "mm", "smooth": "mm", "offset": "mm", "angle": "deg", "reverse": ""}
+)
+"""What can be done to a path, and the unit of its figure."""
+
+
+class PathEditor:
+    """The path of a cell, in FOLDER/path.csv once it is kept."""
+
+    def __init__(self, folder: Path) -> None:
+        """Take the path that the folder holds, if any. Raises BadFile."""
+        self._folder = folder
+        self._file = folder / FILE
+        self._path: TaughtPath | None = read_path(self._file) if self._file.is_file() else None
+        self._before: list[TaughtPath] = []
+        self.source: PathSource | None = None
+
+    @property
+    def path(self) -> TaughtPath | None:
+        """The path as it stands; None where none was taught."""
+        return self._path
+
+    @property
+    def changes(self) -> int:
+        """How many changes can be undone."""
+        return len(self._before)
+
+    def load(self, file: Path) -> None:
+        """Take the path of another file; this can be undone. Raises BadFile."""
+        self._replace(read_path(file))
+
+    def delete(self, rows: list[int]) -> None:
+        """Take rows out. Raises NotEnoughData where fewer than two stay, Inconsistent for a tag that has no room."""
+        self._replace(without_rows(self.require(), rows))
+
+    def change(self, tool: str, value: float) -> None:
+        """Use a tool of TOOLS with a figure in its unit. Raises UsageError, Inconsistent, Degenerate."""
+        path = self.require()
+        match tool:
+            case "resample":
+                self._replace(resampled(path, value * MM))
+            case "smooth":
+                self._replace(smoothed(path, bound_m=value * MM))
+            case "offset":
+                self._replace(offset_along_tool(path, value * MM))
+            case "angle":
+                self._replace(tilted(path, travel_rad=value * DEG))
+            case "reverse":
+                self._replace(reversed_path(path))
+            case _:
+                raise UsageError(f"{tool!r} is no tool for paths", cure=f"Use {', '.join(TOOLS)}")
+
+    def undo(self) -> None:
+        """Take the last change back; nothing happens where there is none."""
+        if self._before:
+            self._path = self._before.pop()
+            write_path(self._file, self._path)
+
+    def require(self) -> TaughtPath:
+        """Return the path. Raises NotEnoughData where none was taught."""
+        if self._path is None:
+            raise NotEnoughData("there is no path yet", consequence="Nothing is done", cure="Teach one first")
+        return self._path
+
+    def _replace(self, path: TaughtPath) -> None:
+        write_path(self._file, path)
+        if self._path is not None:
+            self._before = [*self._before[-STEPS_KEPT:], self._path]
+        self._path = path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlayRequest:
+    """How the path is run: its speed where it leaves that open, rounding of corners, and whether the tool is turned."""
+
+    folder: Path
+    cell: CellFile
+    speed_mm_s: float = 10.0
+    blend_mm: float = 3.0
+    keep_rotation: bool = False
+
+
+def check_path(asked: PlayRequest, robot: RobotCell) -> PathCheckOutput:
+    """Check the path for the arm from where it stands; write path-check.html. Raises as app.path.check."""
+    start = ",".join(repr(value) for value in robot.joints().tolist())
+    limits = cell_path(asked.folder, asked.cell.limits, "limits")
+    return check(
+        asked.folder / FILE,
+        str(_arm(asked)),
+        limits=limits,
+        speed_m_s=asked.speed_mm_s * MM,
+        start=start,
+        out=asked.folder / "path-check.html",
+    )
+
+
+def play(
+    asked: PlayRequest, robot: RobotCell, editor: PathEditor, station: Station | None, background: BackgroundJob
+) -> PlayOutput:
+    """Run the path while the operator holds the enable, at the session's override; station: watches it where it can.
+
+    Raises as run_play.
+    """
+    editor.require()
+    clock = SystemClock()
+    session = robot.session
+    moved = SessionRobot(session, lambda: background.browser, clock, waits=False, cancelled=background.cancelled)
+    job = PlayJob(
+        robot=robot.robot,
+        path=asked.folder / FILE,
+        out=asked.folder / time.strftime("played-%Y%m%d-%H%M%S"),
+        arm=_arm(asked),
+        limits=cell_path(asked.folder, asked.cell.limits, "limits"),
+        override=session.override,
+        path_speed_m_s=asked.speed_mm_s * MM,
+        blend_m=asked.blend_mm * MM,
+        keep_rotation=asked.keep_rotation,
+        retract_m=0.0,
+    )
+
+    def begun(source: PathSource) -> None:
+        editor.source = source
+
+    def follow_override(*_: object) -> None:
+        if editor.source is not None and not np.isclose(editor.source.override, session.override):
+            editor.source.override = session.override
+
+    try:
+        return run_play(
+            job,
+            background.ask,
+            follow_override,
+            background,
+            opened=(moved, clock, watcher_of(asked.folder, asked.cell, session.arm, station, clock)),
+            begun=begun,
+            enabled=lambda: session.enabled(background.browser),
+        )
+    finally:
+        editor.source = None
+
+
+def _arm(asked: PlayRequest) -> Path:
+    arm = cell_path(asked.folder, asked.cell.arm, "arm")
+    if arm is None:
+        raise NotEnoughData("the cell has no arm yet", consequence="Nothing is moved", cure="See the page Settings")
+    return arm

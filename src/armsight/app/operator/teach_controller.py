@@ -1,0 +1,166 @@
+"""A path taught before the measuring station: recorded beside the page, so that a page loaded anew loses nothing."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.guided.poses import pose_of
+from armsight.app.live.station import Station
+from armsight.app.live.views import LiveView
+from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.teach import TeachJob, save
+from armsight.clock import Clock, SystemClock
+from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
+from armsight.errors import ArmsightError, NotEnoughData
+from armsight.records import PoseStatus, TargetPose
+from armsight.records.motion import JointHistory
+from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.handeye_file import read_handeye
+
+FOLDER = "taught"
+LOOK_S = 0.01
+EVERY = 5
+"""Frames of which a pose is the mean."""
+LEAST_CYCLE_S = 0.02
+"""Readings are looked at by a thread of Python beside a page: it may miss some."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaughtState:
+    """What a page shows. n: poses taught; lost: frames that were not taken; tip: where it is now, None unseen."""
+
+    recording: bool
+    n: int
+    stretches: int
+    lost: int
+    tip: RigidTransform | None
+
+
+class TeachController:
+    """Records the tip's path in world while the target is led along, by hand or by the robot's jog keys."""
+
+    def __init__(
+        self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], clock: Clock
+    ) -> None:
+        """station: asked anew each time, as it may be replaced. Raises BadFile; NotEnoughData where the cameras'
+        position is not known."""
+        self.out = folder / FOLDER
+        tip = cell_path(folder, cell.tip, "tip")
+        self._job = TeachJob(out=self.out, tip=tip, every=EVERY, mean=True)
+        self._robot, self._station, self._clock = robot, station, clock
+        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
+        rig_pose = _rig_pose(folder, cell, robot, self._history)
+        self.recorder = PathRecorder(rig_pose, self._job.T_target_tip(), every=EVERY, mean=True)
+        self._points = 0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="teaching", daemon=True)
+        self._thread.start()
+
+    @property
+    def state(self) -> TaughtState:
+        """How far it is."""
+        recorder = self.recorder
+        counts = recorder.counts
+        return TaughtState(
+            recording=recorder.state is Teaching.RECORDING,
+            n=len(recorder),
+            stretches=recorder.stretches,
+            lost=counts.lost + counts.doubtful + counts.position_only + counts.unplaced,
+            tip=recorder.tip,
+        )
+
+    def start(self) -> None:
+        """Record until the pause."""
+        self._points = 0
+        self.recorder.start()
+
+    def pause(self) -> None:
+        """Record no more."""
+        self._points = 0
+        self.recorder.pause()
+
+    def point(self) -> None:
+        """Take one pose, the mean of the next frames: hold the target still."""
+        if self.recorder.state is not Teaching.RECORDING:
+            self._points = len(self.recorder) + 1
+            self.recorder.start()
+
+    def save(self) -> Path:
+        """Write path.csv and targets.csv, and return the former. Raises NotEnoughData for less than two poses."""
+        self.recorder.pause()
+        save(self._job, self.recorder)
+        return self.out / "path.csv"
+
+    def close(self) -> None:
+        """End it."""
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        last: LiveView | None = None
+        while not self._ended.wait(LOOK_S):
+            try:
+                reading = self._robot.service.host.status().reading
+            except ArmsightError:
+                reading = None
+            if reading is not None:
+                self._history.add(reading)
+            station = self._station()
+            shown = None if station is None else station.shown
+            if shown is None or shown.view is last:
+                continue
+            last = shown.view
+            self.recorder.observe(seen(last), last.t_s)
+            if self._points and len(self.recorder) >= self._points:
+                self.pause()
+
+
+def seen(view: LiveView) -> TargetPose:
+    """Return the target's pose that a view tells; without one, why."""
+    if view.status == PoseStatus.OK.value:
+        return pose_of(view)
+    if view.status == PoseStatus.DOUBTFUL.value and view.xyz_m is not None:
+        return replace(pose_of(view), status=PoseStatus.DOUBTFUL, why=view.why)
+    if view.status == PoseStatus.POSITION_ONLY.value and view.xyz_m is not None and view.covariance_m2 is not None:
+        T = np.eye(4)
+        T[:3, 3] = view.xyz_m
+        return TargetPose(
+            t_s=view.t_s,
+            status=PoseStatus.POSITION_ONLY,
+            parent=view.parent,
+            T_parent_target=T,
+            covariance=np.array(view.covariance_m2),
+            why=view.why,
+        )
+    return TargetPose(t_s=view.t_s, status=PoseStatus.LOST, parent=view.parent, why=view.why)
+
+
+def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
+    """Return where the rig is in world at a moment."""
+    arm = robot.session.arm
+    handeye = cell_path(folder, cell.handeye, "handeye")
+    placed = rig_pose(folder, cell, arm, robot.joints())
+    if placed is None or arm is None:
+        raise NotEnoughData(
+            "where the cameras are before the robot is not known",
+            consequence="A path taught now could not be run",
+            cure="Calibrate hand-eye first, on the page Calibrate",
+        )
+    if cell.cameras == "carried" and handeye is not None:
+        return CarriedRig(arm=arm, history=history, T_flange_rig=read_handeye(handeye).T_parent_camera)
+    # a view is in the rig's axes, or already in world's where world.yaml is there
+    return StandingRig(T_world_rig=placed if not cell.world else RigidTransform.identity())
+
+
+def teach_controller(
+    folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None]
+) -> TeachController:
+    """Return the recorder of a cell, on the machine's clock. Raises as TeachController."""
+    return TeachController(folder, cell, robot, station, SystemClock())

@@ -1,0 +1,190 @@
+"""What browsers fetch and send besides pages: pictures, uploaded files, reports; and what every answer says."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+from fastapi import FastAPI, HTTPException, Request, WebSocket, WebSocketDisconnect
+from fastapi.responses import FileResponse, PlainTextResponse
+from starlette.datastructures import MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from armsight.app.live.measurement import COMPLEX
+from armsight.app.live.station import Shown
+from armsight.app.live.views import complex_view
+from armsight.console import texts
+from armsight.console.robot_link import person_of
+from armsight.console.state import Console
+from armsight.errors import ArmsightError
+from armsight.store.atomic import write_bytes
+
+PAGE_POLICY = "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+"""Says nothing of scripts: NiceGUI writes them into its pages, and Vue compiles templates, so that all kinds would have
+to be let. What keeps foreign text from being script is that every text is set as text."""
+
+REPORT_POLICY = "sandbox allow-scripts allow-downloads; frame-ancestors 'none'"
+"""A report is a page of an origin of its own: whatever stands in it, it reaches neither robot nor console."""
+
+SAID = {
+    "content-security-policy": PAGE_POLICY,
+    "x-frame-options": "DENY",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+}
+
+
+class SafeHeaders:
+    """Adds SAID to every answer over HTTP; what an answer says itself stays."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a request through, and add to its answer."""
+
+        async def send_safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in SAID.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self.app(scope, receive, send_safely)
+
+
+LARGEST_BYTES = 2_000_000
+"""Of a file brought: a rig with its covariance has 20 kB, a long table of readings some 100 kB."""
+LONGEST_NAME_BYTES = 200
+"""Of a file's name: file systems end at 255, and the writer's temporary name is longer."""
+NAME = re.compile(r"\w[\w.-]{0,80}\.(ya?ml|csv|urdf)")
+REPORT = re.compile(r"(?:\w[\w.-]{0,80}/)?\w[\w.-]{0,80}\.html")
+"""A report in the cell's folder, or in a folder inside it."""
+
+
+def add_files(server: FastAPI, console: Console) -> None:
+    """Serve reports at /console/files/NAME.html, and take files there; what is there is never replaced."""
+
+    @server.get("/console/files/{name:path}", include_in_schema=False)
+    async def report(name: str) -> FileResponse:
+        if not REPORT.fullmatch(name):
+            raise HTTPException(404)
+        path = (console.folder / name).resolve()
+        if not path.is_relative_to(console.folder.resolve()) or not path.is_file():
+            raise HTTPException(404)
+        return FileResponse(path, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
+
+    @server.put("/console/files/{name}", include_in_schema=False)
+    async def take(name: str, request: Request) -> PlainTextResponse:
+        refused = _refused(console.folder, name, person_of(request).role)
+        if refused is not None:
+            return refused
+        data = bytearray()
+        async for part in request.stream():
+            data += part
+            if len(data) > LARGEST_BYTES:
+                return PlainTextResponse(texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000), 413)
+        if not data.strip():
+            return PlainTextResponse(texts.EMPTY_FILE.format(name=name), 400)
+        try:
+            write_bytes(console.folder / name, bytes(data))
+        except ArmsightError as error:
+            return PlainTextResponse(str(error), 507)
+        return PlainTextResponse(texts.UPLOADED.format(name=name))
+
+
+def _refused(folder: Path, name: str, role: str) -> PlainTextResponse | None:
+    """Return why a file of this name is not taken from somebody, None where it may come."""
+    if role != "drive":
+        return PlainTextResponse(texts.WATCHING, 403)
+    if not NAME.fullmatch(name) or len(name.encode()) > LONGEST_NAME_BYTES:
+        return PlainTextResponse(texts.NOT_A_NAME.format(name=name[:80]), 400)
+    if os.path.lexists(folder / name):  # a link too, wherever it leads
+        return PlainTextResponse(texts.EXISTS.format(name=name), 409)
+    return None
+
+
+def reports(folder: Path) -> list[Path]:
+    """Return the reports of a cell, relative to its folder, the newest first."""
+    found = [path for pattern in ("*.html", "*/*.html") for path in folder.glob(pattern)]
+    found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    names = (path.relative_to(folder) for path in found)
+    return [name for name in names if REPORT.fullmatch(name.as_posix())]
+
+
+LOOK_S = 0.005
+"""Time between two looks for a newer picture."""
+SIDES = ("left", "right", COMPLEX)
+WIDEST_PX = 8192
+"""What a page that does not say its width gets at most: every camera's picture as it is."""
+WIDTH = re.compile(r"[1-9][0-9]{0,5}")
+
+
+def add_pictures(server: FastAPI, console: Console) -> None:
+    """Serve the newest picture of a side at /console/pictures/left and /right, as often as the browser asks.
+
+    Each time it says how wide the picture is on its screen, in px; all get what the widest of them needs. A mirror
+    rig's one picture, with what was found of both views in it, is at /console/pictures/complex.
+    """
+    widths_px: dict[WebSocket, int] = {}
+
+    def ask(socket: WebSocket, text: str) -> None:
+        widths_px[socket] = min(int(text), WIDEST_PX) if WIDTH.fullmatch(text) else WIDEST_PX
+        if console.station is not None:
+            console.station.show_width(max(widths_px.values()))
+
+    @server.websocket("/console/pictures/{side}")
+    async def pictures(socket: WebSocket, side: str) -> None:
+        if side not in SIDES:
+            await socket.close(code=1008)
+            return
+        await socket.accept()
+        last: Shown | None = None
+        try:
+            with suppress(WebSocketDisconnect):
+                ask(socket, await _said(socket))
+                while True:
+                    asked = asyncio.ensure_future(_said(socket))  # for the next one, or the page is gone
+                    try:
+                        last = await _newer(console, last, asked)
+                        await socket.send_bytes(picture_message(console, last, side))
+                        ask(socket, await asked)
+                    finally:
+                        asked.cancel()
+        finally:
+            widths_px.pop(socket, None)
+
+
+def picture_message(console: Console, shown: Shown, side: str) -> bytes:
+    """Return the length of the findings (uint32, little endian), the findings as JSON, and the JPEG."""
+    if side == COMPLEX:
+        view, data = complex_view(shown.view), shown.left_jpeg
+    else:
+        view, data = (shown.view.left, shown.left_jpeg) if side == "left" else (shown.view.right, shown.right_jpeg)
+    masks = [list(box) for box in console.look.masked.get(side, ())]
+    head = json.dumps({**view.to_dict(), "masks": masks}).encode()
+    return struct.pack("<I", len(head)) + head + data
+
+
+async def _said(socket: WebSocket) -> str:
+    """Return what a page says, nothing where it is no text. Raises WebSocketDisconnect."""
+    said = await socket.receive()
+    if said["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(said.get("code", 1005))
+    return said.get("text") or ""
+
+
+async def _newer(console: Console, last: Shown | None, asked: asyncio.Future[str]) -> Shown:
+    """Return the next newer picture. Raises WebSocketDisconnect where the page goes while none comes."""
+    while True:
+        if asked.done() and asked.exception() is not None:
+            asked.result()
+        shown = console.station.shown if console.station is not None else None
+        if shown is not None and shown is not last:
+            return shown
+        await asyncio.sleep(LOOK_S)

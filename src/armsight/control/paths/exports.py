@@ -1,0 +1,249 @@
+"""A path as a program in KRL (KUKA), RAPID (ABB; MoveL, MoveAbsJ, robtarget, zonedata) or URScript, or in Python."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.control.paths.program import (
+    APPROACH_SPEED_M_S,
+    JOINT_SPEED,
+    NAME,
+    Program,
+    ascii_only,
+    decimals,
+    in_degrees,
+    weld_state,
+)
+from armsight.errors import UsageError
+from armsight.records import TaughtPath
+from armsight.units import DEG, MM
+
+PTP_PERCENT = 10
+
+
+def krl(program: Program) -> str:
+    """Return the program as a .src: millimetres, A, B, C in degrees, poses in $ROBROOT.
+
+    A turns about z, B about the new y, C about the new x: R = Rz(A) Ry(B) Rx(C). The tool is a number of TOOL_DATA.
+    Raises UsageError where tool or weld output are no numbers that KRL takes.
+    """
+    tool, output = _number("tool", program.tool, 1, 16), program.weld_output
+    if tool is None:
+        raise UsageError(
+            "KRL names its tool by number, and none is given",
+            consequence="No program is written",
+            cure="Give the number of TOOL_DATA that holds this tool (--tool)",
+        )
+    weld = _number("weld output", output, 1, 4096)
+    lines = [
+        "&ACCESS RVP",
+        f"DEF {program.name}()",
+        "; Poses are of the tool's tip in the robot's base ($ROBROOT), mm and degrees.",
+        *_krl_tool_note(program.T_flange_tool, tool),
+        "BAS(#INITMOV,0)",
+        f"BAS(#VEL_PTP,{PTP_PERCENT})",
+        f"BAS(#ACC_PTP,{PTP_PERCENT})",
+        "$BASE=$ROBROOT",
+        f"$TOOL=TOOL_DATA[{tool}]",
+        f"$ACC.CP={program.acceleration_m_s2:g}",
+        f"$VEL.ORI1={program.turn_rad_s / DEG:.6g}",
+        f"$VEL.ORI2={program.turn_rad_s / DEG:.6g}",
+    ]
+    if program.start is not None:
+        names = (f"A{i + 1} {angle}" for i, angle in enumerate(in_degrees(program.start)))
+        lines.append(f"PTP {{{','.join(names)}}}")
+    speed = blend = 0.0
+    for number, move in enumerate(program.moves):
+        if number or program.start is None:
+            if move.speed_m_s != speed:
+                speed = move.speed_m_s
+                lines.append(f"$VEL.CP={speed:.6g}")
+            if move.blend_m > 0.0 and move.blend_m != blend:
+                blend = move.blend_m
+                lines.append(f"$APO.CDIS={decimals(blend / MM, 4)}")
+            lines.append(f"LIN {_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}")
+        if move.tag:
+            lines += _krl_tag(move.tag, weld)
+    return "\r\n".join([*lines, "END", ""])
+
+
+def _frame(T: RigidTransform) -> str:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # at B = 90 degrees only A - C is fixed, and C = 0 is as good
+        a, b, c = in_degrees(np.asarray(T.rotation.as_euler("ZYX")))
+    x, y, z = (decimals(float(value) / MM, 4) for value in T.translation)
+    return f"{{X {x},Y {y},Z {z},A {a},B {b},C {c}}}"
+
+
+def _krl_tool_note(T: RigidTransform | None, tool: int) -> list[str]:
+    if T is None:
+        return [f"; TOOL_DATA[{tool}] must be the tool the path was taught with."]
+    return [f"; TOOL_DATA[{tool}] must be {_frame(T)}"]
+
+
+def _number(what: str, text: str | None, lowest: int, highest: int) -> int | None:
+    if text is None:
+        return None
+    if not (text.isascii() and text.isdecimal() and lowest <= int(text) <= highest):
+        raise UsageError(
+            f"{text[:20]!r} is no {what} of a KUKA controller",
+            consequence="No program is written",
+            cure=f"Give a number from {lowest} to {highest}",
+        )
+    return int(text)
+
+
+def _krl_tag(tag: str, output: int | None) -> list[str]:
+    on = weld_state(tag)
+    if on is None or output is None:
+        return [f"; {ascii_only(tag)}"]
+    return [f"$OUT[{output}]={'TRUE' if on else 'FALSE'}"]
+
+
+SIGNAL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+NO_AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+REST = "5000,1000"
+"""Speeds of outer axes, of which there are none."""
+
+
+def rapid(program: Program) -> str:
+    """Return the program as a module: millimetres, quaternions with w first, poses in wobj0.
+
+    The tool is a tooldata's name, which the module does not declare: its mass is not known here. Zones are of the
+    position blend_m wide, and half as much again for rotations, as ABB's own. wobj0 is the world: the robot's base
+    where the controller has not moved it. Raises UsageError where tool or weld output are no names.
+    """
+    if program.tool is None or NAME.fullmatch(program.tool) is None:
+        raise UsageError(
+            "RAPID names its tool, and no name that it takes is given",
+            consequence="No program is written",
+            cure="Give the name of the tooldata of this tool (--tool)",
+        )
+    if program.weld_output is not None and SIGNAL.fullmatch(program.weld_output) is None:
+        raise UsageError(
+            f"{program.weld_output[:20]!r} is no name of a signal",
+            consequence="No program is written",
+            cure="Give the name of the digital output in the controller",
+        )
+    lines = [
+        f"MODULE {program.name}_module",
+        "  ! Poses are of the tool's tip in wobj0, mm; quaternions have w first.",
+        "  ! wobj0 must be the robot's base: no base frame moved in the controller.",
+        f"  ! {program.tool} must be {_rapid_tool_note(program.T_flange_tool)}",
+        f"  PROC {program.name}()",
+        "    ConfJ\\Off;",
+        "    ConfL\\Off;",
+    ]
+    if program.start is not None:
+        target = f"[[{','.join(in_degrees(program.start))}],{NO_AXES}]"
+        speed = f"[{decimals(APPROACH_SPEED_M_S / MM, 3)},{decimals(JOINT_SPEED / DEG, 3)},{REST}]"
+        lines.append(f"    MoveAbsJ {target},{speed},fine,{program.tool};")
+    for number, move in enumerate(program.moves):
+        if number or program.start is None:
+            speed = f"[{decimals(move.speed_m_s / MM, 3)},{decimals(program.turn_rad_s / DEG, 3)},{REST}]"
+            target = f"[{_rapid_pose(RigidTransform.from_matrix(move.T_base_tip))},[0,0,0,0],{NO_AXES}]"
+            lines.append(f"    MoveL {target},{speed},{_zone(move.blend_m)},{program.tool}\\WObj:=wobj0;")
+        if move.tag:
+            lines += _rapid_tag(move.tag, program.weld_output)
+    return "\r\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])
+
+
+def _rapid_pose(T: RigidTransform) -> str:
+    x, y, z, w = T.rotation.as_quat(canonical=True)
+    position = ",".join(decimals(float(value) / MM, 4) for value in T.translation)
+    return f"[{position}],[{','.join(decimals(float(value), 9) for value in (w, x, y, z))}]"
+
+
+def _zone(radius_m: float) -> str:
+    if radius_m <= 0.0:
+        return "fine"
+    position, turn, angle = (decimals(share * radius_m / MM, 4) for share in (1.0, 1.5, 0.15))
+    return f"[FALSE,{position},{turn},{turn},{angle},{turn},{angle}]"
+
+
+def _rapid_tool_note(T: RigidTransform | None) -> str:
+    return "the tool the path was taught with." if T is None else f"[TRUE,[{_rapid_pose(T)}], ...]"
+
+
+def _rapid_tag(tag: str, output: str | None) -> list[str]:
+    on = weld_state(tag)
+    if on is None or output is None:
+        return [f"    ! {ascii_only(tag)}"]
+    return [f"    SetDO {output},{int(on)};"]
+
+
+JOINT_ACCELERATION = 0.5
+
+
+def urscript(program: Program) -> str:
+    """Return the program as a URScript function: metres, radians, rotation vectors, poses in the robot's base.
+
+    Raises UsageError for a weld output that is no number from 0 to 7.
+    """
+    if program.weld_output is not None and program.weld_output not in tuple("01234567"):
+        raise UsageError(
+            f"{program.weld_output[:20]!r} is no standard digital output of a Universal Robots controller",
+            consequence="No program is written",
+            cure="Give a number from 0 to 7",
+        )
+    lines = [f"def {program.name}():", "  # Poses are of the tool's tip in the base frame, m and rad."]
+    if program.T_flange_tool is None:
+        lines.append("  # The tool centre point must be the one the path was taught with.")
+    else:
+        lines.append(f"  set_tcp({_ur_pose(program.T_flange_tool)})")
+    moves = list(program.moves)
+    if program.start is not None:
+        joints = ", ".join(decimals(float(q), 6) for q in program.start)
+        lines.append(f"  movej([{joints}], a={JOINT_ACCELERATION:g}, v={JOINT_SPEED:g})")
+    for number, move in enumerate(moves):
+        if number or program.start is None:
+            lines.append(
+                f"  movel({_ur_pose(RigidTransform.from_matrix(move.T_base_tip))}, a={program.acceleration_m_s2:g}, "
+                f"v={move.speed_m_s:.6g}, r={decimals(move.blend_m, 6)})"
+            )
+        if move.tag:
+            lines += _ur_tag(move.tag, program.weld_output)
+    return "\n".join([*lines, "end", ""])
+
+
+def _ur_pose(T: RigidTransform) -> str:
+    values = [*T.translation, *T.rotation.as_rotvec()]
+    return f"p[{', '.join(decimals(float(value), 6) for value in values)}]"
+
+
+def _ur_tag(tag: str, output: str | None) -> list[str]:
+    on = weld_state(tag)
+    if on is None or output is None:
+        return [f"  # {ascii_only(tag)}"]
+    return [f"  set_standard_digital_out({output}, {on})"]
+
+
+def python_module(path: TaughtPath, name: str = "PATH") -> str:
+    """Return the source of a module whose NAME is this path, number for number."""
+    T = ",\n        ".join(repr(rows) for rows in path.T_world_tip.tolist())
+    head = f"A path of the tool's tip: {len(path)} poses in {path.parent}, {path.length_m[-1]:.4f} m."
+    return f'''"""{head} Written by armsight."""
+
+import numpy as np
+from numpy import nan
+
+from armsight.records import TaughtPath
+
+{name} = TaughtPath(
+    T_world_tip=np.array([
+        {T},
+    ]),
+    t_s=np.array({_numbers(path.t_s)}),
+    speed_m_s=np.array({_numbers(path.speed_m_s)}),
+    tags={path.tags!r},
+    parent={path.parent!r},
+)
+'''
+
+
+def _numbers(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
+    return f"[{', '.join(repr(value) for value in values.tolist())}]"

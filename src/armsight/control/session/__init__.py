@@ -1,0 +1,1 @@
+"""Who drives a robot, by a connection or from a page, and the loop beyond shared memory that obeys them."""

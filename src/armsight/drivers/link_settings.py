@@ -1,0 +1,64 @@
+"""What a person may set for every link to a controller."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from armsight.drivers.goals import JointLimits
+from armsight.errors import UsageError
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class LinkSettings(BaseModel):
+    """Settings that every link has.
+
+    open_s: how long to wait for the controller. max_speed_rad_s, lower_rad, upper_rad: of each joint.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    link: ClassVar[str]
+    """What a person calls the link."""
+
+    open_s: Positive = 5.0
+    max_speed_rad_s: Positive = math.pi / 3
+    lower_rad: list[float] | None = None
+    upper_rad: list[float] | None = None
+
+    @classmethod
+    def checked(cls, values: Mapping[str, Any] | None) -> Self:
+        """Return checked settings. Raises UsageError that names the wrong key."""
+        try:
+            return cls.model_validate(dict(values or {}))
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"]) or "cycle_s"  # what a check of all of them is about
+            raise UsageError(
+                f"the setting {key!r} of {cls.link} cannot be: {first['msg']}",
+                consequence="The robot is not opened",
+                cure=f"Known are: {', '.join(cls.model_fields)}",
+            ) from error
+
+    def joint_limits(self, n: int) -> JointLimits:
+        """Return the limits of n joints. Raises UsageError where others are given than so many."""
+        return JointLimits(
+            lower=_each(self.lower_rad, -math.inf, n),
+            upper=_each(self.upper_rad, math.inf, n),
+            max_speed=np.full(n, self.max_speed_rad_s),
+        )
+
+
+def _each(values: list[float] | None, otherwise: float, n: int) -> NDArray[np.float64]:
+    """Return one value for each joint, (n,)."""
+    if values is None:
+        return np.full(n, otherwise)
+    if len(values) != n:
+        raise UsageError(f"{len(values)} joint limits are given for {n} joints", cure=f"Give {n}")
+    return np.array(values, dtype=float)

@@ -1,0 +1,181 @@
+"""A robot of KUKA behind the Robot Sensor Interface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial.transform import RigidTransform
+
+from armsight.clock import Clock
+from armsight.drivers.goals import between
+from armsight.drivers.link_settings import Positive
+from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correction, parse, read_tags
+from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, UdpSettings
+from armsight.errors import DeviceFailed, UsageError
+from armsight.units import DEG, MS
+
+Array = NDArray[np.float64]
+
+CORRECTED_RAD = 0.1 * DEG
+"""Joints farther from their set point than this at rest stand under another program's correction."""
+
+
+class RsiSettings(UdpSettings):
+    """Settings of an RSI link, beside those of every link by UDP.
+
+    rsi_config: the controller's RSI Ethernet XML file, whose Sen type and tags are used. cycle_s: 0.004 (IPO_FAST) or
+    0.012 (IPO). guidance: joint (AK) or pose (RKorr); left out, what the file takes, joints first. late_limit: late
+    packets after which the controller ends RSI, its ETHERNET object's Timeout, or more. silent_s: silence after which
+    the link is lost; left out, as long as late_limit cycles.
+    """
+
+    link: ClassVar[str] = "the RSI link"
+
+    rsi_config: Path | None = None
+    guidance: Literal["joint", "pose"] | None = None
+    late_limit: Annotated[int, Field(ge=1)] = 100
+    silent_s: Positive | None = None
+    lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+    upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+
+
+class RsiRobot(UdpRobot[RobMessage]):
+    """An arm that sends Rob messages to this computer's UDP port and takes Sen messages back.
+
+    device: the UDP port. settings: see RsiSettings. Corrections are absolute: from where RSI was started. Raises
+    UsageError for a port or a setting that cannot be, BadFile for the RSI Ethernet file.
+    """
+
+    scheme, usual_port = "rsi", 49152
+    guided_by = "let RSI on the controller take AK corrections"
+    to_begin = "Give this computer's address and port in the RSI Ethernet file, and start RSI on the controller"
+
+    def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
+        kept = self.settings = RsiSettings.checked(settings)
+        self.tags = RsiTags() if kept.rsi_config is None else read_tags(kept.rsi_config)
+        # the controller ends RSI after so many late packets; until then it only holds
+        silent_s = kept.late_limit * kept.cycle_s if kept.silent_s is None else kept.silent_s
+        super().__init__(device, kept, n=6, silent_s=silent_s, guidance=self._guidance(), clock=clock)
+        self._start_q: Array | None = None
+        self._start_pose: RigidTransform | None = None
+        self._answered_ipoc: int | None = None
+
+    def _guidance(self) -> str:
+        guidance = self.settings.guidance or ("joint" if self.tags.joint else "pose")
+        if not getattr(self.tags, guidance):
+            raise UsageError(
+                f"the RSI Ethernet file takes no {guidance} corrections",
+                consequence="The robot cannot be moved so",
+                cure="Choose the other guidance, or add them under RECEIVE",
+            )
+        if guidance == "pose" and not self.tags.sends_pose:
+            raise UsageError("the RSI Ethernet file does not send DEF_RIst", cure="Add it under SEND")
+        return guidance
+
+    def _begin(self) -> None:
+        self._refusal = ""
+        self._first_late: int | None = None
+        self._late_when_answered: int | None = None
+
+    def _not_opened(self, nobody: str) -> DeviceFailed:
+        if self._refusal:
+            return DeviceFailed(
+                self._refusal,
+                consequence="The robot is not opened: an answer from zero on would pull the arm back",
+                cure="End RSI on the controller and start it again",
+            )
+        return super()._not_opened(nobody)
+
+    def _decode(self, data: bytes) -> RobMessage:
+        return parse(data)
+
+    def _cycles_between(self, last: RobMessage, state: RobMessage) -> int:
+        ahead_ms = state.ipoc - last.ipoc
+        return max(round(ahead_ms * MS / self.cycle_s), 1) if ahead_ms > 0 else min(ahead_ms, 0)
+
+    def _may_begin(self, message: RobMessage) -> bool:
+        """Note where the corrections begin; False where that cannot be told from this packet.
+
+        Corrections count from the start of RSI. A session that this robot has left holds the last one it was given:
+        it is taken up again at once, or not before the controller must have ended it.
+        """
+        before = self._answered_ipoc
+        gap = math.inf if before is None or message.ipoc < before else (message.ipoc - before) * MS / self.cycle_s
+        if gap <= 2.0:
+            return True
+        if gap < self.settings.late_limit:
+            self._refusal = f"{self.name} is in the middle of an RSI session that was left"
+            return False
+        if message.q_set is not None and float(np.abs(message.q - message.q_set).max()) > CORRECTED_RAD:
+            self._refusal = f"{self.name} stands away from its set point, under another program's correction"
+            return False
+        self._start_q, self._start_pose = message.q, message.T_base_flange
+        return True
+
+    def _taken(self, state: RobMessage) -> bool:
+        """Tell whether the answer given last was in time."""
+        late = self._late_since(state)
+        return late is None or late < 1
+
+    def _check_session(self, state: RobMessage) -> None:
+        """Lose a link whose session may be new: a session of before has counted all cycles since as late.
+
+        In a new one the correction of before would pull the arm. Where none is in force, that is where it begins.
+        """
+        late = self._late_since(state)
+        if late is not None and late >= 0:
+            return
+        if self._corrects():
+            self._lose("RSI on its controller may have started anew meanwhile")
+            return
+        self._start_q, self._start_pose = state.q, state.T_base_flange
+        self._rebase(state.q)
+
+    def _corrects(self) -> bool:
+        """Tell whether a correction is in force."""
+        if self.takes_poses and self._start_pose is not None:
+            return bool(np.concatenate(between(self._start_pose, self._poses.sent)).any())
+        return bool((self._goals.sent != self._start_q).any())
+
+    def _late_since(self, state: RobMessage) -> int | None:
+        """Return how many answers were late since the last one, and that one, beyond the cycles that had none.
+
+        0: the last was in time. None where the controller does not tell.
+        """
+        if self._late_when_answered is None or state.n_late is None or self._answered_ipoc is None:
+            return None
+        without = max(round((state.ipoc - self._answered_ipoc) * MS / self.cycle_s), 1) - 1
+        return state.n_late - self._late_when_answered - without
+
+    def _hear(self, state: RobMessage) -> None:
+        if state.n_late is not None:
+            self._first_late = state.n_late if self._first_late is None else self._first_late
+            self.counts.late = max(0, state.n_late - self._first_late)
+
+    def _hear_old(self, state: RobMessage, newest: RobMessage, sender: Sender) -> None:
+        """Answer the same once more as before, for a controller that waits.
+
+        After a new start none is answered: the arm may stand elsewhere, and the old correction must not pull it.
+        """
+        if state.ipoc == newest.ipoc:
+            self._answer(state, sender)
+            return
+        self._behind += 1
+        if self._behind >= RESTART_PACKETS:
+            self._lose("its controller, or RSI on it, has started anew (IPOC went back)")
+
+    def _encode(self, state: RobMessage) -> bytes | None:
+        if self._lost or self._start_q is None:
+            return None
+        if self.takes_poses and self._start_pose is not None:
+            return answer(self.tags, state.ipoc, pose=correction(self._start_pose, self._poses.sent))
+        return answer(self.tags, state.ipoc, joint_deg=np.degrees(self._goals.sent - self._start_q))
+
+    def _answered(self, state: RobMessage) -> None:
+        self._answered_ipoc, self._late_when_answered = state.ipoc, state.n_late

@@ -1,0 +1,188 @@
+"""Drivers of controllers that speak by UDP, each beside its twin on real sockets, both on one clock."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armsight.clock import ManualClock
+from armsight.drivers import RobotState
+from armsight.drivers.egm import EgmRobot
+from armsight.drivers.rsi import RsiRobot
+from armsight.drivers.udp import UdpRobot
+from armsight_sim.twins.base import small_arm, twin_drive, twin_home
+from armsight_sim.twins.egm import EgmController
+from armsight_sim.twins.rsi import RsiController
+
+CYCLE_S = 0.004
+EXACT = {"bind": "127.0.0.1", "stale_s": 3.5 * CYCLE_S, "silent_s": 9.0 * CYCLE_S}
+"""No time of the machine counts here, so that the limits may be tight."""
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class UdpPair:
+    """A driver and its twin on real sockets, one cycle after the other, by a clock that moves only when told."""
+
+    driver: type[UdpRobot[Any]]
+
+    def __init__(self, **more: object) -> None:
+        self.clock = ManualClock(100.0)
+        self.arm, self.home = small_arm(), twin_home(small_arm())
+        port = _free_port()
+        self.robot: Any = self.driver(str(port), settings={**EXACT, **more}, clock=self.clock)  # type: ignore[call-arg]
+        self.twin = self.controller(port, self.home)
+        self._takes, self._newest, self._drained = 0, None, True
+        self._take, self.robot._take = self.robot._take, self._counted
+        self.lock = threading.Lock()
+        self._done = threading.Event()
+        self._pump = threading.Thread(target=self._start_up, daemon=True)
+        self._pump.start()
+
+    def controller(self, port: int, home: NDArray[np.float64]) -> Any:
+        """Return a controller whose arm stands at home."""
+        raise NotImplementedError
+
+    def stand(self, by: float) -> None:
+        """Put the controller's arm elsewhere, as no motion does."""
+        raise NotImplementedError
+
+    def answered(self, heard: int) -> bool:
+        """Tell whether the driver gave an answer to the newest packet; heard: good ones before it."""
+        raise NotImplementedError
+
+    def _counted(self, data: bytes, *args: Any, **more: Any) -> None:
+        """Let the driver take what has come, and answer it; only then it counts."""
+        self._take(data, *args, **more)
+        self._newest = data
+        self._takes += 1
+
+    def _start_up(self) -> None:
+        """Send while the driver is closed, so that it hears something when it opens."""
+        while not self._done.wait(0.001):
+            with self.lock:
+                if self.robot.state is RobotState.CLOSED:
+                    self.twin.cycle()
+                    self._drained = False
+
+    def advance(self, time_s: float) -> None:
+        for _ in range(round(time_s / CYCLE_S)):
+            with self.lock:
+                self.clock.advance(CYCLE_S)
+                if self.robot.state is RobotState.CLOSED:
+                    self.twin.cycle()
+                    continue
+                self._drain()
+                before, heard = self._takes, self.robot.counts.heard
+                self.twin.cycle()
+                self._wait(before, heard)
+
+    def _drain(self) -> None:
+        """Let the driver take what was sent while it opened."""
+        for _ in range(0 if self._drained else 20_000):
+            if self._newest == self.twin._last_packet:
+                break
+            time.sleep(0.0001)
+        self._drained = True
+
+    def sends(self) -> bool:
+        """Tell whether the controller sent a packet in its newest cycle."""
+        return "silent" not in self.twin._faults
+
+    def _wait(self, before: int, heard: int) -> None:
+        """Wait until the driver has taken what the twin sent, and an answer has come where it gave one."""
+        asked = self.sends()
+        for _ in range(20_000 if asked else 0):
+            if self._takes > before or self.robot.state is RobotState.LOST:
+                select.select([self.twin.link], [], [], 0.5 if self.answered(heard) else 0.0)
+                return
+            time.sleep(0.0001)
+        assert not asked, "the driver took nothing"
+
+    def close(self) -> None:
+        self._done.set()
+        self._pump.join()
+        self.robot.__exit__(None, None, None)
+        self.twin.close()
+
+
+class EgmPair(UdpPair):
+    driver = EgmRobot
+
+    def controller(self, port: int, home: NDArray[np.float64]) -> EgmController:
+        drive, own = twin_drive(self.arm, CYCLE_S), "127.0.0.1"
+        return EgmController(("127.0.0.1", port), arm=self.arm, drive=drive, home=home, clock=self.clock, own=own)
+
+    def stand(self, by: float) -> None:
+        self.twin.push(np.full(6, by))
+
+    def answered(self, heard: int) -> bool:
+        return bool(self.robot.counts.heard > heard and not self.robot._lost)
+
+
+class RsiPair(UdpPair):
+    driver = RsiRobot
+
+    def controller(self, port: int, home: NDArray[np.float64]) -> RsiController:
+        return RsiController(("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, CYCLE_S), home=home)
+
+    def stand(self, by: float) -> None:
+        twin = self.twin
+        twin._servo = type(twin._servo)(twin._drive, self.home + by, twin._servo.t_s, keep=1000)
+        twin._start = self.home + by
+
+    def sends(self) -> bool:
+        return bool(self.twin._asked and super().sends())
+
+    def answered(self, heard: int) -> bool:
+        return bool(self.robot._answered_ipoc == self.twin._ipoc)
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[type[UdpPair]], Callable[..., UdpPair]]]:
+    """Return what makes pairs, all of which are closed at the end."""
+    pairs: list[UdpPair] = []
+
+    def of(kind: type[UdpPair]) -> Callable[..., UdpPair]:
+        def make(**more: object) -> UdpPair:
+            pairs.append(kind(**more))
+            return pairs[-1]
+
+        return make
+
+    yield of
+    while pairs:
+        pairs.pop().close()
+
+
+@pytest.fixture
+def make_egm(opened: Any) -> Any:
+    return opened(EgmPair)
+
+
+@pytest.fixture
+def make_rsi(opened: Any) -> Any:
+    return opened(RsiPair)
+
+
+@pytest.fixture(params=[EgmPair, RsiPair], ids=["egm", "rsi"])
+def make_pair(request: Any, opened: Any) -> Any:
+    """What makes pairs of each of these links in turn."""
+    return opened(request.param)
+
+
+@pytest.fixture
+def free_port() -> int:
+    return _free_port()

@@ -1,0 +1,171 @@
+"""What every driver of a controller that speaks by UDP does: the contract of robots, and faults of the link.
+
+Each steps with its twin on one clock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.drivers import RobotState
+from armsight.drivers.egm import EgmRobot
+from armsight.drivers.rsi import RsiRobot
+from armsight.errors import DataRefused, DeviceFailed, DeviceLost, DeviceNotFound, StaleData, UsageError
+from armsight.testing import RobotCase, RobotContract
+from armsight_sim.twins.base import small_arm, twin_home
+
+CYCLE_S = 0.004
+
+
+class TestContract(RobotContract):
+    @pytest.fixture(autouse=True)
+    def _of(self, make_pair: Any) -> None:
+        self._make = make_pair
+
+    def make(self) -> RobotCase:
+        pair = self._make()
+        return RobotCase(
+            robot=pair.robot,
+            advance=pair.advance,
+            lose_link=lambda: pair.twin.fault("silent"),
+            freeze=lambda: pair.twin.fault("frozen"),
+            tolerance=1e-4,
+        )
+
+
+def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_pair: Any) -> None:
+    pair = make_pair()
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        sent = robot.step_joints(np.full(6, 0.002))
+        pair.advance(0.4)
+        assert np.abs(pair.twin.q - sent.q).max() < 2e-5
+        assert np.allclose(sent.q, pair.home + 0.002, atol=2e-5)
+
+
+def test_stop_holds_within_one_cycle_and_drops_what_was_asked(make_pair: Any) -> None:
+    pair = make_pair()
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        for _ in range(20):
+            sent = robot.step_joints(np.full(6, 1.0))
+            pair.advance(CYCLE_S)
+        robot.step_joints(np.full(6, 1.0))
+        robot.stop()
+        pair.advance(1.0)
+        assert np.abs(pair.twin.q - sent.q).max() < 2e-5
+        assert robot.state is RobotState.STOPPED
+
+
+def test_the_range_of_the_arm_limits_a_goal(make_pair: Any) -> None:
+    home = twin_home(small_arm())
+    pair = make_pair(upper_rad=(home + 0.003).tolist(), lower_rad=[-3.0] * 6)
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        robot.step_joints(np.full(6, 0.002))
+        pair.advance(CYCLE_S)
+        sent = robot.step_joints(np.full(6, 0.002))
+        assert "range of joint 1" in sent.limited
+        assert sent.q.max() <= (pair.home + 0.003).max() + 1e-12
+
+
+def test_a_silent_link_stays_lost_even_when_it_speaks_again(make_pair: Any) -> None:
+    pair = make_pair()
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        pair.twin.fault("silent")
+        pair.advance(20 * CYCLE_S)
+        for _ in range(2000):
+            if robot._lost:
+                break
+            time.sleep(0.001)
+        pair.twin.fault("silent", on=False)
+        pair.advance(5 * CYCLE_S)
+        assert robot.state is RobotState.LOST
+        assert "silent" in robot.why
+
+
+def test_a_second_program_and_a_second_controller_are_refused(make_pair: Any) -> None:
+    pair = make_pair()
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        second = type(robot)(str(robot.port), settings={"bind": "127.0.0.1"})
+        with pytest.raises(DeviceFailed, match="cannot be taken"), second:
+            pass
+        stranger = pair.controller(robot.port, pair.home + 1.0)
+        with contextlib.closing(stranger):
+            for _ in range(5):
+                stranger.cycle()
+            pair.advance(3 * CYCLE_S)
+            assert robot.counts.foreign == 5
+            assert stranger.counts.taken == 0
+        assert np.abs(robot.read().q - pair.home).max() < 2e-5
+
+
+@pytest.mark.parametrize("driver", [EgmRobot, RsiRobot])
+def test_no_controller_is_told(driver: Any, free_port: int) -> None:
+    robot = driver(str(free_port), settings={"open_s": 0.05})
+    with pytest.raises(DeviceNotFound, match="no controller has sent"), robot:
+        pass
+    assert robot.state is RobotState.CLOSED
+
+
+@pytest.mark.parametrize("driver", [EgmRobot, RsiRobot])
+@pytest.mark.parametrize(
+    ("device", "more", "match"),
+    [
+        ("abc", {}, "no UDP port"),
+        ("99999", {}, "no UDP port"),
+        ("6510", {"cycle": 4}, "cycle"),
+        ("6510", {"cycle_s": -1}, "cycle_s"),
+        ("6510", {"guidance": "both"}, "guidance"),
+        ("6510", {"lower_rad": [0.0]}, r"1 joint limits|lower_rad"),
+    ],
+)
+def test_wrong_settings_are_refused(driver: Any, device: str, more: dict[str, object], match: str) -> None:
+    with pytest.raises(UsageError, match=match):
+        driver(device, settings=more)
+
+
+def test_poses_are_followed_in_pose_guidance(make_pair: Any) -> None:
+    pair = make_pair(guidance="pose")
+    start = pair.arm.flange(pair.home)
+    goal = RigidTransform.from_components(
+        start.translation + np.array([0.004, -0.003, 0.002]), Rotation.from_rotvec([0.0, 0.02, 0.01]) * start.rotation
+    )
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        first = robot.move_pose(goal)
+        assert first.limited
+        pair.advance(CYCLE_S)
+        for _ in range(60):
+            last = robot.move_pose(goal)
+            pair.advance(CYCLE_S)
+        pair.advance(0.4)
+        assert last.limited == ()
+        reached = pair.arm.flange(pair.twin.q)
+        assert np.linalg.norm(reached.translation - goal.translation) < 2e-5
+        assert (reached.rotation * goal.rotation.inv()).magnitude() < 5e-5
+        assert robot.state is RobotState.READY
+        with pytest.raises(UsageError, match="guided by poses"):
+            robot.step_joints(np.full(6, 0.001))
+        with pytest.raises(DataRefused, match="not finite"):
+            robot.move_pose(RigidTransform.from_translation([np.nan, 0.0, 0.0]))
+
+
+def test_a_reading_where_the_arm_cannot_be_is_refused(make_pair: Any) -> None:
+    pair = make_pair()
+    with pair.robot as robot:
+        pair.advance(CYCLE_S)
+        pair.stand(1.0)
+        pair.advance(2 * CYCLE_S)
+        assert robot.counts.refused == 2
+        pair.advance(20 * CYCLE_S)
+        with pytest.raises((StaleData, DeviceLost)):
+            robot.read()

@@ -1,0 +1,213 @@
+"""Who drives, what is done of what they ask, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from armsight.control.session.authority import SILENT_S
+from armsight.control.setpoints import Beat, FlangePose, Hold, JointGoal, JointStep, JointVelocity, Reset, ToolTwist
+from armsight.drivers import RobotState
+from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, UsageError
+
+
+@pytest.fixture
+def authority(service):
+    return service.authority
+
+
+@pytest.fixture
+def lease(authority):
+    lease = authority.take("anna")
+    authority.perform(lease, Beat(enable=True))
+    return lease
+
+
+def posts(host):
+    return [what[1] for what in host.told if what[0] == "post"]
+
+
+def test_one_drives_at_a_time(authority, host):
+    anna = authority.take("anna")
+    host.tick(50)
+    authority.perform(anna, Beat(enable=False))
+    with pytest.raises(DeviceFailed, match="anna drives fake since 5 s"):
+        authority.take("bert")
+    authority.leave(anna, "done")
+    assert authority.take("bert").who == "bert"
+    assert ("release", "done") in host.told
+
+
+def test_a_silent_driver_is_replaced_and_then_refused(authority, host):
+    anna = authority.take("anna")
+    host.t_s += SILENT_S
+    bert = authority.take("bert")
+    assert host.told[-1][0] == "release"
+    with pytest.raises(DeviceFailed, match="anna no longer drives"):
+        authority.perform(anna, Beat(enable=True))
+    authority.leave(anna, "late")
+    assert authority.driver is bert, "who was replaced takes nothing from who drives now"
+
+
+def test_without_a_live_enable_nothing_moves(authority, host):
+    lease = authority.take("anna")
+    goal = JointGoal(q=[0.1, 0.2])
+    with pytest.raises(DeviceFailed, match="enable is off"):
+        authority.perform(lease, goal)
+    authority.perform(lease, Beat(enable=False))
+    with pytest.raises(DeviceFailed, match="enable is off"):
+        authority.perform(lease, goal)
+    authority.perform(lease, Beat(enable=True))
+    host.t_s += 1.1 * host.enable_age_s
+    for message in (goal, JointStep(step=[0.1, 0.1]), JointVelocity(qd=[0.1, 0.1])):
+        with pytest.raises(DeviceFailed, match="newest enable"):
+            authority.perform(lease, message)
+    assert not posts(host)
+
+
+def test_a_new_driver_begins_without_the_enable_of_the_last(authority, host, lease):
+    authority.leave(lease, "done")
+    bert = authority.take("bert")
+    with pytest.raises(DeviceFailed, match="not enabled"):
+        authority.perform(bert, JointGoal(q=[0.1, 0.2]))
+
+
+def test_goals_and_velocities_reach_the_loop(authority, host, lease):
+    answer = authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+    assert answer.q.tolist() == [0.1, 0.2]
+    authority.perform(lease, JointVelocity(qd=[0.1, 0.0]))
+    authority.perform(lease, Hold())
+    goal, velocity, hold = posts(host)
+    assert isinstance(goal, JointGoal)
+    assert isinstance(velocity, JointVelocity)
+    assert isinstance(hold, Hold)
+
+
+@pytest.mark.parametrize(
+    ("command", "error"),
+    [
+        (JointGoal(q=[0.0, 2.1]), Inconsistent),
+        (JointGoal(q=[0.0]), UsageError),
+        (JointStep(step=[0.0] * 3), UsageError),
+        (ToolTwist(velocity_m_s=[0.1, 0.0, 0.0], angular_rad_s=[0.0] * 3), UsageError),
+        (FlangePose(T_base_flange=RigidTransform.identity()), UsageError),
+    ],
+)
+def test_what_the_robot_cannot_do_is_refused(authority, host, lease, command, error):
+    with pytest.raises(error):
+        authority.perform(lease, command)
+    assert not posts(host)
+
+
+def test_steps_are_cut_to_a_cycle_all_joints_alike(authority, lease):
+    answer = authority.perform(lease, JointStep(step=[0.4, -0.2]))
+    assert answer.q == pytest.approx([0.1, -0.05])  # 1 rad/s for 0.1 s
+    assert answer.limited == ("speed of j1", "speed of j2")
+
+
+def test_steps_of_one_cycle_lead_no_further_than_a_cycle_allows(authority, host, lease):
+    led = [authority.perform(lease, JointStep(step=[0.04, 0.0])) for _ in range(4)]
+    assert [answer.q[0] for answer in led] == pytest.approx([0.04, 0.08, 0.1, 0.1])
+    assert [bool(answer.limited) for answer in led] == [False, False, True, True]
+    host.tick()
+    assert authority.perform(lease, JointStep(step=[0.05, 0.0])).q == pytest.approx([0.15, 0.0])
+
+
+def test_steps_lead_the_robot_by_so_much_only(authority, host, lease):
+    for _ in range(20):
+        host.tick()
+        authority.perform(lease, Beat(enable=True))
+        with_lead = host.q.copy()
+        answer = authority.perform(lease, JointStep(step=[0.1, 0.0]))
+        host.q = np.array([0.0, 0.0])  # it does not come along
+    assert with_lead[0] == 0.0
+    assert answer.q[0] == pytest.approx(0.2)
+    assert "lead of j1" in answer.limited
+
+
+def test_steps_stay_within_the_range(authority, host, lease):
+    host.q = np.array([1.99, 0.0])
+    answer = authority.perform(lease, JointStep(step=[0.05, 0.0]))
+    assert answer.q.tolist() == [2.0, 0.0]
+    assert answer.limited == ("range of j1",)
+
+
+def test_steps_begin_where_the_robot_is_once_the_loop_forgot_the_last(authority, host, lease):
+    authority.perform(lease, JointStep(step=[0.05, 0.0]))
+    host.q = np.array([0.02, 0.0])  # held on the way
+    host.dropped += 1
+    host.tick()
+    assert authority.perform(lease, JointStep(step=[0.01, 0.0])).q == pytest.approx([0.03, 0.0])
+
+
+def test_a_stop_of_anyone_lasts_until_a_reset(authority, host, lease):
+    authority.stop("bert")
+    assert host.told[-1] == ("stop", "stopped by bert")
+    assert authority.status().robot == "stopped", "told before the loop has told so"
+    host.guard = "stopped"
+    host.tick()
+    with pytest.raises(DeviceFailed, match="stopped"):
+        authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+    authority.perform(lease, Reset())
+    assert authority.status().robot == "ready"
+    host.guard = "running"
+    host.tick(3)
+    authority.perform(lease, Beat(enable=True))
+    with pytest.raises(DeviceFailed, match="let go of"):
+        authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+    authority.perform(lease, Beat(enable=False))
+    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+
+
+def test_a_stop_of_the_guard_itself_is_told(authority, host, lease):
+    host.guard = "stopped"
+    assert authority.status().robot == "stopped"
+    with pytest.raises(DeviceFailed, match="stopped"):
+        authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+
+
+def test_a_reset_does_not_hide_a_later_stop(authority, host, lease):
+    authority.perform(lease, Reset())
+    host.guard = "stopped"
+    host.tick(2)
+    assert authority.status().robot == "stopped"
+
+
+def test_a_lost_link_is_told_and_refused(authority, host, lease):
+    host.robot = RobotState.LOST
+    assert authority.status().robot == "lost"
+    with pytest.raises(DeviceFailed, match="lost"):
+        authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+
+
+def test_an_ended_loop_is_told_and_may_be_stopped(authority, host, lease):
+    host.ended = True
+    with pytest.raises(DeviceLost):
+        authority.status()
+    with pytest.raises(DeviceLost):
+        authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+    authority.stop("bert")
+    authority.leave(lease, "gone")
+
+
+def test_every_command_is_logged(authority, log, lease):
+    authority.perform(lease, JointGoal(q=[0.1, 0.2]))
+    with pytest.raises(Inconsistent):
+        authority.perform(lease, JointGoal(q=[9.0, 0.2]))
+    authority.stop("bert")
+    assert [(who, kind, values["q"]) for who, kind, values in log.commands] == [
+        ("anna", "joint_goal", [0.1, 0.2]),
+        ("anna", "joint_goal", [9.0, 0.2]),
+    ]
+    assert ("warning", "stopped by bert") in log.events
+
+
+def test_a_flood_of_warnings_is_counted_not_kept(service, host, log):
+    for _ in range(1000):
+        service.event(host.now_s(), "warning", "a message was refused")
+    host.t_s += 10.0
+    service.event(host.now_s(), "info", "anna drives")
+    assert len(log.events) < 110
+    assert log.events[-2:] == [("warning", "900 more warnings were left out"), ("info", "anna drives")]
