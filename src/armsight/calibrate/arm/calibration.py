@@ -245,10 +245,7 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(
-            *(item.sentence for item in at_limit),
-            *_notes_on_rows(model, points, holdout, judged, fitted, correlation),
-        ),
+        notes=(*(x.sentence for x in at_limit), *_row_notes(model, points, holdout, judged, fitted, correlation)),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
@@ -257,7 +254,7 @@ def _result(
     )
 
 
-def _notes_on_rows(
+def _row_notes(
     model: ArmModel,
     points: ArmPoints,
     holdout: ArmPoints | None,

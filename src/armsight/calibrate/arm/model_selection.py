@@ -1,4 +1,4 @@
-"""Kinds of model from poor to rich, each fitted to all rows, and the errors of each at joint positions it has not seen."""
+"""Kinds of model from poor to rich, each fitted to all rows, and their errors at joint positions they have not seen."""
 
 from __future__ import annotations
 

@@ -113,8 +113,8 @@ class HandEye:
 
     def std(self, who: str = "camera") -> dict[str, float]:
         """Return the standard deviations of the 'camera' or the 'target' pose by name."""
-        whole = self.covariance.std()
-        return {name: whole[f"{who}.{name}"] for name in POSE_NAMES}
+        std = self.covariance.std()
+        return {name: std[f"{who}.{name}"] for name in POSE_NAMES}
 
 
 def _rms(vectors: Array) -> float:
@@ -239,7 +239,8 @@ WEAK_TURN_RAD = 8.0 * DEG
 
 def advise(result: HandEye, pitch_m: float | None) -> HandEye:
     """Return the result with its advice, most urgent first."""
-    concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *_drift(result))
+    drift = () if result.correlation is None else result.correlation.warnings(result.n_used)
+    concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *drift)
     advice = (*concerns, *_copies(result), *_weights(result), result.noise.explanation() + ".")
     return replace(result, concerns=concerns, advice=advice)
 
@@ -264,10 +265,6 @@ def _worth(result: HandEye) -> str:
     """Return how many independent poses a recording's are worth, in words."""
     correlation = result.correlation
     return "" if correlation is None else f", worth {correlation.n_effective:.0f} independent ones"
-
-
-def _drift(result: HandEye) -> list[str]:
-    return [] if result.correlation is None else list(result.correlation.warnings(result.n_used))
 
 
 def scale_is_wrong(result: HandEye) -> bool:
