@@ -230,9 +230,7 @@ def _likeliest(R: Array, t: Array, keep: NDArray[np.bool_], point: MeasuredPoint
     return found
 
 
-def _fit(
-    R: Array, t: Array, C: Array, keep: NDArray[np.bool_], point: MeasuredPoint | None
-) -> tuple[Array, Array, Array, Array, float, int]:
+def _fit(R: Array, t: Array, C: Array, keep: NDArray[np.bool_], point: MeasuredPoint | None) -> _Fit:
     """Return x (6,) = tip, point; its covariance; residuals (n, 3); their covariances V (n, 3, 3) in given units; the
     estimated factor on V; degrees of freedom."""
     n = len(R)

@@ -1,10 +1,8 @@
 """The one least-squares engine: problem, solve, covariance, robust loss, report."""
 
-from armsight.fitting.loss import Loss, LossKind
 from armsight.fitting.normal import NormalEquations
-from armsight.fitting.problem import Evaluation, Prior, Problem
-from armsight.fitting.result import Fit, StopReason
-from armsight.fitting.solve import Settings, solve
+from armsight.fitting.problem import Evaluation, Loss, LossKind, Prior, Problem
+from armsight.fitting.solve import Fit, Settings, StopReason, solve
 
 __all__ = [
     "Evaluation",

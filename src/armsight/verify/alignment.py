@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.arm.fit import is_tool_turn
 from armsight.calibrate.arm.initial_guess import mounts_by_turns, placed
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.units import DEG, MM
@@ -71,12 +72,8 @@ def free_names(measured: Measured, align: Align) -> tuple[str, ...]:
     return tuple(
         name
         for name in mount_names(measured.labels)
-        if name.split(":")[0].split(".")[0] in align.parts and (turned or not _tool_turn(name))
+        if name.split(":")[0].split(".")[0] in align.parts and (turned or not is_tool_turn(name))
     )
-
-
-def _tool_turn(name: str) -> bool:
-    return name.startswith("tool") and name.rsplit(".", 1)[1] in ("rx_rad", "ry_rad", "rz_rad")
 
 
 def align(F: Array, measured: Measured, nominal: Mounts, how: Align) -> Aligned:

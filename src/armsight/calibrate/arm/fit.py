@@ -93,7 +93,7 @@ def fit_arm(
     noise: (m, rad) where it is known; else it is found. Base and tools may leave directions open (a tool on the last
     axis); they then stay near the guess. Raises NotConverged.
     """
-    mounts = [name for name in model.mounts if points.rotation is not None or not _tool_turn(name)]
+    mounts = [name for name in model.mounts if points.rotation is not None or not is_tool_turn(name)]
     fixed = frozenset(model.names) - set(free) - set(mounts)
     priors = {name: Prior(mean=0.0, sigma=tolerance.of(name)) for name in free}
     rows = 6 if points.rotation is not None else 3
@@ -126,7 +126,8 @@ def fit_arm(
     return ArmFit(p=p, fit=fit, sigma_m=sigma[0], sigma_rad=sigma[1], free=fitted, prior_weight=weight)
 
 
-def _tool_turn(name: str) -> bool:
+def is_tool_turn(name: str) -> bool:
+    """Tell whether a parameter turns a tool, which positions of its one point do not show."""
     return name.startswith("tool") and name.rsplit(".", 1)[1] in ("rx_rad", "ry_rad", "rz_rad")
 
 

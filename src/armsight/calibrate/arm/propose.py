@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.fit import ArmFit, Tolerance
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, is_tool_turn
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import choose
 from armsight.calibrate.arm.points import ArmPoints
@@ -58,7 +58,7 @@ def propose(
     noise = points.typical_m(fitted.sigma_m), fitted.sigma_rad
     plain = ArmModel(arm=model.arm, labels=model.labels, turned=False)
     names = choose(plain, there, fitted.p, model.geometry, tolerance, noise).free
-    wanted = (*names, *(name for name in plain.mounts if not _turn_of_tool(name)))
+    wanted = (*names, *(name for name in plain.mounts if not is_tool_turn(name)))
     index = [plain.names.index(name) for name in wanted]
     scale = np.array([tolerance.of(name) if name in names else 1.0 for name in wanted])
     J = plain.evaluate(fitted.p, there, *noise).shared[0][:, index].reshape(len(there.q), 3, -1) * scale
@@ -108,10 +108,6 @@ def _ranges(model: ArmModel, points: ArmPoints) -> tuple[Array, Array]:
     low = np.where(np.isfinite(model.arm.lower), model.arm.lower, middle - reach)
     high = np.where(np.isfinite(model.arm.upper), model.arm.upper, middle + reach)
     return low, high
-
-
-def _turn_of_tool(name: str) -> bool:
-    return name.startswith("tool") and name.endswith("_rad")
 
 
 def _std(H: Array, names: Sequence[str], scale: Array) -> dict[str, float]:

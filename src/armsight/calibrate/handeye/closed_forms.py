@@ -1,7 +1,7 @@
 """Closed forms of hand-eye calibration: Park-Martin, dual quaternions, Shah, Zhuang.
 
 All solve F_i X B_i = Z (RF, tF, RB, tB: arrays over n pairs) without noise exactly; with noise each weighs it in its
-own way. The fit starts from Shah's; the others are there to compare, and to start where it fails. Each returns
+own way. The fit starts from Shah's (kernels.closed_forms); the others are there to be compared with it. Each returns
 (RX, tX, RZ, tZ) and raises Degenerate where the motions leave the rotation open.
 """
 

@@ -223,8 +223,8 @@ class HandEye(Output):
 
     def std(self, who: str = "camera") -> dict[str, float]:
         """Return the standard deviations of the 'camera' or the 'target' pose by name."""
-        whole = self.covariance.std()
-        return {name: whole[f"{who}.{name}"] for name in POSE_NAMES}
+        std = self.covariance.std()
+        return {name: std[f"{who}.{name}"] for name in POSE_NAMES}
 
 
 def _rms(vectors: Array) -> float:

@@ -171,8 +171,8 @@ def circle_starts(seen: SweepResiduals) -> list[Start]:
     normals = np.cos(angle) * normal + np.sin(angle) * (skew(chord) @ normal)
     E = np.stack([np.broadcast_to(chord, normals.shape), np.cross(normals, chord)], axis=2)  # (8, 3, 2)
     x = (xyz - middle) @ E
-    # |x|^2 = 2 c . x + (r^2 - |c|^2), linear in the centre and one constant (Kasa 1976); drawn towards short arcs (MATH
-    # 4.2), which does for a start
+    # |x|^2 = 2 c . x + (r^2 - |c|^2), linear in the centre and one constant (Kasa 1976): too small a circle of a short
+    # arc (MATH 4.2), which does for a start
     A = np.concatenate([2.0 * x, np.ones((*x.shape[:2], 1))], axis=2)
     solved = (np.linalg.pinv(A) @ (x**2).sum(axis=2)[:, :, None])[:, :, 0]
     centre, c = solved[:, None, :2], solved[:, 2]

@@ -24,8 +24,6 @@ MULTI_DIRECTIONAL = ("P1", "P2", "P4")
 """The poses of vAP."""
 APPROACH = 0.1
 """How far off an approach to vAP's poses begins, as a share of the cube's side, towards the inside of the cube."""
-SPEED_SHARES = (1.0, 0.5, 0.1)
-"""Shares of the rated speed at which the standard wants paths and poses tested."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
