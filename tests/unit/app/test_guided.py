@@ -19,13 +19,14 @@ from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
 from armsight.app.live.station import Shown
-from armsight.app.live.views import Counts, LiveView, RunView, SideView, live_view
-from armsight.app.operator.teach_controller import seen
+from armsight.app.live.views import Counts, LiveView, RunView, SideView, SpotView, live_view
+from armsight.app.operator.station_observer import StationObserver
 from armsight.clock import ManualClock
 from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
-from armsight.records import BoardView, JointReading, PoseStatus, Silent, TargetPose
+from armsight.optics import Camera, Rig, RigKind
+from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
 
@@ -60,35 +61,48 @@ class Poses:
             std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0),
             left=SIDE, right=SIDE,
         )  # fmt: skip
-        return Shown(view=view, left_jpeg=b"", right_jpeg=b"")
+        T = RigidTransform.from_components(xyz, turn).as_matrix()
+        C = np.diag([1e-8] * 3 + [1e-6] * 3)
+        pose = TargetPose(t_s=t_s, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=C)
+        return Shown(pose=pose, spots=(Spots.none(), Spots.none()), view=view, left_jpeg=b"", right_jpeg=b"")
 
 
-def test_what_a_view_shows_keeps_the_whole_covariance() -> None:
-    """On its way to teaching, supervision and hand-eye; what is doubtful is no pose to take."""
-    rng = np.random.default_rng(3)
-    A, B = rng.standard_normal((2, 6, 6)) * 1e-4
-    T = RigidTransform.from_components([0.1, 0.2, 0.7], Rotation.from_rotvec([0.1, 0.2, 0.3])).as_matrix()
-    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0))
+def test_what_was_measured_comes_with_its_whole_covariance_and_what_is_doubtful_is_no_pose_to_take() -> None:
+    A, B = np.random.default_rng(3).standard_normal((2, 6, 6)) * 1e-4
     pose = TargetPose(
-        t_s=1.0, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=A @ A.T + B @ B.T,
+        t_s=1.0, status=PoseStatus.OK, parent="rig", T_parent_target=np.eye(4), covariance=A @ A.T + B @ B.T,
         systematic_covariance=B @ B.T,
     )  # fmt: skip
-    for status in (PoseStatus.OK, PoseStatus.DOUBTFUL):
-        view = LiveView.model_validate_json(
-            live_view(replace(pose, status=status), run, (SIDE, SIDE)).model_dump_json()
-        )
-        back = seen(view)
-        assert back.status is status
-        assert np.array_equal(back.covariance, pose.covariance)
-        assert np.array_equal(back.systematic_covariance, pose.systematic_covariance)
-    station: Any = SimpleNamespace(shown_since=lambda t_s: SimpleNamespace(view=view))
-    with pytest.raises(NotEnoughData):
+    station: Any = SimpleNamespace(shown_since=lambda t_s: SimpleNamespace(pose=pose))
+    assert seen_pose(station, 0.0) is pose
+    station.shown_since = lambda t_s: SimpleNamespace(pose=replace(pose, status=PoseStatus.DOUBTFUL, why="it shakes"))
+    with pytest.raises(NotEnoughData, match="it shakes"):
         seen_pose(station, 0.0)
-    place = TargetPose(
-        t_s=1.0, status=PoseStatus.POSITION_ONLY, parent="rig", T_parent_target=T, covariance=(A @ A.T)[:3, :3]
+
+
+def test_a_beacon_is_told_with_the_deviation_that_its_light_has_in_the_pictures() -> None:
+    """A named light's own covariance, and the other view's of a light that is followed from place to place."""
+    camera = Camera.pinhole(1280, 720, 950.0, 950.0, 640.0, 360.0)
+    right = RigidTransform.from_translation([0.12, 0.0, 0.0])
+    rig = Rig(kind=RigKind.STEREO, left=camera, right=camera, T_rig_left=RigidTransform.identity(), T_rig_right=right)
+    uv = np.concatenate(rig.project(np.array([[0.0, 0.05, 1.0]])))
+    covariances = [np.diag([1e-4, 4e-4]), np.diag([9e-4, 1e-4])]
+    sides = [
+        replace(SIDE, spots=[SpotView(name=name, u_px=u, v_px=v, residual_px=None)])
+        for name, (u, v) in zip(("A", "A"), uv.tolist(), strict=True)
+    ]
+    others = np.array([[900.0, 500.0]])  # a light of the room
+    spots = tuple(
+        Spots.of_centres(np.concatenate([others, one[None]]), np.stack([np.eye(2), C]))
+        for one, C in zip(uv, covariances, strict=True)
     )
-    back = seen(live_view(place, run, (SIDE, SIDE)))
-    assert back.status is PoseStatus.POSITION_ONLY and np.array_equal(back.covariance, place.covariance)
+    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=0, doubtful=0, position_only=0, lost=1))
+    lost = TargetPose(t_s=1.0, status=PoseStatus.LOST, parent="rig", why="one light alone")
+    station: Any = SimpleNamespace(
+        shown=Shown(pose=lost, spots=spots, view=live_view(lost, run, sides), left_jpeg=b""), failure=""
+    )
+    seen = StationObserver(station, rig, "A", ManualClock()).observe("while it is tested")
+    assert seen.std_px == pytest.approx(0.03) and seen.xyz_m == pytest.approx([0.0, 0.05, 1.0], abs=1e-9)
 
 
 def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) -> None:

@@ -104,7 +104,9 @@ def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
 
 def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[Moment], tmp_path: Path) -> None:
     console = Console(folder=tmp_path)
-    message = picture_message(console, Shown(view=seen[0].view, left_jpeg=b"JPEG"), COMPLEX)
+    message = picture_message(
+        console, Shown(pose=seen[0].pose, spots=seen[0].spots, view=seen[0].view, left_jpeg=b"JPEG"), COMPLEX
+    )
     (length,) = struct.unpack("<I", message[:4])
     told = json.loads(message[4 : 4 + length])
     assert message[4 + length :] == b"JPEG"

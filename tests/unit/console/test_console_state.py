@@ -15,10 +15,14 @@ from armsight.clock import ManualClock
 from armsight.console.layout import level_of
 from armsight.console.state import Console
 from armsight.errors import BadFile
+from armsight.records import PoseStatus, Spots, TargetPose
 from armsight.server.waiting import listening
 from armsight.store.cell_file import CellFile, write_cell
 
 SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)
+
+UNSEEN = TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")
+NO_SPOTS = (Spots.none(), Spots.none())
 
 
 def view(fps: float) -> LiveView:
@@ -36,7 +40,7 @@ def test_pictures_that_stop_are_told_and_their_pose_is_not_current(
     clock = ManualClock()
     station = Station(LiveJob(left="a", right="b"), clock)
     console = Console(folder=tmp_path, station=station)
-    station.shown = Shown(view=view(fps), left_jpeg=b"")
+    station.shown = Shown(pose=UNSEEN, spots=NO_SPOTS, view=view(fps), left_jpeg=b"")
     clock.advance(silent_after_s - 0.1)
     assert console.current and level_of(console).level == "good"
     clock.advance(0.2)
@@ -49,7 +53,7 @@ def test_a_failure_ends_the_pose_and_a_source_that_ended_keeps_its_last(tmp_path
     station = Station(LiveJob(left="a", right="b"), clock)
     console = Console(folder=tmp_path, station=station)
     assert not console.current and level_of(console).level == "idle"
-    station.shown = Shown(view=view(30.0), left_jpeg=b"")
+    station.shown = Shown(pose=UNSEEN, spots=NO_SPOTS, view=view(30.0), left_jpeg=b"")
     clock.advance(60.0)
     station.ended = True
     assert console.current and "ended" in level_of(console).words

@@ -18,6 +18,10 @@ from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.console.routes import WIDEST_PX, add_pictures
 from armsight.console.state import Console
+from armsight.records import PoseStatus, Spots, TargetPose
+
+UNSEEN = TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")
+NO_SPOTS = (Spots.none(), Spots.none())
 
 
 class Asked:
@@ -36,7 +40,7 @@ class Asked:
             xyz_m=None, euler_rad=None, quat_xyzw=None, std=None, residual_px=None,
             counts=Counts(ok=0, doubtful=0, position_only=0, lost=1), left=side, right=side,
         )  # fmt: skip
-        return Shown(view=view, left_jpeg=b"left", right_jpeg=b"right")
+        return Shown(pose=UNSEEN, spots=NO_SPOTS, view=view, left_jpeg=b"left", right_jpeg=b"right")
 
     def show_width(self, width_px: int) -> None:
         self.widths_px.append(width_px)

@@ -16,7 +16,6 @@ from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye, calibrate_tip
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
-from armsight.app.live.views import LiveView
 from armsight.app.operator.cell_poses import flange_pose
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.clock import Clock, SystemClock
@@ -45,34 +44,14 @@ AXES = ("x", "y", "z")
 def seen_pose(station: Station, since_s: float) -> TargetPose:
     """Return the pose in the first picture exposed at since_s or later. Raises NotEnoughData, saying why there is none,
     DeviceFailed."""
-    view = station.shown_since(since_s).view
-    if view.status != PoseStatus.OK.value:
+    pose = station.shown_since(since_s).pose
+    if pose.status is not PoseStatus.OK:
         raise NotEnoughData(
-            "the target is not seen whole" + (f": {view.why}" if view.why else ""),
+            "the target is not seen whole" + (f": {pose.why}" if pose.why else ""),
             consequence="No pose was taken",
             cure="Bring all lights of the target into both pictures",
         )
-    return pose_of(view)
-
-
-def pose_of(view: LiveView) -> TargetPose:
-    """Return the pose that a view shows, with its covariance; without correlations where the view has deviations only.
-
-    The status stays with the view: seen_pose and teach.seen ask for it.
-    """
-    T = np.eye(4)
-    T[:3, 3] = view.xyz_m or (0.0, 0.0, 0.0)
-    T[:3, :3] = Rotation.from_quat(view.quat_xyzw or (0.0, 0.0, 0.0, 1.0)).as_matrix()
-    covariance = np.array(view.covariance or np.diag(np.square(view.std or np.full(6, np.nan))))
-    systematic = None if view.systematic_covariance is None else np.array(view.systematic_covariance)
-    return TargetPose(
-        t_s=view.t_s,
-        status=PoseStatus.OK,
-        parent=view.parent,
-        T_parent_target=T,
-        covariance=covariance,
-        systematic_covariance=systematic,
-    )
+    return pose
 
 
 @dataclass(slots=True, kw_only=True)

@@ -26,7 +26,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.measure.tracker import lost_pair
 from armsight.optics import SIDES, Rig, RigKind
-from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.records import Frame, PoseStatus, Spots, TargetPose
 from armsight.store import World, read_rig, read_world
 
 Pair = tuple[Frame, Frame]
@@ -88,10 +88,11 @@ class DetectionSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moment:
-    """One pair measured: its frames, and what a screen says of it."""
+    """One pair measured: its frames, the spots in both with their covariances, and what a screen says of it."""
 
     pair: Pair
     pose: TargetPose
+    spots: tuple[Spots, Spots]
     view: LiveView
 
 
@@ -165,7 +166,8 @@ class LiveMeasurement:
             side_view(self.rig, self._sides[i], i, pair[i], measured, overlaid=self._job.complex)
             for i in range(len(SIDES))
         ]
-        return Moment(pair=pair, pose=pose, view=live_view(pose, run, sides)), measured.track
+        spots = measured.left_seen, measured.right_seen
+        return Moment(pair=pair, pose=pose, spots=spots, view=live_view(pose, run, sides)), measured.track
 
     def _found(self, setup: Setup | None, pair: Pair, track: Track | None) -> Measured:
         """Return what is measured in a pair; without rig or target the lights alone."""

@@ -19,7 +19,7 @@ from armsight.app.measure.warm_up import prepare
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.priority import give_way
-from armsight.records import Frame, Silent
+from armsight.records import Frame, Silent, Spots, TargetPose
 from armsight.store.atomic import write_bytes
 
 PICTURES_HZ = 30.0
@@ -38,11 +38,14 @@ END_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """The newest moment as screens get it: what is said, and both pictures as JPEG.
+    """The newest moment: what was measured, with its whole covariance; what a screen says; both pictures.
 
-    right_jpeg: empty where the left one holds both views.
+    pose: in the view's parent. spots: of the left and the right picture. right_jpeg: empty where the left one holds
+    both views.
     """
 
+    pose: TargetPose
+    spots: tuple[Spots, Spots]
     view: LiveView
     left_jpeg: bytes
     right_jpeg: bytes = b""
@@ -325,7 +328,7 @@ class _Worker:
                 continue
             left = jpeg(moment.pair[0], self._width_px)
             right = b"" if self._one_picture else jpeg(moment.pair[1], self._width_px)
-            self._tell(Shown(view=moment.view, left_jpeg=left, right_jpeg=right))
+            self._tell(Shown(pose=moment.pose, spots=moment.spots, view=moment.view, left_jpeg=left, right_jpeg=right))
             ended_s = self._clock.now_s()
             jitter_s = 1.0 / PICTURES_HZ  # which skips none
             next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, ended_s + RESTS * (ended_s - begun_s))

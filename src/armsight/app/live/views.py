@@ -89,12 +89,6 @@ class LiveView(Output):
     covariance_m2: Annotated[
         list[list[float]] | None, Doc("Covariance of the position (3, 3), m squared, where it is known.")
     ] = None
-    covariance: Annotated[
-        list[list[float]] | None, Doc("Covariance of a whole pose (6, 6): x, y, z in m, then rotation vector, rad.")
-    ] = None
-    systematic_covariance: Annotated[
-        list[list[float]] | None, Doc("The part of it that repeats from pair to pair, of rig and target.")
-    ] = None
     residual_px: Annotated[float | None, Doc("RMS of the reprojection residuals.")]
     counts: Annotated[Counts, Doc("Since the start.")]
     left: Annotated[SideView, Doc("Left picture.")]
@@ -129,8 +123,6 @@ def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> Live
         quat_xyzw=_four(T.rotation.as_quat(canonical=True)) if whole and T is not None else None,
         std=None if covariance is None else tuple(np.sqrt(np.diag(covariance)).tolist()),
         covariance_m2=None if covariance is None else np.asarray(covariance)[:3, :3].tolist(),
-        covariance=_six(covariance),
-        systematic_covariance=_six(pose.systematic_covariance),
         residual_px=float(np.sqrt(np.mean(pose.residual_px**2))) if len(pose.residual_px) else None,
         counts=run.counts,
         left=sides[0],
@@ -197,10 +189,6 @@ def _spots(measured: Measured, side: int, seen: Spots, *, overlaid: bool) -> Ite
 def _curve(rig: Rig, side: str, px: NDArray[np.float64]) -> list[tuple[float, float]]:
     uv = epipolar_curve(rig, side, px, DEPTHS_M)
     return [(round(float(u), 1), round(float(v), 1)) for u, v in uv[np.isfinite(uv).all(axis=1)]]
-
-
-def _six(covariance: NDArray[np.float64] | None) -> list[list[float]] | None:
-    return covariance.tolist() if covariance is not None and len(covariance) == 6 else None
 
 
 def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -17,7 +17,6 @@ from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
-from armsight.app.operator.teach_controller import seen
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.clock import Clock, SystemClock
@@ -271,7 +270,7 @@ class StationPoses:
                 raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
             self._clock.sleep_until(self._clock.now_s() + LOOK_S)
         self._last = shown
-        return self._clock.now_s() - shown.view.latency_s, seen(shown.view)
+        return self._clock.now_s() - shown.view.latency_s, shown.pose
 
 
 def judged(made: IsoPlan, asked: IsoRequest, visits: list[Visit], ended: str, out: Path) -> IsoDone:

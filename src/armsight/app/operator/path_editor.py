@@ -19,7 +19,6 @@ from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
-from armsight.app.operator.teach_controller import seen as pose_of_view
 from armsight.app.path.check import PathCheckOutput, check
 from armsight.app.play.play_job import PlayJob, load_sight
 from armsight.app.play.play_path import run_play
@@ -85,7 +84,7 @@ class StationWatcher:
             if shown is None or shown is last:
                 continue
             last, newest_s = shown, now_s
-            pose = self._in_rig(pose_of_view(shown.view))
+            pose = self._in_rig(shown.pose)
             exposed_s = shown.view.t_s  # monotonic time is one for all processes of a machine
             self._counts[pose.status] += 1
             seen(pose, exposed_s)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.live.views import LiveView, SideView
+from armsight.app.live.views import SideView
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.errors import DeviceFailed, NotEnoughData
@@ -15,8 +15,6 @@ from armsight.optics import Rig, triangulate
 Array = NDArray[np.float64]
 
 LOOK_S = 0.005
-PIXEL_COV = 0.04 * np.eye(2)
-"""Of a light's centre, px squared, where only its first position is wanted."""
 WAIT_S = 10.0
 """A station that shows nothing new for so long is taken for lost."""
 LOST_LOOKS = 10
@@ -44,8 +42,8 @@ class StationObserver:
         shown = self._next(while_)
         view = shown.view
         taken_s = self._clock.now_s() - view.latency_s
-        uv = self._found(view)
-        if uv is None:
+        found = self._found(shown)
+        if found is None:
             self._lost += 1
             if self._lost >= LOST_LOOKS:
                 told = f" ({view.why})" if view.why else ""
@@ -55,9 +53,11 @@ class StationObserver:
                     cure="Free the view of it, or narrow the ranges to where both cameras see it",
                 )
             return Observation(taken_s=taken_s, why="it is not in both pictures")
+        uv, covariance = found
         self._lost, self._uv = 0, (view.t_s, uv)
-        xyz_m = triangulate(self._rig, uv[:1], uv[1:], PIXEL_COV, PIXEL_COV).xyz_m[0]
-        return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m)
+        xyz_m = triangulate(self._rig, uv[:1], uv[1:], covariance[0], covariance[1]).xyz_m[0]
+        worst = np.linalg.eigvalsh(covariance)[:, 1].max()  # of both views, each in its worse direction
+        return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m, std_px=float(np.sqrt(worst)))
 
     def _next(self, while_: str) -> Shown:
         """Wait for a newer moment."""
@@ -70,17 +70,21 @@ class StationObserver:
         self._last = shown
         return shown
 
-    def _found(self, view: LiveView) -> Array | None:
-        """Return the light's uv_px (2, 2) in both pictures: by its name, or as it has become; None where lost."""
-        positions = []
-        for side, pictured in enumerate((view.left, view.right)):
-            position = _named(pictured, self._light)
-            if position is None and self._uv is not None:
-                position = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
-            if position is None:
+    def _found(self, shown: Shown) -> tuple[Array, Array] | None:
+        """Return the light's uv_px (2, 2) in both pictures and its covariances (2, 2, 2); None where it is lost.
+
+        It is found by its name, or as what it has become.
+        """
+        places, covariances, view = [], [], shown.view
+        for pictured, spots, side in zip((view.left, view.right), shown.spots, (0, 1), strict=True):
+            place = _named(pictured, self._light)
+            if place is None and self._uv is not None:
+                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
+            if place is None:
                 return None
-            positions.append(position)
-        return np.array(positions)
+            places.append(place)
+            covariances.append(spots.covariance_px2[np.argmin(np.linalg.norm(spots.uv_px - place, axis=1))])
+        return np.array(places), np.array(covariances)
 
 
 def _named(view: SideView, name: str) -> Array | None:

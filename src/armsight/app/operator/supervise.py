@@ -15,7 +15,6 @@ from armsight.app.live.station import Shown, Station
 from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach_controller import LEAST_CYCLE_S
-from armsight.app.operator.teach_controller import seen as pose_of_view
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
@@ -137,7 +136,7 @@ class StationSupervisor:
 
     def _take(self, shown: Shown) -> None:
         begun_s = time.perf_counter()
-        pose = pose_of_view(shown.view)
+        pose = shown.pose
         compared, lost = self._compared(pose)
         alarm = None if compared is None else self._watch.add(compared)
         if alarm is not None:

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.guided.poses import pose_of
-from armsight.app.live.station import Station
-from armsight.app.live.views import LiveView
+from armsight.app.live.station import Shown, Station
 from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.teach import TeachJob, save
 from armsight.clock import Clock, SystemClock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
 from armsight.errors import ArmsightError, NotEnoughData
-from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_handeye
@@ -104,7 +100,7 @@ class TeachController:
         self._thread.join()
 
     def _watch(self) -> None:
-        last: LiveView | None = None
+        last: Shown | None = None
         while not self._ended.wait(LOOK_S):
             try:
                 reading = self._robot.service.host.status().reading
@@ -114,32 +110,12 @@ class TeachController:
                 self._history.add(reading)
             station = self._station()
             shown = None if station is None else station.shown
-            if shown is None or shown.view is last:
+            if shown is None or shown is last:
                 continue
-            last = shown.view
-            self.recorder.observe(seen(last), last.t_s)
+            last = shown
+            self.recorder.observe(shown.pose, shown.pose.t_s)
             if self._points and len(self.recorder) >= self._points:
                 self.pause()
-
-
-def seen(view: LiveView) -> TargetPose:
-    """Return the target's pose that a view tells; without one, why."""
-    if view.status == PoseStatus.OK.value:
-        return pose_of(view)
-    if view.status == PoseStatus.DOUBTFUL.value and view.xyz_m is not None:
-        return replace(pose_of(view), status=PoseStatus.DOUBTFUL, why=view.why)
-    if view.status == PoseStatus.POSITION_ONLY.value and view.xyz_m is not None and view.covariance_m2 is not None:
-        T = np.eye(4)
-        T[:3, 3] = view.xyz_m
-        return TargetPose(
-            t_s=view.t_s,
-            status=PoseStatus.POSITION_ONLY,
-            parent=view.parent,
-            T_parent_target=T,
-            covariance=np.array(view.covariance_m2),
-            why=view.why,
-        )
-    return TargetPose(t_s=view.t_s, status=PoseStatus.LOST, parent=view.parent, why=view.why)
 
 
 def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
