@@ -31,7 +31,6 @@ from armsight.kinematics import (
     preset,
     solve_numeric_many,
 )
-from armsight.kinematics.inverse_kinematics import dh_angles
 from armsight.kinematics.kernels.chain import many_poses, many_poses_jacobians
 from armsight.kinematics.kernels.closed import solve_closed_many
 from armsight.kinematics.kernels.numeric import solve_many
@@ -144,8 +143,8 @@ def batches(m: int, repeats: int) -> None:
     family = family_of(arm)
     assert family is not None  # noqa: S101
     Q, code, count = np.empty((m, 8, 6)), np.empty((m, 8), dtype=np.int64), np.empty(m, dtype=np.int64)
-    near, targets = dh_angles(arm, np.zeros(6)), fk(arm, q)
-    closed = (family.numbers, family.T_base_world, family.T_tool_six, targets, near, Q, code, count)
+    here, targets = np.zeros(6), fk(arm, q)
+    closed = (arm.chain, family.numbers, family.T_base_world, family.T_tool_six, targets, here, Q, code, count)
     runs["IK closed form, all solutions"] = (m, lambda: solve_closed_many(*closed))
     runs["IK closed form, public function"] = (m, lambda: ik_many(arm, targets))
     starts = q + rng.normal(size=q.shape) * WARM_RAD

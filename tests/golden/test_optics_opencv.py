@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.optics import Camera, Rig, RigKind, epipolar_distance, fundamental_matrix, triangulate, triangulate_closed
+from armsight.optics import Camera, Rig, RigKind, epipolar_distance, triangulate, triangulate_closed
 
 EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 DISTORTION = (-0.28, 0.09, 8e-4, -5e-4, -0.012)
@@ -86,16 +86,6 @@ def test_noisy_points_beat_opencvs_triangulation_in_likelihood() -> None:
     np.testing.assert_allclose(chi2(ours.xyz_m), ours.chi2, atol=1e-7)
     assert (ours.chi2 <= chi2(theirs) + 1e-8).all()
     assert 0.7 < ours.chi2.mean() < 1.3  # one degree of freedom each
-
-
-def test_fundamental_matrix_annihilates_undistorted_pairs() -> None:
-    points = points_in_front(rig(), 50, 6)
-    left, right = seen_by_opencv(rig(), points)
-    u, v = (
-        cv2.convertPointsToHomogeneous(cv2.undistortPointsIter(uv, c.matrix, c.distortion, None, c.matrix, EXACT))[:, 0]
-        for uv, c in ((left, rig().left), (right, rig().right))
-    )
-    assert np.abs(np.einsum("ni,ij,nj->n", v, fundamental_matrix(rig()), u)).max() < 1e-9
 
 
 def test_epipolar_distance_is_measured_in_the_distorted_image() -> None:

@@ -12,7 +12,6 @@ from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_num
 from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
 from armsight.kinematics.presets import PRESETS, preset
 from armsight.kinematics.singular import (
-    manipulability,
     near_singularities,
     singularity_distance,
     singularity_measures,
@@ -54,7 +53,6 @@ __all__ = [
     "jacobian",
     "link_frames",
     "link_to_line",
-    "manipulability",
     "moved",
     "near_singularities",
     "parameter_jacobian",

@@ -27,11 +27,6 @@ def scaled_jacobian(arm: Arm, q: ArrayLike, task: Task | str | None = None) -> A
     return J if task_of(arm, task) is Task.POSE else J[..., :3, :]
 
 
-def manipulability(arm: Arm, q: ArrayLike, task: Task | str | None = None) -> Array:
-    """Return sqrt(det J J^T) of the scaled Jacobian (Yoshikawa 1985), shape () or (m,); 0 in a singularity."""
-    return np.asarray(singular_values(arm, q, task).prod(axis=-1))
-
-
 def singularity_distance(arm: Arm, q: ArrayLike, task: Task | str | None = None) -> Array:
     """Return the smallest singular value of the scaled Jacobian, shape () or (m,).
 

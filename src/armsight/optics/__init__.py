@@ -11,7 +11,6 @@ from armsight.optics.rig import (
     Rig,
     RigKind,
     converged_rig,
-    look_at,
     parallel_rig,
 )
 from armsight.optics.triangulate import (
@@ -19,7 +18,6 @@ from armsight.optics.triangulate import (
     Verdict,
     epipolar_chi2,
     epipolar_distance,
-    fundamental_matrix,
     triangulate,
     triangulate_closed,
 )
@@ -53,8 +51,6 @@ __all__ = [
     "converged_rig",
     "epipolar_chi2",
     "epipolar_distance",
-    "fundamental_matrix",
-    "look_at",
     "mean_axes",
     "moved_rig",
     "parallel_rig",

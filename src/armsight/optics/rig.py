@@ -8,7 +8,7 @@ from types import NoneType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
@@ -228,16 +228,3 @@ def converged_rig(
         T_rig_left=pose_from_rotvec([-half, 0.0, 0.0], [0.0, beta1_rad, 0.0]),
         T_rig_right=pose_from_rotvec([half, 0.0, 0.0], [0.0, beta2_rad, 0.0]),
     )
-
-
-def look_at(eye_m: tuple[float, float, float], point_m: tuple[float, float, float]) -> RigidTransform:
-    """Return the pose of a camera at eye_m that looks at point_m with its x axis level (parent's y down).
-
-    Raises Inconsistent where the two points agree or the view is straight along y.
-    """
-    eye, forward = np.asarray(eye_m, float), np.subtract(point_m, eye_m).astype(float)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
-        raise Inconsistent(f"a camera at {eye_m} that looks at {point_m} has no level x axis")
-    z, x = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    return RigidTransform.from_components(eye, Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z])))

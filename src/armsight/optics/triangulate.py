@@ -139,14 +139,6 @@ def _covariances(name: str, value: ArrayLike, n: int) -> Array:
     return checked_array(name, array, (2, 2) if array.ndim == 2 else (n, 2, 2), nan=True)
 
 
-def fundamental_matrix(rig: Rig) -> Array:
-    """Return F (3, 3), of unit norm, with (u, v, 1)_right F (u, v, 1)_left = 0 for undistorted pixels."""
-    T_right_left = rig.T_rig_right.inv() * rig.T_rig_left
-    E = skew(T_right_left.translation) @ T_right_left.rotation.as_matrix()  # (3, 3) essential
-    F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
-    return np.asarray(F / np.linalg.norm(F))
-
-
 def epipolar_distance(rig: Rig, left_px: ArrayLike, right_px: ArrayLike) -> Array:
     """Return (n, 2): signed distance in px of each left pixel from its partner's line, and of each right pixel.
 
