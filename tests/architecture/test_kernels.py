@@ -6,15 +6,16 @@ import ast
 import importlib
 import pkgutil
 import re
+import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import armsight
 import armsight_sim
-from armsight._numba import InnerKernel, inner_kernel, kernel
+from armsight._numba import InnerKernel, borrowing_kernel, inner_kernel, kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = re.compile(r"\b(njit|numba\.jit|guvectorize)\b")
@@ -28,6 +29,25 @@ def doubled(x: Any) -> Any:
 @kernel
 def quadrupled(x: Any) -> Any:
     return doubled(doubled(x))
+
+
+class Pair(NamedTuple):
+    a: Any
+    b: Any
+
+
+@borrowing_kernel
+def first_of(pair: Any) -> Any:
+    a, row = pair.a, pair.b[0]
+    return a[0] + row[0]
+
+
+@kernel
+def sum_of_firsts(a: Any, b: Any, n: Any) -> Any:
+    pair, total = Pair(a, b), 0.0
+    for _ in range(n):
+        total += first_of(pair)
+    return total
 
 
 def named_outside(folder: Path) -> list[str]:
@@ -72,3 +92,11 @@ def test_an_inner_kernel_gives_the_same_from_kernels_and_from_python() -> None:
     assert quadrupled(1.5) == 6.0
     assert doubled(1.5) == 3.0
     assert np.array_equal(doubled(np.ones(2)), [2.0, 2.0])
+
+
+def test_a_borrowing_kernel_leaves_the_arrays_of_its_tuples_to_their_owners() -> None:
+    a, b = np.array([1.5, 2.0]), np.ones((2, 3))
+    held = sys.getrefcount(a), sys.getrefcount(b)
+    assert sum_of_firsts(a, b, 1000) == 2500.0
+    assert (sys.getrefcount(a), sys.getrefcount(b)) == held
+    assert a.tolist() == [1.5, 2.0] and b.sum() == 6.0

@@ -1,12 +1,12 @@
 """Compiled parts of the renderer: spread functions, noise, board.
 
-Light is float32
-(h, w, c) in grey levels, c = 1 (grey) or 3 (BGR); the centre of the top-left pixel is (0, 0).
+Light is float32 (h, w, c) in grey levels, c = 1 (grey) or 3 (BGR); the centre of the top-left pixel is (0, 0).
 """
 
 from __future__ import annotations
 
 from math import floor, isfinite
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -28,6 +28,7 @@ faster than erf."""
 
 def _cubics(value, slope):
     """Return coefficients 0..3 (4, n-1), read-only, of the cubics through values and slopes at n entries."""
+    # Hermite: with values y0, y1 and slopes a, b (times the step), c2 = 3 (y1 - y0) - 2 a - b, c3 = a + b - 2 (y1 - y0)
     rise, a, b = np.diff(value), slope[:-1] / TABLE_DENSITY, slope[1:] / TABLE_DENSITY
     coefficients = np.stack([value[:-1], a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise])
     coefficients.setflags(write=False)
@@ -37,6 +38,7 @@ def _cubics(value, slope):
 def _tabulate():
     """Return the cubics of the unit Gaussian's integral and of that integral's integral."""
     t = np.arange(-TABLE_REACH * TABLE_DENSITY, TABLE_REACH * TABLE_DENSITY + 1.0) / TABLE_DENSITY
+    # Phi integrates to t Phi + phi, so that both tables come from scipy's ndtr and their slopes are exact
     bell = np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
     return _cubics(ndtr(t), bell), _cubics(t * ndtr(t) + bell, ndtr(t))
 
@@ -51,6 +53,7 @@ def _gauss_step(t):
         return 0.0
     if t >= TABLE_REACH:
         return 1.0
+    # cubic Hermite between entries: c0 + c1 s + c2 s^2 + c3 s^3 of the share s of the step
     at = (t + TABLE_REACH) * TABLE_DENSITY
     k = int(at)
     s = at - k
@@ -62,7 +65,7 @@ def _gauss_ramp(t):
     """Return the integral of _gauss_step from minus infinity to t."""
     if t <= -TABLE_REACH:
         return 0.0
-    if t >= TABLE_REACH:
+    if t >= TABLE_REACH:  # t Phi(t) + phi(t), of which all but t is below 1e-12 here
         return t
     at = (t + TABLE_REACH) * TABLE_DENSITY
     k = int(at)
@@ -79,6 +82,7 @@ def _span(low, high, size):
 @inner_kernel
 def _fill_steps(out, first, last, centre, sigma, factor):
     """Fill out[:last-first] with factor times the share of a Gaussian that falls on each of the pixels."""
+    # a pixel reaches half a pixel to either side of its middle, and shares its edge with the next
     before = _gauss_step((first - 0.5 - centre) / sigma)
     for i in range(first, last):
         after = _gauss_step((i + 0.5 - centre) / sigma)
@@ -112,6 +116,7 @@ def add_gaussians(light, uv, weight, sigma, bgr):
             continue
         i0, i1 = _span(u - reach, u + reach, width)
         j0, j1 = _span(v - reach, v + reach, height)
+        # a Gaussian is the product of one along each axis, and so is its integral over a pixel
         _fill_steps(wx, i0, i1, u, sigma, weight[k])
         _fill_steps(wy, j0, j1, v, sigma, 1.0)
         for j in range(j0, j1):
@@ -132,12 +137,14 @@ def _add_cover(cover, i0, j0, outline, dv, sigma, factor):
         u, v = outline[k, 0] - i0, outline[k, 1] - j0
         near_i0, near_i1 = _span(u - reach, u + reach, width)
         near_j0, near_j1 = _span(v - reach, v + reach, height)
+        # pixels far left of a node have none of its spread to their left, those far right all of it
         wx[:near_i0] = 0.0
         _fill_ramps(wx[near_i0:], near_i0, near_i1, u, sigma)
         wx[near_i1:] = 1.0
         _fill_steps(wy, near_j0, near_j1, v, sigma, factor * dv[k])
         for j in range(near_j0, near_j1):
             for i in range(width):
+                # Green: the integral of (1 - wx) dv round the curve, of which the 1 adds up to nothing
                 cover[j, i] -= wy[j - near_j0] * wx[i]
 
 
@@ -194,22 +201,41 @@ def _draw_normals(bits, table, z):
     """Fill z (n,) with standard normals: each the sum of two entries of table (4096,), chosen by 24 of 32 bits."""
     low, shift = np.uint32(0xFFF), np.uint32(12)
     for i in range(z.size):
+        # entries of variance 1/2, so that the sum of two has variance 1; bits 0 to 11 and 12 to 23 are independent
         r = bits[i]
         z[i] = table[r & low] + table[(r >> shift) & low]
 
 
+class Noise(NamedTuple):
+    """What a sensor makes of light: grey levels per electron, read noise and clipping in grey levels."""
+
+    gain: float
+    read_noise: float
+    saturation: float
+
+
+class Over(NamedTuple):
+    """A patch (h, w) or (h, w, c) that replaces light from [row, column] on."""
+
+    patch: Any
+    row: int
+    column: int
+
+
 @inner_kernel
-def _digitise(light, z, levels_per_electron, read_noise, saturation, out):
+def _digitise(light, z, noise, out):
     """Fill out (n,) uint8 with the grey levels of light (n,) under the standard normals z (n,).
 
     Mean, variance and third moment are those of Poisson electrons plus Gaussian read noise (Cornish-Fisher).
     """
-    gain, variance0 = np.float32(levels_per_electron), np.float32(read_noise * read_noise + 1e-12)
-    skew = np.float32(levels_per_electron * levels_per_electron / 6.0)
-    half, one, zero, top = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(saturation)
+    gain, variance0 = np.float32(noise.gain), np.float32(noise.read_noise * noise.read_noise + 1e-12)
+    skew = np.float32(noise.gain * noise.gain / 6.0)
+    half, one, zero, top = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(noise.saturation)
     for i in range(light.size):
         mean, q = light[i], z[i]
+        # m / gain electrons have the variance and the third moment m / gain: in grey levels gain m and gain^2 m
         variance = variance0 + gain * mean
+        # Cornish and Fisher (1938), first term: q + (q^2 - 1) mu3 / (6 sigma^3), times sigma
         value = mean + np.sqrt(variance) * q + skew * mean / variance * (q * q - one) + half
         value = value if value > zero else zero
         value = value if value < top else top
@@ -217,34 +243,37 @@ def _digitise(light, z, levels_per_electron, read_noise, saturation, out):
 
 
 @kernel
-def develop(light, patch, row, column, levels_per_electron, read_noise, saturation, table, state, out):
+def develop(light, over, noise, table, state, out):
     """Fill out (h, n) uint8 with what the sensor makes of light (h, n) float32 >= 0 in grey levels.
 
-    patch: replaces light from [row, column] on. state: (4, (n+1)//2) uint64, one generator for every two columns;
-    it moves on by a step per row.
+    over, noise: the fields of Over and Noise as plain tuples. state: (4, (n+1)//2) uint64, one generator for every two
+    columns; it moves on by a step per row.
     """
+    over, noise = Over(*over), Noise(*noise)
     height, width = light.shape
+    row, column, (high, wide) = over.row, over.column, over.patch.shape
     bits = np.empty(state.shape[1], np.uint64)
-    halves = bits.view(np.uint32)
+    halves = bits.view(np.uint32)  # each number gives the bits of two neighbours
     z = np.empty(width, np.float32)
     mixed = np.empty(width, np.float32)
     for j in range(height):
         _draw_bits(state[0], state[1], state[2], state[3], bits)
         _draw_normals(halves, table, z)
-        if row <= j < row + patch.shape[0]:
+        if row <= j < row + high:
             copy_1(light[j], mixed)
-            mixed[column : column + patch.shape[1]] = patch[j - row]
-            _digitise(mixed, z, levels_per_electron, read_noise, saturation, out[j])
+            mixed[column : column + wide] = over.patch[j - row]
+            _digitise(mixed, z, noise, out[j])
         else:
-            _digitise(light[j], z, levels_per_electron, read_noise, saturation, out[j])
+            _digitise(light[j], z, noise, out[j])
 
 
 @inner_kernel
-def _count(light, z, levels_per_electron, read_noise, steps, top, out):
-    """Fill out (n,) uint16 as _digitise does, in `steps` steps a grey level, up to `top` steps."""
-    gain, variance0 = np.float32(levels_per_electron), np.float32(read_noise * read_noise + 1e-12)
-    skew = np.float32(levels_per_electron * levels_per_electron / 6.0)
-    half, one, zero, fine, most = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(steps), np.float32(top)
+def _count(light, z, noise, steps, out):
+    """Fill out (n,) uint16 as _digitise does, in `steps` steps a grey level."""
+    gain, variance0 = np.float32(noise.gain), np.float32(noise.read_noise * noise.read_noise + 1e-12)
+    skew = np.float32(noise.gain * noise.gain / 6.0)
+    half, one, zero, fine = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(steps)
+    most = np.float32(steps * noise.saturation)
     for i in range(light.size):
         mean, q = light[i], z[i]
         variance = variance0 + gain * mean
@@ -254,38 +283,47 @@ def _count(light, z, levels_per_electron, read_noise, steps, top, out):
         out[i] = np.uint16(np.int32(value))
 
 
+@inner_kernel
+def _behind_mosaic(light, j, over, mixed):
+    """Fill mixed (w,) with row j of light (h, w, 3) as the filters of the pattern RGGB let it pass, the patch over it.
+
+    Channels are blue, green, red: even rows begin with red, odd ones with green.
+    """
+    even, odd = (2, 1) if j % 2 == 0 else (1, 0)
+    for i in range(0, light.shape[1], 2):
+        mixed[i] = light[j, i, even]
+    for i in range(1, light.shape[1], 2):
+        mixed[i] = light[j, i, odd]
+    if over.row <= j < over.row + over.patch.shape[0]:
+        for i in range(over.patch.shape[1]):
+            # the pattern is the sensor's and goes by the column in the image, not in the patch
+            mixed[over.column + i] = over.patch[j - over.row, i, even if (over.column + i) % 2 == 0 else odd]
+
+
 @kernel
-def develop_raw(
-    light, patch, row, column, bayer, levels_per_electron, read_noise, steps, saturation, table, state, out
-):
+def develop_raw(light, over, bayer, noise, steps, table, state, out):
     """Fill out uint16 with the raw signal of light (h, w, c) float32 >= 0, in `steps` steps a grey level.
 
-    patch: (h, w, c), replaces light from [row, column] on. bayer: out is (h, w), each pixel behind one filter of the
+    over, noise: the fields of Over and Noise as plain tuples. bayer: out is (h, w), each pixel behind one filter of the
     pattern RGGB of light in blue, green, red; otherwise out is (h, w c). state: as in develop, for rows of out.
     """
-    height, width, channels = light.shape
-    high, wide = patch.shape[0], patch.shape[1]
+    over, noise = Over(*over), Noise(*noise)
+    height, channels = light.shape[0], light.shape[2]
+    row, (high, wide, _) = over.row, over.patch.shape
     bits = np.empty(state.shape[1], np.uint64)
     halves = bits.view(np.uint32)
     z, mixed = np.empty(out.shape[1], np.float32), np.empty(out.shape[1], np.float32)
     for j in range(height):
         _draw_bits(state[0], state[1], state[2], state[3], bits)
         _draw_normals(halves, table, z)
-        inside = row <= j < row + high
         if bayer:
-            even, odd = (2, 1) if j % 2 == 0 else (1, 0)
-            for i in range(0, width, 2):
-                mixed[i] = light[j, i, even]
-            for i in range(1, width, 2):
-                mixed[i] = light[j, i, odd]
-            if inside:
-                for i in range(wide):
-                    mixed[column + i] = patch[j - row, i, even if (column + i) % 2 == 0 else odd]
+            _behind_mosaic(light, j, over, mixed)
         else:
             copy_1(light[j].ravel(), mixed)
-            if inside:
-                copy_1(patch[j - row].ravel(), mixed[column * channels : (column + wide) * channels])
-        _count(mixed, z, levels_per_electron, read_noise, steps, steps * saturation, out[j])
+            if row <= j < row + high:
+                first = over.column * channels
+                copy_1(over.patch[j - row].ravel(), mixed[first : first + wide * channels])
+        _count(mixed, z, noise, steps, out[j])
 
 
 @kernel
@@ -298,6 +336,7 @@ def apply_curve(raw, curve, out):
 @inner_kernel
 def _cell(H, x, y, columns, rows):
     """Return column and row of the board's square that the ray (x, y, 1) meets, both clamped to one beyond the edge."""
+    # the plane-to-plane map of a pinhole: (a w, b w, w) = H (x, y, 1); w <= 0 is behind the camera
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     if not w > 0.0:
         return -3, -3
@@ -313,7 +352,7 @@ def _shade(a, b, columns, rows, shades):
         return shades[2]
     if a < -1 or b < -1 or a > columns - 1 or b > rows - 1:
         return shades[1]
-    return shades[(a + b) & 1]
+    return shades[(a + b) & 1]  # neighbours differ by one, so that the sum's last bit is the colour
 
 
 @kernel
@@ -332,6 +371,7 @@ def cast_board(corner_rays, H, columns, rows, shades, lattice, out):
             first = _cell(H, r00[0], r00[1], columns, rows)
             same = first == _cell(H, r11[0], r11[1], columns, rows)
             same = same and first == _cell(H, r01[0], r01[1], columns, rows)
+            # a square is convex, and so is a pixel: with all four corners in one square all of it is
             if same and first == _cell(H, r10[0], r10[1], columns, rows):
                 out[j, i] = _shade(first[0], first[1], columns, rows, shades)
                 continue

@@ -63,12 +63,8 @@ class Sensor:
         image = np.empty(light.shape, np.uint8)
         develop(
             light.reshape(height, -1),
-            over.light.reshape(over.light.shape[0], over.light.shape[1] * channels),
-            over.row,
-            over.column * channels,
-            1.0 / self.electrons_per_level,
-            self.read_noise_level,
-            self.saturation,
+            (over.light.reshape(over.light.shape[0], over.light.shape[1] * channels), over.row, over.column * channels),
+            (1.0 / self.electrons_per_level, self.read_noise_level, self.saturation),
             _TABLE,
             rng.integers(0, 2**64, size=(4, (width * channels + 1) // 2), dtype=np.uint64),
             image.reshape(height, -1),
@@ -88,14 +84,10 @@ class Sensor:
         out = np.empty((height, wide), np.uint16)
         develop_raw(
             light,
-            np.ascontiguousarray(over.light),
-            over.row,
-            over.column,
+            (np.ascontiguousarray(over.light), over.row, over.column),
             bayer,
-            1.0 / self.electrons_per_level,
-            self.read_noise_level,
+            (1.0 / self.electrons_per_level, self.read_noise_level, self.saturation),
             RAW_STEPS,
-            self.saturation,
             _TABLE,
             rng.integers(0, 2**64, size=(4, (wide + 1) // 2), dtype=np.uint64),
             out,

@@ -19,6 +19,7 @@ FISHEYE_EDGE = radians(89.5)
 @inner_kernel
 def fisheye_height(p, angle):
     """Return how far from the middle, in focal lengths, a fisheye shows a ray at an angle (rad) from its axis."""
+    # Kannala and Brandt (2006): r = theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4 theta^9
     height = angle
     power = angle
     for j in range(4):
@@ -36,6 +37,7 @@ def trace_fisheye(p, xd, yd):
         return np.nan, np.nan
     if height < 1e-9:
         return xd, yd
+    # bisection, for it cannot leave the image; 60 halvings are below rounding
     for _ in range(60):
         middle = 0.5 * (low + high)
         if fisheye_height(p, middle) < height:
@@ -54,6 +56,7 @@ def bend(p, x, y):
         turn = atan2(y, x)
         height = fisheye_height(p, atan2(hypot(x, y), 1.0))
         return height * cos(turn), height * sin(turn)
+    # Brown (1966): x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y alike with p1 and p2 exchanged
     rr = x * x + y * y
     stretch = 1.0 + p[5] * rr + p[6] * rr * rr + p[9] * rr * rr * rr
     decentre = 2.0 * (p[7] * y + p[8] * x)  # both decentring terms share 2 (p1 y + p2 x) along the ray
@@ -82,6 +85,7 @@ def trace_rays(p, uv, rays):
     """
     h = 1e-6
     for i in range(uv.shape[0]):
+        # u = fx xd + skew yd + cx, v = fy yd + cy, solved from below
         yd = (uv[i, 1] - p[3]) / p[1]
         xd = (uv[i, 0] - p[2] - p[4] * yd) / p[0]
         if p[10] > 0.0:
@@ -101,6 +105,7 @@ def trace_rays(p, uv, rays):
             dx, dy = bend(p, x, y - h)
             xx, yx = (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h)
             xy, yy = (cx - dx) / (2.0 * h), (cy - dy) / (2.0 * h)
+            # Newton's step: the slope's inverse, by Cramer's rule, times what is missing
             det = xx * yy - xy * yx
             x += (yy * ex - xy * ey) / det
             y += (xx * ey - yx * ex) / det
