@@ -27,6 +27,19 @@ from armsight.records import JointReading
 
 Array = NDArray[np.float64]
 
+LARGEST_RAD = 100.0
+"""No joint of a robot turns 16 times: a larger value is not a reading."""
+
+LARGEST_M = 100.0
+"""No flange is so far from its base."""
+
+LARGEST_SPEED_RAD_S = 60.0
+"""No joint of a robot moves so fast: a reading that says so is refused."""
+
+JUMP_CYCLES = 3
+"""Over so many missed cycles a joint may have moved; an arm that is elsewhere after more is refused until the link is
+lost: the old goal must not pull it back."""
+
 REST = 2e-4
 """Joints nearer to their goal than this, in rad or m, are at rest: encoders and servos keep a little off."""
 
@@ -224,6 +237,10 @@ class CyclicRobot(ABC):
     def _off(self, reading: JointReading) -> float:
         """Return how far it is from where it was last told to go, in rad or m."""
         return float(np.abs(self._goals.sent - reading.q).max())
+
+    def _possible(self, q: Array, last: Array, cycles: int) -> bool:
+        """Tell whether joints can be where they are read, so many cycles after the last reading."""
+        return bool(np.abs(q - last).max() <= LARGEST_SPEED_RAD_S * min(cycles, JUMP_CYCLES) * self.cycle_s)
 
     def _heard(self, q: Array, t_s: float) -> None:
         """Take a good reading q (n,) of time t_s on the clock."""

@@ -29,13 +29,6 @@ Sender = tuple[str, int]
 LARGEST_PACKET = 4096
 """Bytes of a packet at most: a controller's state has about 700."""
 
-LARGEST_SPEED_RAD_S = 60.0
-"""No joint of a robot moves so fast: a reading that says so is refused."""
-
-JUMP_CYCLES = 3
-"""Over so many missed cycles a joint may have moved; an arm that is elsewhere after more is refused until the link is
-lost: the old goal must not pull it back."""
-
 RESTART_PACKETS = 3
 """So many packets behind the newest, one behind the other in order, are those of a link that has started anew."""
 
@@ -256,10 +249,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
             self._tick(cycles, taken=taken)
             self._answer(state, sender)
         self._first.set()
-
-    def _possible(self, q: Array, last: Array, cycles: int) -> bool:
-        """Tell whether joints can be where they are read, so many cycles after the last reading."""
-        return bool(np.abs(q - last).max() <= LARGEST_SPEED_RAD_S * min(cycles, JUMP_CYCLES) * self.cycle_s)
 
     def _why_silent(self) -> str:
         other = f"; {self._other[0]}:{self._other[1]} sends instead" if self._other else ""

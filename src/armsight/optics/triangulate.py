@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Degenerate, Inconsistent
-from armsight.geometry.poses import skew
 from armsight.optics.kernels import triangulation as kernels
 from armsight.optics.rig import PackedRig, Rig
 from armsight.records import checked_array, checked_rows, real_array, require_kind

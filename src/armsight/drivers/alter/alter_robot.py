@@ -39,12 +39,6 @@ MOST_MISSED = 50
 RESTART_FRAMES = 3
 """So many frames in a row, not newer than the newest, are those of a controller that has started anew."""
 
-LARGEST_SPEED_RAD_S = 60.0
-"""No joint of a robot moves so fast: a reading that says so is refused."""
-
-JUMP_CYCLES = 3
-"""Over so many missed cycles a joint may have moved before its reading is refused."""
-
 PARTS = 6
 """A joint step is shortened so often, by its flange's way, before it is given up."""
 
@@ -228,7 +222,7 @@ class AlterRobot(CyclicRobot):
                 return
         elif not self._follows(state, self._last):
             return
-        if not self._possible(state):
+        if not self._reachable_since(state):
             self.counts.refused += 1
             return
         cycles = 1 if self._last is None else (state.sequence - self._last.sequence) % SEQUENCES
@@ -277,12 +271,10 @@ class AlterRobot(CyclicRobot):
                 self._lose("its controller, or path control on it, has started anew (the numbering went back)")
         return False
 
-    def _possible(self, state: StateFrame) -> bool:
+    def _reachable_since(self, state: StateFrame) -> bool:
+        """Tell whether the arm can be where a state has it, after the last."""
         last = self._last
-        if last is None:
-            return True
-        cycles = min((state.sequence - last.sequence) % SEQUENCES, JUMP_CYCLES)
-        return bool(np.abs(state.q - last.q).max() <= LARGEST_SPEED_RAD_S * cycles * self.cycle_s)
+        return last is None or self._possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES)
 
     def _hear(self, state: StateFrame) -> None:
         self.counts.late = (state.n_late - self._first_late) % SEQUENCES

@@ -18,6 +18,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.drivers.cyclic import LARGEST_M, LARGEST_RAD
 from armsight.errors import Inconsistent
 from armsight.units import MM
 
@@ -82,13 +83,6 @@ def _classes() -> dict[str, Any]:
 CLASSES = _classes()
 EgmRobotMessage: Any = CLASSES["EgmRobot"]
 EgmSensorMessage: Any = CLASSES["EgmSensor"]
-
-
-LARGEST_RAD = 100.0
-"""No joint of a robot turns 16 times: a larger value is not a reading."""
-
-LARGEST_M = 100.0
-"""No flange is so far from its base."""
 
 
 class MessageType(IntEnum):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
+from armsight.drivers.cyclic import LARGEST_M, LARGEST_RAD
 from armsight.errors import BadFile, Inconsistent
 from armsight.records import frozen_array
 from armsight.units import MM
@@ -88,10 +89,6 @@ def _group(tags: list[str], parts: tuple[str, ...]) -> str:
         if dot and part == parts[0] and all(f"{name}.{other}" in tags for other in parts):
             return name
     return ""
-
-
-LARGEST_RAD = 100.0
-LARGEST_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import LARGEST_RAD, CyclicRobot, LinkTimes
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.drivers.lock import DeviceLock
@@ -37,9 +37,6 @@ SAFETY_STOPS = {
     9: "a safety fault",
 }
 """Bits of safety_status_bits that end motion."""
-
-LARGEST_RAD = 100.0
-"""No joint of a robot turns 16 times: a larger value is not a reading."""
 
 
 class RtdeSettings(LinkSettings):
