@@ -38,8 +38,11 @@ LEAST_LEFT = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorldCalibration:
-    """T_base_rig with its covariance (dt, dw in base axes), residuals (m,) in m, the rows left out, from 0, and notes
-    on how the rows were weighed."""
+    """Where the rig stands to the arm's base, and how well its positions say so.
+
+    covariance: of T_base_rig, (dt, dw) in base axes. residual_m (m,): of all rows, in m. rejected: (row from 0, why).
+    notes: on how the rows were weighed.
+    """
 
     T_base_rig: RigidTransform
     covariance: NamedCovariance

@@ -28,8 +28,10 @@ LEAST_BOX_M = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposal:
-    """T_base_flange to drive to, T_camera_target expected there, and the largest standard deviation of the camera's
-    position (m) expected after this pose and those before it."""
+    """A pose to add: where to drive, what the camera will see there, and what it is worth.
+
+    expected_std_m: the largest standard deviation of the camera's position expected after this pose and those before.
+    """
 
     T_base_flange: RigidTransform
     T_camera_target: RigidTransform
