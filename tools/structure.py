@@ -30,8 +30,6 @@ LEAST_COMMENTS = 3.0
 ARITHMETIC = ("calibrate", "fitting")
 """Packages whose code is arithmetic, beside all kernels."""
 FLAGS = "a command: each of its flags is an argument, with a line or more of help"
-COMPILED = "compiled: what it takes belongs to no object yet, and each argument is named where it is called"
-LOOPS = "compiled: one loop over pixels, rays or steps; parted, its state would go through long lists of arguments"
 
 EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
@@ -79,22 +77,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
-    "long kernels": {
-        "calibrate/cameras/kernels/normal_equations.py:view_normal_equations": LOOPS,
-        "calibrate/handeye/kernels/fit.py:fit_pairs": LOOPS,
-        "sim/rooms/kernels.py:cast_scene": LOOPS,
-    },
-    "kernels' arguments": {
-        "calibrate/cameras/kernels/normal_equations.py:view_normal_equations": COMPILED,
-        "calibrate/handeye/kernels/fit.py:fit_pairs": COMPILED,
-        "calibrate/handeye/kernels/fit.py:residual": COMPILED,
-        "sim/kernels.py:develop_raw": COMPILED,
-        "sim/rooms/kernels.py:_direct": COMPILED,
-        "sim/rooms/kernels.py:_indirect": COMPILED,
-        "sim/rooms/kernels.py:_nearest": COMPILED,
-        "sim/rooms/kernels.py:_radiance": COMPILED,
-        "sim/rooms/kernels.py:_sort_out": COMPILED,
-    },
+    "long kernels": {},
+    "kernels' arguments": {},
     "files": {
         "measure/spots/kernels/scan.py": "thresholds and connected components of one pass over an image",
         "armsight_sim/rooms/kernels.py": "rays and light of one scene, which is one tuple of arrays for all of them",

@@ -204,6 +204,11 @@ def _innovations(columns: Array, t: Array, share: Array, time_s: Array) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class _Model:
+    """One share and one time of the drift: how likely they are, the fit they make, and what its rows are worth.
+
+    step (m,), C (m, m): to the best unknowns, and its covariance. variance: of the errors. worth: independent rows.
+    """
+
     likelihood: float
     step: Array
     C: Array

@@ -21,8 +21,11 @@ LEAST_SHARE_TURN = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftingTip:
-    """x (6,) = tip, point; its covariance; left_out_m (n, 3): R tip + t - point of each pose by the poses further away
-    in time, NaN where they do not tell it."""
+    """A tip from poses of one recording, with the errors' drift in it.
+
+    x (6,): tip, point. C (6, 6): its covariance. left_out_m (n, 3): R tip + t - point of each pose by the poses further
+    away in time, NaN where they do not tell it.
+    """
 
     x: Array
     C: Array

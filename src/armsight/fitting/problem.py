@@ -31,10 +31,10 @@ class LossKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
-    """kind, the scale in standard deviations where the pull starts to fall, and the rows that belong together.
+    """How much a residual may pull.
 
-    block: consecutive residuals that form one observation (2 for an image point): they are kept or doubted
-    together, by the norm of the block.
+    scale: in standard deviations, where the pull starts to fall. block: consecutive residuals that form one observation
+    (2 for an image point): they are kept or held down together, by the norm of the block.
     """
 
     kind: LossKind = LossKind.SQUARES

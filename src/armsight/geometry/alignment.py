@@ -19,7 +19,10 @@ COLLINEAR_RATIO = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alignment:
-    """T_a_b with p_a = T_a_b.apply(p_b), and the root mean square of the 3-D residual norms in metres."""
+    """The rigid motion that carries one set of points onto another.
+
+    T_a_b: p_a = T_a_b.apply(p_b). rms_m: root mean square of the 3-D residual norms.
+    """
 
     T_a_b: RigidTransform
     rms_m: float

@@ -68,7 +68,9 @@ class JointVerdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cause:
-    """cause: none, joint N, several joints, model, measurement or undecided. joint: from 0, where one is named, with
+    """What explains the errors of an arm, and by how much.
+
+    cause: none, joint N, several joints, model, measurement or undecided. joint: from 0, where one is named, with
     what it has wrong: kind, and parameters by name as (value, standard deviation). gains: shares of the left-out
     squares that the best single joint, all zeros, and geometry with zeros take off. measurement_share: of the squared
     error, None where the measurement's standard deviations are not known. rival: the other joint that would do.

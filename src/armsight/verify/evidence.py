@@ -148,8 +148,11 @@ ROBUST = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Linear:
-    """residual (m, k) in standard deviations; fixed (m, k, B): columns that are always fitted (base and tool); block
-    (m,): which rows are left out together; inflation: rows worth one independent row."""
+    """A fit's residuals with the columns that explanations are compared beside.
+
+    residual (m, k): in standard deviations. fixed (m, k, B): columns that are always fitted (base and tool). block
+    (m,): which rows are left out together. inflation: rows worth one independent row.
+    """
 
     residual: Array
     fixed: Array

@@ -210,7 +210,9 @@ WINDOW = 101
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SamplingTimes:
-    """t_s (n,): when each row was sampled, growing. bursts: the stamps were those of deliveries. sure (n,): False where
+    """When rows were really sampled.
+
+    t_s (n,): when each row was sampled, growing. bursts: the stamps were those of deliveries. sure (n,): False where
     rows of the delivery were lost, so that the others' times are open by some periods. std_s: of the sampling clock
     behind bursts. note: what to know of it."""
 

@@ -47,7 +47,9 @@ OFFSET, DRIFT = "clock.offset_s", "clock.drift_ppm"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Clock:
-    """offset_s: add it to measured times, in the middle of the run mid_s, to get the arm's. drift_ppm: and this much of
+    """How the clock of the measurement goes beside the arm's.
+
+    offset_s: add it to measured times, in the middle of the run mid_s, to get the arm's. drift_ppm: and this much of
     the time since then; 0 where none is proved. p: base and tool of the fit. notes: what to know of it."""
 
     offset_s: float

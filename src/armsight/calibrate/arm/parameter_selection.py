@@ -24,9 +24,10 @@ APART = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """free: names in the order of what the measurements tell. fixed: (name, why) of all other candidates.
+    """What of an arm's geometry is to be fitted, and why not the rest.
 
-    condition: of the freed columns, each scaled by its tolerance, beside base and tools.
+    free: names in the order of what the measurements tell. fixed: (name, why) of all other candidates. condition: of
+    the freed columns, each scaled by its tolerance, beside base and tools.
     """
 
     free: tuple[str, ...]

@@ -38,8 +38,11 @@ TOLD = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardShape:
-    """covariance of the free parameters, with the board's share; std_m: of each coordinate of its points, 0 where none
-    shows; noise_px: RMS 2-D residual that the detector leaves, beside rms_px with the board in it."""
+    """How far a printed board is off, and how sure the cameras are with that in it.
+
+    covariance: of the free parameters, with the board's share. std_m: of each coordinate of its points, 0 where none
+    shows. noise_px: RMS 2-D residual that the detector leaves, beside rms_px with the board in it.
+    """
 
     covariance: NamedCovariance
     std_m: float = 0.0

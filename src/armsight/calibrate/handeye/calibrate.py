@@ -47,7 +47,10 @@ REJECTION_ROUNDS = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandEyeOptions:
-    """target_pitch_m: the pitch of the printed target, where there is one, so that advice can name the right one."""
+    """What advice on a hand-eye calibration may know beside the pairs.
+
+    target_pitch_m: the pitch of the printed target, where there is one, so that advice can name the right one.
+    """
 
     target_pitch_m: float | None = None
 

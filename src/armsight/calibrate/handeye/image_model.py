@@ -187,10 +187,11 @@ ITERATIONS = 50
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewPoses:
-    """T_camera_target of every view (a stack of n), covariance (n, 6, 6) in camera axes, rms_px over all corners.
+    """Where every view shows the target, as pairs and as the bundle adjustment takes it.
 
-    sightings: the views as the bundle adjustment takes them, weights scaled to the noise that the corners show.
-    centred (n, 6): poses of the board's middle as (t, rotation vector).
+    T_camera_target: a stack of n, with covariance (n, 6, 6) in camera axes and rms_px over all corners. sightings: the
+    views with weights scaled to the noise that the corners show. centred (n, 6): poses of the board's middle as (t,
+    rotation vector).
     """
 
     T_camera_target: RigidTransform

@@ -188,8 +188,10 @@ ALIKE = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Restricted:
-    """variances (K,), their covariance (K, K), V (n, 6, 6): the noise they make of each observation, and the restricted
-    log-likelihood."""
+    """Variances by restricted maximum likelihood, and what they make.
+
+    variances (K,), covariance (K, K). V (n, 6, 6): the noise of each observation. log_likelihood: restricted.
+    """
 
     variances: Array
     covariance: Array

@@ -131,8 +131,11 @@ MIN_WINDOWS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeOffset:
-    """offset_s: add it to the camera's times to get the robot's. std_s: its standard deviation. correlation: at the
-    best offset, before refining."""
+    """What lies between the clocks of robot and camera.
+
+    offset_s: add it to the camera's times to get the robot's. std_s: its standard deviation. correlation: at the best
+    offset, before refining.
+    """
 
     offset_s: float
     std_s: float

@@ -48,6 +48,8 @@ DISTANCE_STD_M = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Solved:
+    """The fit of delay, drift and read-outs, its model, and the residuals of the left and the right views."""
+
     fit: Fit
     model: PathModel
     rms_px: tuple[float, float]

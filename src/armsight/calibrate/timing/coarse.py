@@ -34,7 +34,10 @@ APART_S = 0.15
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coarse:
-    """delay_s, and the distance from the epipolar lines there and at the median of all delays tried, in px."""
+    """A delay to begin with, and what speaks for it.
+
+    rms_px: distance from the epipolar lines at delay_s; typical_px: at the median of all delays tried.
+    """
 
     delay_s: float
     rms_px: float

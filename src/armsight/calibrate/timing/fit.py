@@ -266,7 +266,10 @@ PIECES = _pieces()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """n_cells cells of spacing_s from begin_s on; n_cells + DEGREE coefficients."""
+    """When the pieces of the lights' paths begin and end.
+
+    n_cells cells of spacing_s from begin_s on, with n_cells + DEGREE coefficients.
+    """
 
     begin_s: float
     spacing_s: float

@@ -37,7 +37,7 @@ noise that is far below its own uncertainty; the noises are judged only there.""
 
 
 class Unknowns(NamedTuple):
-    """X, Z and gamma of tB = gamma (X^-1 F^-1 Z)_t, RB = (X^-1 F^-1 Z)_R."""
+    """What is fitted: X, Z and gamma of tB = gamma (X^-1 F^-1 Z)_t, RB = (X^-1 F^-1 Z)_R."""
 
     X: Any
     Z: Any
