@@ -301,15 +301,17 @@ def functions(path: Path, name: str) -> Iterator[Function]:
 def count_comments(files: Mapping[Path, str]) -> dict[str, tuple[int, int]]:
     """Return the lines with a comment and the lines of code, docstrings left out, of each package of arithmetic.
 
-    That is the folder of a module of kernels, or a module that is called so by itself, or a folder of ARITHMETIC.
+    That is the folder of a module of kernels, or a module that is called so by itself, or a package of ARITHMETIC.
     """
     out: dict[str, tuple[int, int]] = {}
     for path, at in files.items():
         module = Path(at)
         if module.stem == "kernels":
             name = at
-        elif "kernels" in module.parts or module.parts[0] in ARITHMETIC:
+        elif "kernels" in module.parts:
             name = str(module.parent)
+        elif module.parts[0] in ARITHMETIC and "result" not in module.stem:  # which declares, and reckons little
+            name = module.parts[0]
         else:
             continue
         before, (lines, code) = out.get(name, (0, 0)), comment_lines(path.read_text(encoding="utf-8"))

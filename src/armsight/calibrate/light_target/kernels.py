@@ -14,5 +14,6 @@ def see_both(k, R, t, X, uv, J):
     for i in range(X.shape[0]):
         for s in range(2):
             if not see_point(k[s], R[s], t[s], X[i], uv[i, s], J[i, s]):
+                # not zero: that would be a residual like any other, and pull the light behind the camera
                 uv[i, s] = np.nan
                 J[i, s] = np.nan

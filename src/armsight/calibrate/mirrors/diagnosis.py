@@ -117,6 +117,7 @@ def check_alignment(
     C = _covariance(now) + _in_left_axes(rig)
     if design is None:
         design = Mirrors(baseline_m=rig.baseline_m)
+    # Mahalanobis distance of no change, six degrees of freedom: shifts and turns in one figure by what each is known to
     W = np.asarray(np.linalg.inv(C))
     chi2 = float(change @ W @ change)
     suspects: tuple[Suspect, ...] = ()
@@ -149,6 +150,7 @@ def mirrors_from_target(
             cure="Turn the target, and show it near and far, left and right",
         )
     observations = pack([[left for left, _ in views], [right for _, right in views]], target)
+    # the bundle counts the lights from their middle, about which a view's turn and position are least correlated
     T_target_middle = RigidTransform.from_translation(observations.middle)
     local = []
     for pose in poses:

@@ -15,6 +15,8 @@ def add_rows(columns, values, right, band, b):
             b[ci] += vi * right[r]
             for j in range(i + 1):
                 cj = columns[r, j]
+                # lower form of LAPACK's banded Cholesky: row i - j of the band holds the element (i, j), and columns
+                # ascend, so that none falls above the diagonal
                 band[ci - cj, cj] += vi * values[r, j]
 
 
@@ -25,6 +27,7 @@ def rows_times(columns, values, x, out):
     for r in range(m):
         for c in range(x.shape[1]):
             s = 0.0
+            # a spline's row has k entries beside each other: the dense product would touch all of size
             for i in range(k):
                 s += values[r, i] * x[columns[r, i], c]
             out[r, c] = s
