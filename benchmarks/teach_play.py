@@ -29,12 +29,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.reproduce.pachidis2005 import PRINTED
-from armsight.app.servo.job import ServoDevices, ServoJob
+from armsight.app.requests.motion import ServoJob, TeachJob
+from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.stepped import SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.app.teach.following import teach_following
-from armsight.app.teach.job import TeachJob
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits

@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import bench
-from armsight.app.calibrate.timing import TimingJob, calibrate_cameras_timing
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.calibrate.timing import calibrate_cameras_timing
+from armsight.app.measure.run import measure
 from armsight.app.measure.streams import streams_of, timing_of
+from armsight.app.requests.calibrate_cameras import TimingJob
+from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
 from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import ANGULAR_RATIO

@@ -23,8 +23,9 @@ import typer
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
+from armsight.app.requests.verify import VerifyJob
 from armsight.app.tables import convert_table
-from armsight.app.verify.run import VerifyJob, run_verify
+from armsight.app.verify.run import run_verify
 from armsight.cli.command_ui import CommandUI, visible
 from armsight.cli.commands import app as commands
 from armsight.control.guard import Box, Limits

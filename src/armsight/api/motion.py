@@ -23,18 +23,18 @@ from armsight.api.given import (
 )
 from armsight.api.links import Confirm, RobotLike, as_question, name_of
 from armsight.api.runs import ARRAYS
-from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
+from armsight.app.requests.motion import LATENCY_S, PlayJob, ServoJob, StandingJob, TeachJob
 from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.teach import TeachOutput
-from armsight.app.servo.job import LATENCY_S, ServoDevices, ServoJob
+from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.run import run_servo
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.app.teach.following import teach_following
-from armsight.app.teach.job import PATH, TeachJob
-from armsight.app.teach.standing import StandingJob, teach_poses, teach_standing
+from armsight.app.teach.job import PATH
+from armsight.app.teach.standing import teach_poses, teach_standing
 from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot

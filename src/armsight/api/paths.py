@@ -12,9 +12,10 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Source, TableLike
 from armsight.api.runs import ARRAYS
 from armsight.app.path.check import check as run_check
-from armsight.app.path.export import ExportJob, export_path
-from armsight.app.path.picks import PicksJob, path_from_picks
+from armsight.app.path.export import export_path
+from armsight.app.path.picks import path_from_picks
 from armsight.app.path.tools import smooth_path
+from armsight.app.requests.files import ExportJob, PicksJob
 from armsight.app.schemas.paths import PathCheckOutput, PathExportOutput, PathPicksOutput
 from armsight.control import paths as tools
 from armsight.control.guard import Limits

@@ -15,7 +15,8 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import Given, RigLike, Source, TargetLike
 from armsight.api.results import Result, Row, error_figure, with_std
 from armsight.app.calibrate.handeye import tip_output
-from armsight.app.calibrate.pivot import PivotJob, find_tip
+from armsight.app.calibrate.pivot import find_tip
+from armsight.app.requests.calibrate_robot import PivotJob
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, calibrate_tooltip
 from armsight.drivers import CameraSettings
 from armsight.records import Progress, checked_array, require_number

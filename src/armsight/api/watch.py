@@ -13,12 +13,13 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
 from armsight.api.runs import ARRAYS
-from armsight.app.identify.live import LiveJob, OperatorCallbacks, run_identify_live
+from armsight.app.identify.live import OperatorCallbacks, run_identify_live
+from armsight.app.requests.identify import LiveJob
+from armsight.app.requests.verify import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob, MasteringJob
 from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
 from armsight.app.verify.live import run_verify_live
-from armsight.app.verify.mastering import MasteringJob, propose_mastering, run_mastering
-from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob
+from armsight.app.verify.mastering import propose_mastering, run_mastering
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm

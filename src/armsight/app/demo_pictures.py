@@ -5,8 +5,10 @@ from __future__ import annotations
 from importlib.resources import as_file, files
 from pathlib import Path
 
-from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.calibrate.cameras import calibrate_stereo
+from armsight.app.measure.run import measure
+from armsight.app.requests.calibrate_cameras import StereoJob
+from armsight.app.requests.measure import MeasureJob
 from armsight.app.schemas.measure import PicturesOutput
 from armsight.records import Progress
 
@@ -22,7 +24,7 @@ def measure_pictures(out: Path, progress: Progress) -> PicturesOutput:
     with as_file(files("armsight.app") / "pictures" / PICTURES) as folder:
         left, right = str(folder / "left*.jpg"), str(folder / "right*.jpg")
         rig = out / "rig.yaml"
-        calibrated = calibrate_stereo(CalibrateJob(board=BOARD, out=rig, left=left, right=right), progress)
+        calibrated = calibrate_stereo(StereoJob(board=BOARD, out=rig, left=left, right=right), progress)
         job = MeasureJob(rig=rig, target=Path(BOARD), out=out, left=left, right=right, stills=True)
         measured = measure(job, progress)
     return PicturesOutput(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.kinematics import load_arm
+from armsight.app.requests.files import JoinJob
 from armsight.app.schemas.base import RejectedRow
 from armsight.app.schemas.files import JoinOutput
 from armsight.calibrate.handeye import PosePairs, Setup
@@ -18,7 +18,6 @@ from armsight.kinematics import Arm
 from armsight.store import write_text
 from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import write_pairs
-from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells, word
 from armsight.store.tracks import POSITION, QUATERNION
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
@@ -34,26 +33,6 @@ STILL_RAD_S = 2e-3
 STILL_M_S = 2e-3
 STILL_ROWS = 3
 """Rows of one rest that are worth a mean."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JoinJob:
-    """What `join` is told: joints with arm, or robot_stream (T_base_flange); measured: poses or points.
-
-    kind: one of KINDS. setup: of pairs, where the camera is. offset_s: to add to measured times, where it is known.
-    still: one row, the mean, for each rest of the arm instead of one for each measurement.
-    """
-
-    measured: Path
-    out: Path
-    kind: str = "points"
-    joints: Path | None = None
-    arm: str | None = None
-    robot_stream: Path | None = None
-    setup: Setup = Setup.EYE_IN_HAND
-    offset_s: float | None = None
-    still: bool = False
-    table: TableFormat = OURS
 
 
 def join(job: JoinJob) -> JoinOutput:

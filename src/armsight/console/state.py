@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
 from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.mirror_alignment import MirrorAlignment
@@ -29,6 +28,7 @@ from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach import TeachDesk, teach_desk
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks

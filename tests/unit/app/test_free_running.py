@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.measure.run import measure
+from armsight.app.requests.measure import MeasureJob
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.identify.live import LiveJob, OperatorCallbacks, open_devices, read_limits, run_identify_live
+from armsight.app.identify.live import OperatorCallbacks, open_devices, read_limits, run_identify_live
+from armsight.app.requests.identify import LiveJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace

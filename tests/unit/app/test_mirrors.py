@@ -16,7 +16,8 @@ from scipy.special import erf
 from typer.testing import CliRunner
 
 from armsight.app.calibrate import mirrors, mirrors_lit_target
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.measure.run import measure
+from armsight.app.requests.measure import MeasureJob
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.complex_images import complex_pairs

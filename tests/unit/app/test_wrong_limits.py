@@ -12,12 +12,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
+from armsight.app.requests.motion import JogJob, PlayJob, ServoJob
 from armsight.app.robot.guarding import guard_for
-from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.job import ServoJob
 from armsight.app.servo.run import run_servo
 from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock

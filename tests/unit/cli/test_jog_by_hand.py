@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.robot.jog_by_hand import HandJogJob, jog_by_hand
+from armsight.app.requests.motion import HandJogJob
+from armsight.app.robot.jog_by_hand import jog_by_hand
 from armsight.app.robot.opening import open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
@@ -110,7 +111,7 @@ def moved(then: Callable[[], JogAxes], by: float = 0.02, **job):
         asked.append(question)
         return confirmed
 
-    done = jog_by_hand(HandJogJob(robot=SIM, by="keyboard", **job), confirm, clock=clock, opened=robot, inputs=inputs)
+    done = jog_by_hand(HandJogJob(robot=SIM, hand="keyboard", **job), confirm, clock=clock, opened=robot, inputs=inputs)
     return done, first[0], asked
 
 

@@ -14,17 +14,16 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
+from armsight.app.requests.motion import PlayJob, ServoJob, TeachJob
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.keys import listening
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.job import ServoDevices, ServoJob
+from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.stepped import SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.teach.following import TaughtBeside, teach_following
-from armsight.app.teach.job import TeachJob
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.play import PathSource

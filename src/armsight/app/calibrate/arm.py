@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armsight._files import real_path
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.kinematics import arm_file, load_arm
+from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.app.schemas.arm import (
     ArmCalibrationOutput,
     ArmNoise,
@@ -58,23 +59,6 @@ Array = NDArray[np.float64]
 
 BESIDE = (".corrections.csv", ".urdf", ".proposed.csv", ".report.html")
 """Endings of what is written beside arm.yaml."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArmJob:
-    """What `calibrate arm` is told; rig and world: for proposals that both cameras see."""
-
-    model: str
-    points: Path
-    out: Path
-    holdout: Path | None = None
-    scale: bool = True
-    tolerance_m: float = Tolerance().length_m
-    tolerance_rad: float = Tolerance().angle_rad
-    propose: int = 0
-    rig: Path | None = None
-    world: Path | None = None
-    table: TableFormat = OURS
 
 
 def run_calibrate_arm(job: ArmJob) -> ArmOutput:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from armsight.app.compare.calibrations import (
 )
 from armsight.app.compare.parameters import Difference, Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
+from armsight.app.requests.files import CompareJob
 from armsight.app.schemas.compare import ComparedEffect, ComparedParameter, CompareOutput
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.report.compare_report import CompareRun, Course, Row, compare_report
@@ -43,16 +43,6 @@ FOLDERS: Mapping[str, str] = {"verify.json": "verify", "poses.csv": "measure"}
 """What a folder holds by the file that tells it."""
 CALIBRATIONS = ("rig.yaml", "camera.yaml", "handeye.yaml", "arm.yaml")
 SHOWN: Mapping[str, tuple[float, str]] = {"m": (MM, "mm"), "rad": (DEG, "°"), "m/s": (MM, "mm/s"), "1": (1.0, "")}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareJob:
-    """Two results; out: a folder for report and summary. distance_m: at which rigs are compared."""
-
-    a: Path
-    b: Path
-    out: Path | None = None
-    distance_m: float | None = None
 
 
 def compare(job: CompareJob) -> CompareOutput:

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
+from armsight.app.calibrate.arm import run_calibrate_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye, calibrate_tip
+from armsight.app.calibrate.handeye import calibrate_handeye, calibrate_tip
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.kinematics import load_arm
 from armsight.app.live.station import Station
 from armsight.app.operator.placing import flange_pose
+from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
 from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.clock import Clock, SystemClock

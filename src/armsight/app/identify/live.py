@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
-from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
+from armsight.app.identify.sweep_files import identified, joint_std
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
+from armsight.app.requests.identify import IdentifyJob, LiveJob
 from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
@@ -24,7 +25,7 @@ from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, 
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
-from armsight.drivers import AUTOMATIC, ROBOTS, CameraSettings, PairSource, Robot, is_live, load
+from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Rig
@@ -42,37 +43,6 @@ LARGEST_SHARE = 0.4
 """Probes grow no further than this share of the travel; what is not told by then, the plan says."""
 SIGMA_PX = 0.2
 """Noise of a reading where only a model is known."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveJob:
-    """robot: DRIVER[:DEVICE], or sim:SCENARIO with the cameras camera:sim:SCENARIO:left and :right; left, right: live.
-
-    limits: limits.yaml (limits: [[lo, hi], ...]) or 'lo:hi,lo:hi', in rad or m. model: an arm.yaml whose tool is the
-    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only. around_px: as
-    propose_sweeps takes it. left_out: the last joints (from 1) that are not swept but held; limits are of all joints.
-    mask: an image that is black where no light may be looked for.
-    """
-
-    robot: str
-    left: str
-    right: str
-    rig: Path
-    target: Path
-    limits: str
-    out: Path
-    world: Path | None = None
-    model: Path | None = None
-    readings: int = 10
-    pace: Pace = field(default_factory=Pace)
-    sigma: float | None = None
-    method: str = "ml"
-    nominal: str | None = None
-    propose: bool = False
-    around_px: float = 0.0
-    left_out: tuple[int, ...] = ()
-    camera_settings: CameraSettings = AUTOMATIC
-    mask: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

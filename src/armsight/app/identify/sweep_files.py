@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
+from armsight.app.requests.identify import IdentifyJob
 from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.schemas.base import RejectedRow
 from armsight.app.sources.frames import open_pairs
@@ -30,37 +30,9 @@ from armsight.records import Progress, Silent, Spots
 from armsight.report.identify_report import identify_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
-from armsight.store.interpret import OURS, TableFormat
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyJob:
-    """A sweep file; or frames (left, right) of a beacon (target) before a rig, with sweep_joints.csv (joints).
-
-    sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
-    world: where the rig stands to the base; the first frame is then the base's foot on the first axis. nominal: an arm
-    (file or preset) to put beside the identified one. held: where the joints stood, in rad or m, that the robot has
-    behind the swept ones. mask: an image that is black where no light may be looked for in the frames.
-    """
-
-    out: Path
-    sweep: Path | None = None
-    target: Path | None = None
-    left: str | None = None
-    right: str | None = None
-    joints: Path | None = None
-    rig: Path | None = None
-    world: Path | None = None
-    method: str = "ml"
-    increments: str = "known"
-    sigma: float | None = None
-    nominal: str | None = None
-    held: tuple[float, ...] = ()
-    mask: Path | None = None
-    table: TableFormat = OURS
 
 
 def run_identify(job: IdentifyJob, progress: Progress | None = None) -> IdentifyOutput:

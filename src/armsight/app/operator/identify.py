@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
-from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
+from armsight.app.identify.live import OperatorCallbacks, identify_observed
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob
@@ -18,6 +18,7 @@ from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
+from armsight.app.requests.identify import LiveJob
 from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace

@@ -18,9 +18,10 @@ from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.teach import seen
+from armsight.app.requests.verify import VerifyJob
 from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.in_view import seen_whole
-from armsight.app.verify.run import VerifyJob, run_verify
+from armsight.app.verify.run import run_verify
 from armsight.clock import Clock, SystemClock
 from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
 from armsight.drivers import Robot

@@ -16,8 +16,8 @@ from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.watched import watcher_of
 from armsight.app.path.check import check
-from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
+from armsight.app.requests.motion import PlayJob
 from armsight.app.schemas.paths import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.clock import SystemClock

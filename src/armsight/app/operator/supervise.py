@@ -17,10 +17,10 @@ from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach import LEAST_CYCLE_S
 from armsight.app.operator.teach import seen as pose_of_view
+from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
 from armsight.app.schemas.verify_live import VerifyLiveOutput
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
-from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.joint_history import JointHistory

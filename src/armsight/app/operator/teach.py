@@ -14,8 +14,9 @@ from armsight.app.guided.poses import pose_of
 from armsight.app.live.station import Station
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.requests.motion import TeachJob
 from armsight.app.schemas.live import LiveView
-from armsight.app.teach.job import TeachJob, save
+from armsight.app.teach.job import save
 from armsight.clock import Clock, SystemClock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPlace, StandingRig, Teaching
 from armsight.errors import ArmsightError, NotEnoughData

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm, reading_values
 from armsight.app.play.job import tipped
+from armsight.app.requests.files import ExportJob
 from armsight.app.schemas.paths import PathExportOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import (
@@ -39,33 +38,6 @@ FORMATS = (*PROGRAMS, "csv", "python")
 BY_SUFFIX = MappingProxyType({".script": "urscript", ".src": "krl", ".mod": "rapid", ".csv": "csv", ".py": "python"})
 TOLD = 3
 """Issues of the check that a refusal tells."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportJob:
-    """What to write, and how.
-
-    to: one of FORMATS; None: by the ending of out. parent: the frame of the path. arm, tip (in flange axes), limits,
-    start: for the check. name: of the program; None: the name of out. The other fields are those of
-    `control.paths.program`.
-    """
-
-    source: Path
-    out: Path
-    to: str | None = None
-    arm: str | None = None
-    tip: Path | None = None
-    limits: Path | None = None
-    parent: str = "world"
-    start: str | None = None
-    name: str | None = None
-    speed_m_s: float | None = None
-    blend_m: float = 0.0
-    acceleration_m_s2: float = 0.5
-    turn_rad_s: float = math.pi / 3.0
-    approach_m: float = 0.05
-    tool: str | None = None
-    weld_output: str | None = None
 
 
 def export_path(job: ExportJob) -> PathExportOutput:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.warm_up import prepare
-from armsight.app.play.job import PlayJob, check, load_plan, tipped_guard
+from armsight.app.play.job import check, load_plan, tipped_guard
 from armsight.app.play.played import PlayedSource, PlayTally, Show, play_output
 from armsight.app.play.target_monitor import TargetMonitor, Watcher
+from armsight.app.requests.motion import PlayJob
 from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import open_robot

@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from typing import Protocol
 
 from armsight.app.measure.run import target_of
-from armsight.app.play.job import PlayJob, load_sight
+from armsight.app.play.job import load_sight
+from armsight.app.requests.motion import PlayJob
 from armsight.app.servo.devices import open_servo
 from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.run import measuring

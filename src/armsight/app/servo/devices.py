@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
+from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.job import ServoDevices, ServoJob
+from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.stepped import SteppedClock
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.complex_images import complex_pairs

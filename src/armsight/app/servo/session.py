@@ -9,11 +9,12 @@ from contextlib import ExitStack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.guarding import noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.schemas.servo import ServoOutput
-from armsight.app.servo.job import ServoDevices, ServoJob
+from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.outcome import RecordedSource, Show, Tally, servo_output
 from armsight.app.servo.vision import Beside, Vision, VisionThread, probe
 from armsight.control.guard import Guard

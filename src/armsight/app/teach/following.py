@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.requests.motion import ServoJob, TeachJob
 from armsight.app.schemas.teach import TeachOutput
-from armsight.app.servo.job import ServoDevices, ServoJob
+from armsight.app.servo.job import ServoDevices
 from armsight.app.servo.outcome import Show
 from armsight.app.servo.run import run_servo
 from armsight.app.servo.session import Confirm
-from armsight.app.teach.job import Begun, TeachJob, save, saved
+from armsight.app.teach.job import Begun, save, saved
 from armsight.clock import Clock
 from armsight.control.events import QueueSink
 from armsight.control.servo import Mount, ServoSource

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -12,10 +11,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
+from armsight.app.requests.motion import StandingJob, TeachJob
 from armsight.app.schemas.teach import TeachOutput
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_pairs, open_source
-from armsight.app.teach.job import Begun, TeachJob, save, saved
+from armsight.app.teach.job import Begun, save, saved
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.drivers import CameraSettings, PairSource
 from armsight.errors import UsageError
@@ -31,23 +31,6 @@ AS_MEASURED = "as measured"
 Pair = tuple[Frame, Frame]
 Seen = Callable[[TargetPose], None]
 """Is told of each pose as it is measured, in rig axes."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StandingJob:
-    """rig, target: their files. world: where the rig stands; without it nothing is taught.
-
-    left and right, or image: cameras, or files. seconds_s: end after so long of the frames' own time.
-    """
-
-    rig: Path
-    target: Path
-    world: Path | None = None
-    left: str | None = None
-    right: str | None = None
-    image: str | None = None
-    exposure_s: float | None = None
-    seconds_s: float | None = None
 
 
 def teach_standing(

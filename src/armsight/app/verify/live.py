@@ -10,10 +10,11 @@ import numpy as np
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
+from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.schemas.verify_live import VerifyLiveOutput
 from armsight.app.verify.live_devices import open_supervised
 from armsight.app.verify.live_output import LiveLog, live_output
-from armsight.app.verify.supervising import RECORDING, LiveVerifyJob, Show, Supervised, Supervision
+from armsight.app.verify.supervising import RECORDING, Show, Supervised, Supervision
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm

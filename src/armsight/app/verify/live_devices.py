@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.robot.opening import open_robot
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
-from armsight.app.verify.supervising import LiveVerifyJob, Supervised
+from armsight.app.verify.supervising import Supervised
 from armsight.clock import Clock
 from armsight.drivers import is_live
 from armsight.errors import UsageError

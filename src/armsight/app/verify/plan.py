@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from armsight.app.kinematics import load_arm
+from armsight.app.requests.verify import PlanJob
 from armsight.app.schemas.verify import PlannedCube, PlannedPose, PlannedTest, VerifyPlanOutput
 from armsight.errors import UsageError
 from armsight.records import Progress
@@ -19,19 +19,6 @@ PATHS = ("line", "rectangle", "large_circle", "small_circle")
 CHOICES = ("cube", "poses", "paths")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanJob:
-    """What `verify --plan` is told. what: cube (all motions), poses (all but paths), paths, or the name of a motion.
-    side_m: of the cube; without it the largest that fits."""
-
-    arm: str | None
-    out: Path
-    what: str = "cube"
-    side_m: float | None = None
-    plane: str = "a"
-    speed_m_s: float | None = None
-
-
 def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput:
     """Plan the standard's test; write plan.csv and plan.json into the job's folder. Raises UsageError, DataRefused."""
     if job.arm is None:
@@ -40,7 +27,7 @@ def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput
     if job.speed_m_s is not None:
         options = replace(options, speed_m_s=job.speed_m_s)
     plan = plan_test(load_arm(job.arm), options, progress)
-    chosen = replace(plan, motions=_chosen(plan, job.what))
+    chosen = replace(plan, motions=_chosen(plan, job.part))
     write_test_plan(job.out / PLAN, chosen)
     done = _output(plan, chosen.motions)
     done.write(job.out / SUMMARY)

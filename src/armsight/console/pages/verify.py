@@ -8,8 +8,9 @@ from pathlib import Path
 
 from nicegui import run, ui
 
+from armsight.app.requests.verify import VerifyJob
 from armsight.app.schemas.verify import VerifyOutput
-from armsight.app.verify.run import VerifyJob, run_verify
+from armsight.app.verify.run import run_verify
 from armsight.console import texts
 from armsight.console.fields import file_name
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
