@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import ConfigDict, Field
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
 from armsight.api.runs import ARRAYS
-from armsight.app.identify.live import OperatorCallbacks, run_identify_live
+from armsight.app.identify.live import OperatorCallbacks, in_radians, read_limits, run_identify_live
 from armsight.app.requests.identify import LiveJob
 from armsight.app.requests.verify import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob, MasteringJob
 from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
@@ -88,9 +89,7 @@ def identify_arm_live(
         The beacon is lost, or the robot or a camera fails; the robot is stopped.
     """
     with Given(out, name="arm.yaml") as given:
-        if not isinstance(limits, str):
-            rows = checked_array("limits", limits, (None, 2)).tolist()  # type: ignore[arg-type]
-            limits = ",".join(f"{low!r}:{high!r}" for low, high in rows)
+        limits = _limits(limits)
         require_number("speed", speed)
         pace, left_out = Pace(speed=speed), tuple(as_numbers("leave_out", leave_out))
         job = given.job(LiveJob, locals(), out=given.out)
@@ -98,6 +97,13 @@ def identify_arm_live(
         return (
             done if isinstance(done, ProposedPlanOutput) else LiveIdentification(**dict(done), arm=read_arm(given.out))
         )
+
+
+def _limits(limits: ArrayLike | PathText) -> NDArray[np.float64]:
+    """Return limits (n, 2) of an array, a file, or a text as the command line takes it."""
+    if isinstance(limits, str | PathLike):
+        return read_limits(str(limits))
+    return in_radians(checked_array("limits", limits, (None, 2)))
 
 
 @speaks_python

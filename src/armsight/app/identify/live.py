@@ -27,10 +27,11 @@ from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
+from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
-from armsight.store import read_rig, read_world
+from armsight.store import World, read_rig, read_world
 from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
@@ -53,6 +54,24 @@ class OperatorCallbacks:
     show: Callable[[PlanOutput], None] = lambda _: None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """The rig, where it stands, and an arm roughly right whose tool is the beacon."""
+
+    rig: Rig
+    world: World | None = None
+    model: Arm | None = None
+
+
+def read_known(job: LiveJob) -> Known:
+    """Return what the job's files hold. Raises BadFile, UsageError."""
+    return Known(
+        rig=read_rig(job.rig),
+        world=None if job.world is None else read_world(job.world),
+        model=None if job.model is None else load_arm(str(job.model)),
+    )
+
+
 def run_identify_live(
     job: LiveJob,
     person: OperatorCallbacks,
@@ -68,17 +87,19 @@ def run_identify_live(
     DataRefused (also for a lost beacon), DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    rig, target = read_rig(job.rig), target_of(job.target)
-    swept_joints(len(read_limits(job.limits)), job.left_out)  # refused before anything is opened
+    known, target = read_known(job), target_of(job.target)
+    swept_joints(len(job.limits), job.left_out)  # refused before anything is opened
     _check(job, target)
     robot, pairs = devices or open_devices(job, target, clock)
-    setup = Setup(rig=rig, target=target, settings=beacon_settings(target, job.mask))
+    setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, job.mask))
     with robot, pairs:
-        return identify_observed(job, person, robot, StereoBeaconObserver(setup, iter(pairs), clock), clock, progress)
+        observer = StereoBeaconObserver(setup, iter(pairs), clock)
+        return identify_observed(job, known, person, robot, observer, clock, progress)
 
 
 def identify_observed(
     job: LiveJob,
+    known: Known,
     person: OperatorCallbacks,
     robot: Robot,
     observer: BeaconObserver,
@@ -86,18 +107,18 @@ def identify_observed(
     progress: Progress,
 ) -> IdentifyOutput | ProposedPlanOutput:
     """Do as run_identify_live, with a robot that is open and whoever sees the beacon."""
-    rig, limits = read_rig(job.rig), read_limits(job.limits)
+    rig, limits = known.rig, job.limits
     m = swept_joints(len(limits), job.left_out)
     held = np.empty(0)
     if m < len(limits):
         _check_joints(robot, limits)
         robot, limits = (first := FirstJoints(robot=robot, m=m)), limits[:m]
         held = first.held
-    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
+    base = None if known.world is None else known.world.T_parent_rig.inv().as_matrix()
     low_high, start = checked_limits(limits, robot.read().q)
     sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
-    if job.model is not None:
-        arm, notes = _modelled(job, held), list[str]()
+    if known.model is not None:
+        arm, notes = _modelled(known, held, job.sigma or SIGMA_PX), list[str]()
     else:
         with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
             arm, notes = _probed(job, person, robot, sweeper, rig)
@@ -184,7 +205,13 @@ def read_limits(text: str) -> Array:
         raise refusal from None
     if limits.ndim != 2 or limits.shape[1] != 2:
         raise refusal
-    if not stated and looks_like_degrees(limits):
+    return limits if stated else in_radians(limits, text)
+
+
+def in_radians(limits: Array, text: str = "") -> Array:
+    """Return limits (n, 2) in rad or m as they are. Raises Inconsistent for values that can only be degrees."""
+    if looks_like_degrees(limits):
+        text = text or ",".join(f"{low!r}:{high!r}" for low, high in limits.tolist())
         raise Inconsistent(
             f"the limits {text!r} look like degrees: the largest is {largest(limits):g}, and a turn has 6.28 rad",
             consequence="Nothing is moved",
@@ -272,16 +299,16 @@ def _stopped_on_error(robot: Robot, sweeper: Sweeper, file: Path) -> Iterator[No
         raise
 
 
-def _modelled(job: LiveJob, held: Array) -> RoughArm:
-    """Return the arm of the model's file as the rig sees it; its last joints held at these readings."""
-    if job.model is None or job.world is None:
+def _modelled(known: Known, held: Array, sigma_px: float) -> RoughArm:
+    """Return the model as the rig sees it; its last joints held at these readings."""
+    arm, world = known.model, known.world
+    if arm is None or world is None:
         raise UsageError("a model needs the rig's place", cure="Give --model and --world")
-    arm, world = load_arm(str(job.model)), read_world(job.world)
     arm = first_joints(arm, arm.n - len(held), held) if len(held) else arm
     T = world.T_parent_rig.inv().as_matrix()
     if world.parent == "base":
         T = T @ arm.T_world_base.inv().as_matrix()
-    return known_arm(arm, T, job.sigma or SIGMA_PX)
+    return known_arm(arm, T, sigma_px)
 
 
 def _probed(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,14 @@ from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import Joint
+from armsight.kinematics import Arm, Joint
 from armsight.measure.poses.pipeline import Setup, check_sizes, measure_spots
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
 from armsight.report.identify_report import identify_report
-from armsight.store import read_rig, read_world, write_text
+from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
 
@@ -60,14 +60,22 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
     return identified(job, sweeps, rig, notes)
 
 
-def identified(
-    job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = (), *, plan: PlanOutput | None = None
-) -> IdentifyOutput:
-    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solved:
+    """An identified arm, in the world's axes where a world is known; nominal: what it is held against.
 
-    plan: of the sweeps, for the figures.
+    left_out: the joints (from 1) behind the swept ones, of n.
     """
-    nominal = None if job.nominal is None else load_arm(job.nominal)
+
+    result: Identification
+    arm: Arm
+    nominal: Arm | None
+    left_out: range
+    n: int
+
+
+def solve_sweeps(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, world: World | None, nominal: Arm | None) -> Solved:
+    """Identify the arm that made these sweeps, as the job says, and read or write nothing. Raises DataRefused."""
     m, n = sweeps.n, sweeps.n + len(job.held)
     left_out = range(m + 1, n + 1)
     if nominal is not None and left_out and nominal.n == n:
@@ -78,27 +86,39 @@ def identified(
             consequence="They cannot be compared",
             cure="Give the arm that was swept, or none",
         )
-    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     result = identify(
         sweeps,
         rig=rig if sweeps.uv_px is not None else None,
         sigma=job.sigma,
         method=job.method,
         increments=job.increments,
-        base=base,
+        base=None if world is None else world.T_parent_rig.inv().as_matrix(),
         name=f"{job.out.stem}, {named(range(1, m + 1))} of {n}" if left_out else job.out.stem,
     )
     _check_paper(result)
-    notes = [*([consequence(n, left_out)] if left_out else []), *notes]
-    inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     arm = result.arm
-    if job.world is not None:  # found in the rig's axes
-        arm = replace(arm, T_world_base=read_world(job.world).T_parent_rig * arm.T_world_base)
-    write_arm(job.out, arm, inputs=inputs)
+    if world is not None:  # found in the rig's axes
+        arm = replace(arm, T_world_base=world.T_parent_rig * arm.T_world_base)
+    return Solved(result=result, arm=arm, nominal=nominal, left_out=left_out, n=n)
+
+
+def identified(
+    job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = (), *, plan: PlanOutput | None = None
+) -> IdentifyOutput:
+    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first.
+
+    plan: of the sweeps, for the figures.
+    """
+    nominal = None if job.nominal is None else load_arm(job.nominal)
+    world = None if job.world is None else read_world(job.world)
+    solved = solve_sweeps(job, sweeps, rig, world, nominal)
+    notes = [*([consequence(solved.n, solved.left_out)] if solved.left_out else []), *notes]
+    inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
+    write_arm(job.out, solved.arm, inputs=inputs)
     files = [("file", path.name) for path in inputs]
-    write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
-    done = identify_output(result, notes=notes, plan=plan)
-    held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(left_out, job.held, strict=True)]
+    write_text(report_path(job.out), identify_report(solved.result, sweeps, rig, nominal=solved.nominal, inputs=files))
+    done = identify_output(solved.result, notes=notes, plan=plan)
+    held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(solved.left_out, job.held, strict=True)]
     return done.model_copy(update={"left_out": held}) if held else done
 
 

@@ -13,7 +13,12 @@ from armsight.fields import Bounds, Doc, Flag, Flags, loaded
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from armsight.control.joint_sweep import Pace
+
+    Array: TypeAlias = NDArray[np.float64]
 
 Result: TypeAlias = Annotated[Path, Doc("arm.yaml to write."), OUT]
 TARGET = Doc("Instead of a sweep: target.yaml of the beacon, with frames.")
@@ -75,12 +80,19 @@ def joint_numbers(text: str) -> tuple[int, ...]:
         raise UsageError(f"--leave-out {text!r} names no joints", cure="Write their numbers: --leave-out 5,6") from None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def limits_of(text: str) -> Array:
+    """Return the limits (n, 2) of 'lo:hi,lo:hi' or of a limits.yaml. Raises UsageError, BadFile, Inconsistent."""
+    from armsight.app.identify.live import read_limits
+
+    return read_limits(text)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveJob:
     """A robot that is moved before live cameras; of sim:SCENARIO those are camera:sim:SCENARIO:left and :right.
 
-    A model takes the place of the probe, and needs world. around_px: as propose_sweeps takes it. limits are of all
-    joints, those left out too.
+    A model takes the place of the probe, and needs world. around_px: as propose_sweeps takes it. limits (n, 2)
+    are of all joints, those left out too, in rad or m.
     """
 
     out: Result
@@ -99,9 +111,9 @@ class LiveJob:
         Flag("--live", metavar="ROBOT"),
     ]
     limits: Annotated[
-        str,
+        Array,
         Doc("With --live: lo:hi,lo:hi ... in rad or m (or -90deg:90deg,0mm:500mm), or limits.yaml. Never left."),
-        Flag(metavar="LIMITS"),
+        Flag(metavar="LIMITS", read=limits_of),
     ]
     readings: Annotated[int, Doc("With --live: readings of a sweep."), Bounds(least=4)] = 10
     pace: Annotated[Pace, Flags(PaceFlags)] = field(default_factory=loaded("armsight.control.joint_sweep:Pace()"))
