@@ -72,9 +72,15 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     nominal = load_arm(job.model)
     points = _measurements(nominal, job.points, job.table)
     holdout = None if job.holdout is None else _measurements(nominal, job.holdout, job.table)
+    seen = in_view(read_rig(job.rig), read_world(job.world)) if job.propose and job.rig and job.world else None
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
-    proposal = _proposal(job, result, points)
+    proposal = (
+        propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
+        if job.propose
+        else None
+    )
+    _write_proposal(job.out, result.nominal, proposal)
     inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
     write_arm(job.out, result.arm, inputs=inputs)
     write_text(job.out.with_suffix(".corrections.csv"), corrections(result))
@@ -103,19 +109,15 @@ def _check_names(job: ArmJob) -> None:
             )
 
 
-def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposal | None:
-    """Return further joint positions to measure at, written beside the arm; None, and no such file, for none asked."""
-    if not job.propose:
-        with disk_errors(job.out):
-            job.out.with_suffix(".proposed.csv").unlink(missing_ok=True)
-        return None
-    seen = None if job.rig is None or job.world is None else in_view(read_rig(job.rig), read_world(job.world))
-    tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
-    told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
-    nominal = result.nominal
-    rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in nominal.readings(told.q).tolist())]
-    write_text(job.out.with_suffix(".proposed.csv"), "\n".join(rows) + "\n")
-    return told
+def _write_proposal(out: Path, nominal: Arm, proposal: Proposal | None) -> None:
+    """Write further joint positions to measure at beside an arm; without any, no such file of an earlier run stays."""
+    path = out.with_suffix(".proposed.csv")
+    if proposal is None:
+        with disk_errors(out):
+            path.unlink(missing_ok=True)
+        return
+    names = ",".join(f"q{i + 1}" for i in range(nominal.n))
+    write_text(path, "\n".join([names, *(cells(row) for row in nominal.readings(proposal.q).tolist())]) + "\n")
 
 
 def _write_urdf(path: Path, arm: Arm) -> Path | None:
