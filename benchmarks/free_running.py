@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.app.calibrate.timing import TimingJob, calibrate_cameras_timing
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.calibrate.timing import calibrate_cameras_timing
+from armsight.app.measure.run import measure
+from armsight.app.requests.calibrate_cameras import TimingJob
+from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, spot_target

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.identify.sweep_files import IdentifyJob, seen_in_frames
+from armsight.app.identify.sweep_files import seen_in_frames
+from armsight.app.requests.identify import IdentifyJob
 from armsight.app.simulate.run import simulate
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import DataRefused

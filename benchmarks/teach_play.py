@@ -29,10 +29,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.reproduce.pachidis2005 import PRINTED
-from armsight.app.servo.servo_job import ServoDevices, ServoJob, SteppedClock
+from armsight.app.requests.motion import ServoJob, TeachJob
+from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.teach import TeachJob, teach_following
+from armsight.app.teach import teach_following
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits

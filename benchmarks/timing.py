@@ -22,13 +22,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import bench
-from armsight.app.calibrate.timing import TimingJob, calibrate_cameras_timing
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.calibrate.timing import calibrate_cameras_timing
+from armsight.app.measure.run import measure
 from armsight.app.measure.streams import streams_of, timing_of
+from armsight.app.requests.calibrate_cameras import TimingJob
+from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
 from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import ANGULAR_RATIO
-from armsight.measure.poses.pipeline import Setup, measure_spots
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Camera, parallel_rig
 from armsight.records import PoseStatus, Spots, spot_target
 from armsight.store import read_poses, read_rig, read_target, write_rig, write_target

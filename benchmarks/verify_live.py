@@ -21,9 +21,10 @@ from typing import Any, Self
 
 import numpy as np
 
+from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.app.verify.live import run_verify_live
-from armsight.app.verify.supervising import LiveVerifyJob, Supervised
+from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock, SystemClock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed

@@ -12,9 +12,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from armsight._version import __version__ as __version__
-
 if TYPE_CHECKING:
+    from armsight._version import __version__ as __version__
     from armsight.api import paths as paths
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
@@ -152,6 +151,7 @@ if TYPE_CHECKING:
     from armsight.store.recording import Recording as Recording
 
 _MODULES: dict[str, tuple[str, ...]] = {
+    "armsight._version": ("__version__",),
     "armsight.api.pose": (
         "LightTarget",
         "PoseEstimate",
@@ -300,7 +300,7 @@ class _Face(ModuleType):
 sys.modules[__name__].__class__ = _Face
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
-    __all__ = sorted([*_PLACES, "__version__"])
+    __all__ = sorted(_PLACES)
 
     def __getattr__(name: str) -> Any:
         if name not in _PLACES:

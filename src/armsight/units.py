@@ -21,6 +21,12 @@ WRITTEN = {"m": 1.0, "mm": MM, "rad": 1.0, "deg": DEG, "m/s": 1.0, "mm/s": MM}
 """Units that people may write behind a number, in SI."""
 
 
+MOST = {"m": 20.0, "m/s": 20.0, "rad or m": 2.0 * math.pi}
+"""Largest number without a unit: cells are metres wide, joints turn once. What is beyond was meant in mm or degrees."""
+UNITS_OF = {"m": ("m", "mm"), "m/s": ("m/s", "mm/s"), "rad or m": ("rad", "deg", "m", "mm")}
+"""The units that may be written behind a quantity."""
+
+
 def read_value(text: str) -> tuple[float, str]:
     """Return a number in SI and the unit written behind it: (0.6, 'mm') of '600mm', (0.6, '') of '0.6'.
 
@@ -30,3 +36,22 @@ def read_value(text: str) -> tuple[float, str]:
     if match is None:
         raise ValueError(text)
     return float(match[1]) * WRITTEN.get(match[2], 1.0), match[2]
+
+
+def read_quantity(text: str, quantity: str, least: float | None = None) -> float:
+    """Return a quantity of UNITS_OF in SI, SI where no unit is written behind it.
+
+    Raises ValueError, with the ways to write it: also for a number that another unit was meant by.
+    """
+    units = UNITS_OF[quantity]
+    try:
+        value, unit = read_value(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no number of {quantity}; its units are {', '.join(units)}") from None
+    if unit and unit not in units:
+        raise ValueError(f"{text!r} is not in {' or '.join(units)}")
+    if not unit and abs(value) > MOST[quantity]:
+        raise ValueError(f"{text} {quantity} cannot be meant: write {' or '.join(text + unit for unit in units)}")
+    if not value >= (-math.inf if least is None else least):
+        raise ValueError(f"{text} is less than {least:g} {quantity}")
+    return value

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.arm import arm_output
 from armsight.calibrate.arm import ArmPoints, Tolerance, calibrate_arm
 from armsight.kinematics import Arm, Joint
 from armsight.report.arm_report import arm_report
@@ -73,7 +72,7 @@ def test_rows_of_a_point_seen_once_are_not_judged_and_that_is_said() -> None:
     alone = replace(points, point=("A",) * 14 + ("B",))
     result = calibrate_arm(NOMINAL, alone)
     assert any("1 of 15 rows (points 'B') are not judged" in note for note in result.notes)
-    assert arm_output(result).notes == list(result.notes)
+    assert result.to_dict()["notes"] == list(result.notes)
     assert calibrate_arm(NOMINAL, points).notes == ()
 
 
@@ -86,7 +85,7 @@ def test_a_tolerance_that_binds_is_said_with_the_option_that_raises_it() -> None
     said = "j4.d_m stands at its limit of 2 mm"
     assert said in result.verdict and said in result.notes[0] and said in arm_report(result, points)
     assert "raise --tolerance-mm if the arm may be so far off" in result.verdict
-    told = arm_output(result)
+    told = result
     assert told.notes and told.at_limit[0].flag == "--tolerance-mm" and abs(told.at_limit[0].change - 5e-3) < 1e-3
     wide = calibrate_arm(NOMINAL, points, tolerance=Tolerance(length_m=10e-3))
     assert wide.gain and wide.at_limit == () and wide.notes == () and "limit" not in wide.verdict

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.arm import arm_output
 from armsight.calibrate.arm import ArmCalibration, calibrate_arm
 from armsight.store.arm_points import read_arm_points
 
@@ -43,11 +42,11 @@ def test_a_drift_is_no_geometry_and_widens_what_is_claimed(timed: ArmCalibration
 
 
 def test_it_is_said_in_the_output(timed: ArmCalibration) -> None:
-    told = arm_output(timed)
+    told = timed
     assert any("samples of a stream" in note for note in told.notes)
     assert told.n_effective is not None and told.correlation_time_s is not None and told.correlation_time_s > 0.5
     names = timed.arm.covariance
-    assert names is not None and names.std()["j2.theta_rad"] == pytest.approx(told.std["j2.theta_rad"])
+    assert names is not None and names.std()["j2.theta_rad"] == pytest.approx(told.deviations["j2.theta_rad"])
 
 
 def test_blocks_of_time_are_left_out_with_what_is_near(timed: ArmCalibration, untimed: ArmCalibration) -> None:

@@ -11,8 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
 from armsight.geometry import pose_difference
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
-from armsight.measure.poses.pipeline import Setup, measure_pair, measure_spots
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, converged_rig
 from armsight.records import Frame, PoseStatus, Spots, spot_target

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.measure.poses.pipeline import Setup, measure_spots
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, spot_target
 

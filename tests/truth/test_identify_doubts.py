@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app.identify.sweep_files import IdentifyJob, identified
+from armsight.app.identify.sweep_files import identified
+from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import Inconsistent
 from armsight.kinematics import Joint

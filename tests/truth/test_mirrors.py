@@ -14,7 +14,8 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_
 from armsight.calibrate.mirrors.diagnosis import check_alignment, mirrors_from_target
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
-from armsight.measure.poses.pipeline import Setup, measure_spots
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Camera, PackedRig, Plate, Rig, RigKind, parallel_rig, triangulate
 from armsight.optics.mirrors import Mirrors as Design
 from armsight.optics.mirrors import corrected_l, form_errors, pinhole_pair, plate_constants, triangulate_exact

@@ -10,9 +10,10 @@ from scipy.stats import chi2 as chi2_law
 
 from armsight.errors import Degenerate
 from armsight.geometry import align_points, pose_difference
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import rig_covariance
-from armsight.measure.poses.pipeline import Measured, Setup, measure_spots
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, Camera, Rig, converged_rig, triangulate_closed
 from armsight.optics.kernels.camera import RigK
 from armsight.optics.parallelism import moved_rig

@@ -58,8 +58,8 @@ def test_every_key_is_described_in_one_line(tool: Any) -> None:
         kinds |= more
     for kind in kinds:
         for key in keys(kind):
-            assert key.doc.meaning.endswith("."), (kind, key.name)
-            assert "\n" not in key.doc.meaning and len(key.doc.meaning) < 170, (kind, key.name)
+            assert key.doc.text.endswith("."), (kind, key.name)
+            assert "\n" not in key.doc.text and len(key.doc.text) < 170, (kind, key.name)
         # what has a default is left out where it is None, what has none is always there
         told = {key.attribute for key in keys(kind)}
         assert all(one.default in (None, MISSING) for one in fields(kind) if one.name in told), kind

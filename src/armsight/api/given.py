@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import fields
 from itertools import chain, islice
 from os import PathLike, fspath, sep
 from pathlib import Path
@@ -25,6 +24,7 @@ from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.tracks import PoseTrack
 from armsight.app.arm_files import load_arm
 from armsight.errors import ArmsightError, Inconsistent, UsageError
+from armsight.fields import bare, known_hints
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Frame, Target, real_array, require_kind
@@ -94,19 +94,18 @@ class Given:
             taken["out"] = self.out
         self._limit = taken.get("limit")
         filled = {}
-        for field in fields(kind):  # type: ignore[arg-type]  # every job is a dataclass
-            if taken.get(field.name) is not None:
-                filled[field.name] = self._converted(field.name, str(field.type), taken[field.name])
+        for name, hint in known_hints(kind).items():
+            if taken.get(name) is not None:
+                filled[name] = self._converted(name, bare(hint), taken[name])
         return kind(**filled)
 
-    def _converted(self, name: str, kind: str, value: Any) -> Any:
-        kinds = kind.split(" | ")
+    def _converted(self, name: str, kinds: tuple[Any, ...], value: Any) -> Any:
         if name == "arm" or name == "model" or name == "nominal":
             path = self.arm(name, value)
-            return Path(path) if "Path" in kinds else path
-        if "Path" in kinds:
+            return Path(path) if Path in kinds else path
+        if Path in kinds:
             return self.file(name, value)
-        if name in SOURCES and "str" in kinds:
+        if name in SOURCES and str in kinds:
             return self.source(name, value)
         if name == "board":
             return board_text(value) if isinstance(value, Target) else as_text(name, value)

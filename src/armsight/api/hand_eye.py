@@ -16,7 +16,8 @@ from armsight.api.arrays import Array, Poses, as_poses
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, PathText, Source, TableLike
 from armsight.api.results import Result, Row, error_figure, pose_rows
-from armsight.app.calibrate.handeye import HandEyeJob, Solved, solve_handeye
+from armsight.app.calibrate.handeye import Solved, solve_handeye
+from armsight.app.requests.calibrate_robot import HandEyeJob
 from armsight.calibrate.handeye import (
     HandEye,
     PosePairs,

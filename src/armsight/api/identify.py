@@ -14,7 +14,8 @@ from armsight.api.arrays import Poses, as_joint_numbers, as_poses
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.api.results import Result, Row, with_std
-from armsight.app.identify.sweep_files import IdentifyJob, identify_output, seen_in_frames
+from armsight.app.identify.sweep_files import identify_output, seen_in_frames
+from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import UsageError
 from armsight.kinematics import Arm

@@ -6,12 +6,12 @@ from typing import Literal
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
-from armsight.app.calibrate.camera_noise import NoiseJob, find_noise
-from armsight.app.calibrate.light_target import TargetJob, calibrate_lit_target
-from armsight.app.calibrate.mirrors import MirrorsJob
+from armsight.app.calibrate.camera_noise import find_noise
+from armsight.app.calibrate.light_target import calibrate_lit_target
 from armsight.app.calibrate.mirrors_check import run_check
-from armsight.app.calibrate.timing import TimingJob, calibrate_cameras_timing
-from armsight.app.calibrate.zoom import ZoomRigJob, zoom_rig
+from armsight.app.calibrate.timing import calibrate_cameras_timing
+from armsight.app.calibrate.zoom import zoom_rig
+from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob, TargetJob, TimingJob, ZoomRigJob
 from armsight.app.schemas.cameras import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
 from armsight.calibrate.light_target import TargetCalibration
 from armsight.calibrate.timing import TimingCalibration

@@ -17,7 +17,8 @@ from armsight.api.given import (
     PathText,
     as_text,
 )
-from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.requests.motion import JogJob
+from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.link_test import test_robot
 from armsight.app.robot.twin import twin_beside
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput

@@ -11,9 +11,10 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Source, TableLike
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.path.check import check as run_check
-from armsight.app.path.export import ExportJob, PathExportOutput, export_path
-from armsight.app.path.picks import PathPicksOutput, PicksJob, path_from_picks
+from armsight.app.path.export import PathExportOutput, export_path
+from armsight.app.path.picks import PathPicksOutput, path_from_picks
 from armsight.app.path.tools import smooth_path
+from armsight.app.requests.files import ExportJob, PicksJob
 from armsight.control import paths as tools
 from armsight.control.guard import Limits
 from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind, require_number

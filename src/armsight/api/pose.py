@@ -17,8 +17,9 @@ from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
 from armsight.measure.consistency.check import RunCheck, settled
 from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
-from armsight.measure.poses.pipeline import Setup, measure_pair, measure_spots
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.optics import Rig, RigKind
 from armsight.records import (

@@ -23,17 +23,19 @@ from armsight.api.given import (
     TargetLike,
 )
 from armsight.api.tracks import PoseTrack
-from armsight.app.compare.run import CompareJob, CompareOutput
+from armsight.app.compare.run import CompareOutput
 from armsight.app.compare.run import compare as run_compare
-from armsight.app.join import JoinJob, JoinOutput
+from armsight.app.join import JoinOutput
 from armsight.app.join import join as run_join
 from armsight.app.measure.outputs import POSES
-from armsight.app.measure.run import MeasureJob
 from armsight.app.measure.run import measure as run_measure
-from armsight.app.record.record import RecordJob, RecordOutput, RepairOutput, mend
+from armsight.app.record.record import RecordOutput, RepairOutput, mend
 from armsight.app.record.record import record as run_record
-from armsight.app.verify.plan import PlanJob, VerifyPlanOutput, run_plan
-from armsight.app.verify.run import ERRORS, VerifyJob, run_verify
+from armsight.app.requests.files import CompareJob, JoinJob
+from armsight.app.requests.measure import MeasureJob, RecordJob
+from armsight.app.requests.verify import PlanJob, VerifyJob
+from armsight.app.verify.plan import VerifyPlanOutput, run_plan
+from armsight.app.verify.run import ERRORS, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.drivers.live import MAX_SKEW_S
@@ -305,7 +307,7 @@ def plan_verification(
     0.1
     """
     with Given(out) as given:
-        job = given.job(PlanJob, {"arm": arm, "what": part, "side_m": side_m, "speed_m_s": speed_m_s})
+        job = given.job(PlanJob, {"arm": arm, "part": part, "side_m": side_m, "speed_m_s": speed_m_s})
         return run_plan(job, progress)
 
 

@@ -14,7 +14,8 @@ from armsight.api.arrays import Array, Poses, as_poses
 from armsight.api.checks import speaks_python
 from armsight.api.given import Given, RigLike, Source, TargetLike
 from armsight.api.results import Result, Row, error_figure, with_std
-from armsight.app.calibrate.pivot import PivotJob, find_tip
+from armsight.app.calibrate.pivot import find_tip
+from armsight.app.requests.calibrate_robot import PivotJob
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, calibrate_tooltip
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import CameraSettings

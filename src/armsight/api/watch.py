@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
-from armsight.app.identify.live import LiveJob, OperatorCallbacks, run_identify_live
+from armsight.app.identify.live import OperatorCallbacks, in_radians, read_limits, run_identify_live
+from armsight.app.requests.identify import LiveJob
+from armsight.app.requests.verify import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob, MasteringJob
 from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
 from armsight.app.verify.live import run_verify_live
-from armsight.app.verify.mastering import MasteringJob, propose_mastering, run_mastering
-from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob
+from armsight.app.verify.mastering import propose_mastering, run_mastering
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
@@ -86,9 +88,7 @@ def identify_arm_live(
         The beacon is lost, or the robot or a camera fails; the robot is stopped.
     """
     with Given(out, name="arm.yaml") as given:
-        if not isinstance(limits, str):
-            rows = checked_array("limits", limits, (None, 2)).tolist()  # type: ignore[arg-type]
-            limits = ",".join(f"{low!r}:{high!r}" for low, high in rows)
+        limits = _limits(limits)
         require_number("speed", speed)
         pace, left_out = Pace(speed=speed), tuple(as_numbers("leave_out", leave_out))
         job = given.job(LiveJob, locals(), out=given.out)
@@ -96,6 +96,13 @@ def identify_arm_live(
         return (
             done if isinstance(done, ProposedPlanOutput) else done.extended(LiveIdentification, arm=read_arm(given.out))
         )
+
+
+def _limits(limits: ArrayLike | PathText) -> NDArray[np.float64]:
+    """Return limits (n, 2) of an array, a file, or a text as the command line takes it."""
+    if isinstance(limits, str | PathLike):
+        return read_limits(str(limits))
+    return in_radians(checked_array("limits", limits, (None, 2)))
 
 
 @speaks_python

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 from armsight.errors import UsageError
+from armsight.fields import Doc
 from armsight.kinematics import (
     PRESETS,
     Arm,
     in_convention,
     preset,
 )
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.urdf import read_urdf, write_urdf

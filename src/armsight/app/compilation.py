@@ -328,7 +328,8 @@ def main(names: list[str]) -> int:
 
 def _far_away() -> None:
     """Measure a target so far away that its tilt has a mirror image that fits, then with a spot that is off."""
-    from armsight.measure.poses.pipeline import Setup, measure_spots
+    from armsight.measure.poses.from_spots import measure_spots
+    from armsight.measure.poses.pipeline import Setup
     from armsight.optics import Camera, parallel_rig
     from armsight.records import spot_target
 

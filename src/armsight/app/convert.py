@@ -10,10 +10,10 @@ import numpy as np
 
 from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
+from armsight.fields import Doc
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import (
     read_camera,

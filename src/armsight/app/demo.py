@@ -10,18 +10,20 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
+from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.measure.collector import About
 from armsight.app.measure.outputs import COORDINATES
-from armsight.app.measure.run import MeasureJob, measure, run
+from armsight.app.measure.run import measure, run
 from armsight.app.measure.warm_up import prepare
+from armsight.app.requests.calibrate_cameras import StereoJob
+from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
+from armsight.fields import Doc
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.results import MeasureOutput
 from armsight.measure.settings import SpotSettings
 from armsight.records import Progress, Silent
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.measure import INSIDE_95
 from armsight.report.series import SCALE, errors_of
@@ -54,7 +56,7 @@ def measure_pictures(out: Path, progress: Progress) -> PicturesOutput:
     with as_file(files("armsight.app") / "pictures" / PICTURES) as folder:
         left, right = str(folder / "left*.jpg"), str(folder / "right*.jpg")
         rig = out / "rig.yaml"
-        calibrated = calibrate_stereo(CalibrateJob(board=BOARD, out=rig, left=left, right=right), progress)
+        calibrated = calibrate_stereo(StereoJob(board=BOARD, out=rig, left=left, right=right), progress)
         job = MeasureJob(rig=rig, target=Path(BOARD), out=out, left=left, right=right, stills=True)
         measured = measure(job, progress)
     return PicturesOutput(

@@ -18,10 +18,10 @@ from armsight.app.simulate.scenarios import FILES, scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_there, cores, folder, known
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
+from armsight.fields import Doc
 from armsight.measure.planning import LEAST_COMMON, Accuracy, Choice, plan
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
 from armsight.units import MM

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -11,16 +10,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
+from armsight.app.requests.files import JoinJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.errors import NotEnoughData, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import Arm
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
 from armsight.store import write_text
 from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import write_pairs
-from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells, word
 from armsight.store.tracks import POSITION, QUATERNION
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
@@ -57,26 +56,6 @@ class JoinOutput(Output):
     rejected: Annotated[list[RejectedRow], Doc("Measured rows left out, with the reason.")]
     notes: Annotated[list[str], Doc("What is to be known of times and columns.")]
     file: Annotated[str | None, Doc("The file written.")] = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JoinJob:
-    """What `join` is told: joints with arm, or robot_stream (T_base_flange); measured: poses or points.
-
-    kind: one of KINDS. setup: of pairs, where the camera is. offset_s: to add to measured times, where it is known.
-    still: one row, the mean, for each rest of the arm instead of one for each measurement.
-    """
-
-    measured: Path
-    out: Path
-    kind: str = "points"
-    joints: Path | None = None
-    arm: str | None = None
-    robot_stream: Path | None = None
-    setup: Setup = Setup.EYE_IN_HAND
-    offset_s: float | None = None
-    still: bool = False
-    table: TableFormat = OURS
 
 
 def join(job: JoinJob) -> JoinOutput:

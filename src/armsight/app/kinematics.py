@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import load_arm
 from armsight.app.sources.bags import joint_states
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import (
     Arm,
     Inverse,
@@ -27,7 +28,6 @@ from armsight.kinematics import (
 from armsight.kinematics.path import Issue
 from armsight.kinematics.target import start_values, task_of
 from armsight.records import Motion, PoseStatus, TargetPose
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.arm_view import arm_report
 from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text

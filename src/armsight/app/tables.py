@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
 from armsight.errors import UsageError
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import write_text
 from armsight.store.interpret import OURS, TableFormat, interpret, kind_of_table

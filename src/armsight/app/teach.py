@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,10 +12,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
+from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.teach import TeachOutput
 from armsight.app.servo.run_servo import run_servo
-from armsight.app.servo.servo_job import ServoDevices, ServoJob
+from armsight.app.servo.servo_job import ServoDevices
 from armsight.app.servo.session import Confirm, Show
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock
@@ -33,43 +33,12 @@ from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent, Target, TargetPose
 from armsight.store import World, read_poses, read_rig, read_world, write_poses
 from armsight.store.atomic import write_json
-from armsight.store.handeye_file import read_tip
 from armsight.store.path_file import write_path
 
 PATH, TARGETS, SUMMARY = "path.csv", "targets.csv", "teach.json"
 
 Begun = Callable[[PathRecorder], None]
 """Is given the recorder once it is there, so that a key or a page may start, pause, undo and tag."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TeachJob:
-    """tip: tip.yaml of the point that is led along, in target axes; None: the target's origin.
-
-    every: frames per vector. mean: a vector is the mean of its frames. path_speed_m_s: written into the path; None:
-    left open. wait: record nothing until the recorder is started; else from the first frame on.
-    """
-
-    out: Path
-    tip: Path | None = None
-    every: int = 1
-    mean: bool = False
-    path_speed_m_s: float | None = None
-    wait: bool = False
-
-    def __post_init__(self) -> None:
-        if self.path_speed_m_s is not None and not (np.isfinite(self.path_speed_m_s) and self.path_speed_m_s > 0.0):
-            raise UsageError(
-                f"--path-speed {self.path_speed_m_s:g} is no speed",
-                consequence="Nothing is taught",
-                cure="Give m/s, more than zero",
-            )
-
-    def T_target_tip(self) -> RigidTransform:
-        """Return the tip in target axes. Raises BadFile."""
-        if self.tip is None:
-            return RigidTransform.identity()
-        return RigidTransform.from_translation(read_tip(self.tip).tip_m)
 
 
 def save(job: TeachJob, recorder: PathRecorder) -> None:
@@ -111,23 +80,6 @@ AS_MEASURED = "as measured"
 Pair = tuple[Frame, Frame]
 Seen = Callable[[TargetPose], None]
 """Is told of each pose as it is measured, in rig axes."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StandingJob:
-    """rig, target: their files. world: where the rig stands; without it nothing is taught.
-
-    left and right, or image: cameras, or files. seconds_s: end after so long of the frames' own time.
-    """
-
-    rig: Path
-    target: Path
-    world: Path | None = None
-    left: str | None = None
-    right: str | None = None
-    image: str | None = None
-    exposure_s: float | None = None
-    seconds_s: float | None = None
 
 
 def teach_standing(

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.correlation import Correlation
+from armsight.fields import Doc
 from armsight.records import NamedCovariance, frozen_array
-from armsight.records.fields import Doc, Shape
+from armsight.records.fields import Shape
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PointStd, RejectedRow
 

@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
@@ -21,14 +21,14 @@ from unicodedata import category
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
-from rich.table import Table
 
 from armsight._files import readable
 from armsight.cli import discard
 from armsight.errors import ArmsightError, Cancelled, DataRefused, DeviceFailed, UsageError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from armsight.records.output import Output
 
 UNFORESEEN = 1
@@ -41,6 +41,8 @@ LONGEST_SHOWN = 60
 """Letters of a name that the system found too long."""
 LINE_EVERY_S = 5.0
 """How often progress is told where there is no terminal to draw a bar on."""
+DRAW_EVERY_S = 0.1
+"""How often a status line is drawn where there is one."""
 
 
 def own_command() -> str:
@@ -63,7 +65,7 @@ class CommandUI:
 
     def __init__(self, *, as_json: bool, until_stopped: bool = False) -> None:
         self._as_json = as_json
-        self._until_stopped = until_stopped
+        self.until_stopped = until_stopped
         # rich's own type of a file has more than what it calls
         self.console = Console(file=_Heard(sys.stderr), highlight=False, markup=False)  # type: ignore[arg-type]
         self._stopped = threading.Event()
@@ -84,6 +86,8 @@ class CommandUI:
 
     def table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a table for the person; the first column is text, the others are numbers."""
+        from rich.table import Table
+
         self._end_bar()
         table = Table(title=title, title_justify="left", show_header=any(header))
         for column, name in enumerate(header):
@@ -98,6 +102,15 @@ class CommandUI:
         if self._as_json:
             _print_json(result.to_json())
 
+    def moves(self, *, yes: bool) -> Callable[[str], bool]:
+        """Return what says how a robot would move, and asks whether it may unless that is agreed to."""
+
+        def confirm(question: str) -> bool:
+            self.say(question)
+            return yes or agreed("Move?")
+
+        return confirm
+
     def __enter__(self) -> Self:
         os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # OpenCV's own complaints repeat ours without a cure
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -111,7 +124,7 @@ class CommandUI:
         self._end_bar()
         for number, handler in self._before:
             signal.signal(number, handler)
-        if error is None and self._stopped.is_set() and not self._until_stopped:
+        if error is None and self._stopped.is_set() and not self.until_stopped:
             self._tell(Cancelled("what was done until then is kept"), as_json=False)
             raise typer.Exit(Cancelled.exit_code)
         if error is None or isinstance(error, typer.Exit):
@@ -139,7 +152,7 @@ class CommandUI:
                 _print_json(_refusal(error))
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        heard = self._until_stopped if self._listener is None else self._listener.listens
+        heard = self.until_stopped if self._listener is None else self._listener.listens
         if self._stopped.is_set() or not heard:
             raise KeyboardInterrupt
         self._stopped.set()
@@ -212,6 +225,8 @@ class Bar:
             self._bar = None
 
     def _draw(self, label: str, done: float, total: float) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
         if self._bar is None:
             name, speed = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[pace]}")
             columns = (name, BarColumn(), MofNCompleteColumn(), speed)
@@ -248,6 +263,40 @@ class Bar:
         first, at_s = self._first
         passed_s = time.monotonic() - at_s
         return (done - first) / passed_s if passed_s > 0.2 else 0.0
+
+
+class StatusLine:
+    """One line on the terminal, drawn again and again; elsewhere a line now and then, and at every change of state."""
+
+    def __init__(self, face: CommandUI) -> None:
+        self._console = face.console
+        self._told_s = 0.0
+        self._before: object = None
+
+    def due(self, state: object) -> bool:
+        """Tell whether the line is to be told now, of this state."""
+        now_s = time.monotonic()
+        every_s = DRAW_EVERY_S if self._console.is_terminal else LINE_EVERY_S
+        if state == self._before and now_s - self._told_s < every_s:
+            return False
+        self._told_s, self._before = now_s, state
+        return True
+
+    def draw(self, told: str) -> None:
+        """Tell it."""
+        if self._console.is_terminal:
+            width = self._console.width - 1
+            self._console.print(told[:width].ljust(width), end="\r", markup=False, soft_wrap=True)
+        else:
+            self._console.print(told, markup=False, soft_wrap=True)
+
+
+def agreed(question: str) -> bool:
+    """Ask the person; where nobody is there to answer, that is no."""
+    try:
+        return typer.confirm(question, err=True)
+    except typer.Abort:
+        return False
 
 
 def time_left(seconds: float) -> str:

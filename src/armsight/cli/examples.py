@@ -28,21 +28,43 @@ ROBOTS = "Robots"
 
 RIG = "--rig rig.yaml --target target.yaml"
 EXAMPLES: Mapping[str, tuple[str, ...]] = {
+    "console": (
+        "armsight console --robot sim:webcam-cell",
+        "armsight console --folder work",
+        f"armsight console --folder work --left camera:0 --right camera:1 {RIG}",
+    ),
+    "demo": ("armsight demo", "armsight demo --room workshop -o demo"),
+    "simulate": (
+        "armsight simulate webcam-cell -o cell",
+        "armsight simulate webcam-cell --room workshop -o cell",
+        "armsight simulate handeye -o photos",
+    ),
+    "doctor": ("armsight doctor", "armsight doctor --rig rig.yaml --depth 1.5"),
     "record": (
         "armsight record --left camera:0 --right camera:1 --seconds 60 -o recording.mcap",
         "armsight record --repair recording.mcap -o mended.mcap",
-    ),
-    "identify": (
-        "armsight identify --sweep sweep.csv -o identified.yaml",
-        "armsight identify --live sim:kapucu2005-rrp --left camera:sim:kapucu2005-rrp:left "
-        f"--right camera:sim:kapucu2005-rrp:right {RIG} --limits=-0.5:5.2,-0.4:1.9,0.3:1.1 -o identified.yaml",
     ),
     "verify": (
         "armsight verify --arm arm.yaml --measured poses.csv --joints joints.csv -o verified",
         f"armsight verify --live --robot rtde:192.168.1.10 --left camera:0 --right camera:1 {RIG} "
         "--arm arm.yaml --world world.yaml -o live",
     ),
+    "report": ("armsight report measured --pdf", "armsight report rig.report.html --pdf -o rig.pdf"),
+    "compare": (
+        "armsight compare measured-monday measured-friday -o compared",
+        "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
+    ),
+    "measure": (
+        f"armsight measure --left frames/left --right frames/right {RIG} -o measured",
+        f"armsight measure --left camera:0 --right camera:1 {RIG} -o measured",
+    ),
+    "identify": (
+        "armsight identify --sweep sweep.csv -o identified.yaml",
+        "armsight identify --live sim:kapucu2005-rrp --left camera:sim:kapucu2005-rrp:left "
+        f"--right camera:sim:kapucu2005-rrp:right {RIG} --limits=-0.5:5.2,-0.4:1.9,0.3:1.1 -o identified.yaml",
+    ),
     "reproduce": ("armsight reproduce kapucu2005 -o kapucu",),
+    "join": ("armsight join --measured poses.csv --joints joints.csv --arm arm.yaml --as points -o points.csv",),
     "serve": (
         "armsight serve --robot sim:webcam-cell",
         "armsight serve --robot sim:webcam-cell --console work",
@@ -50,22 +72,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "--tls-key key.pem",
     ),
     "twin": ("armsight twin rtde --port 30004", "armsight twin rsi --connect 127.0.0.1:49152"),
-    "console": (
-        "armsight console --robot sim:webcam-cell",
-        "armsight console --folder work",
-        f"armsight console --folder work --left camera:0 --right camera:1 {RIG}",
-    ),
     "servo": (
         f"armsight servo --robot sim:pachidis2005-static {RIG} --handeye handeye.yaml --hand circle -o servo",
         f"armsight servo --robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 {RIG} "
         "--handeye handeye.yaml --distance 0.6 -o servo",
     ),
-    "compare": (
-        "armsight compare measured-monday measured-friday -o compared",
-        "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
-    ),
-    "report": ("armsight report measured --pdf", "armsight report rig.report.html --pdf -o rig.pdf"),
-    "join": ("armsight join --measured poses.csv --joints joints.csv --arm arm.yaml --as points -o points.csv",),
     "teach": (
         f"armsight teach --robot sim:pachidis2005-circle {RIG} --handeye handeye.yaml -o taught",
         f"armsight teach --left camera:0 --right camera:1 {RIG} --world world.yaml --tip tip.yaml -o taught",
@@ -76,33 +87,6 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight play --robot rsi:49152 --arm arm.yaml --tip tip.yaml --path taught/path.csv --weave sine:0.002:0.008 "
         "-o played",
     ),
-    "path smooth": ("armsight path smooth path.csv --bound-m 0.0005 -o smooth.csv",),
-    "path resample": ("armsight path resample path.csv --step-m 0.001 -o even.csv",),
-    "path fillet": ("armsight path fillet path.csv --radius-m 0.005 -o rounded.csv",),
-    "path offset": ("armsight path offset path.csv --by-m -0.01 -o above.csv",),
-    "path angle": ("armsight path angle path.csv --travel-deg 15 -o tilted.csv",),
-    "path reverse": ("armsight path reverse path.csv -o back.csv",),
-    "path join": ("armsight path join first.csv second.csv -o both.csv",),
-    "path check": ("armsight path check path.csv --arm arm.yaml --limits limits.yaml -o check.html",),
-    "path export": (
-        "armsight path export path.csv --to urscript --arm arm.yaml -o seam.script",
-        "armsight path export path.csv --to krl --arm arm.yaml --tool 1 -o seam.src",
-    ),
-    "path from-picks": (
-        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv "
-        "--world world.yaml -o path.csv",
-    ),
-    "measure": (
-        f"armsight measure --left frames/left --right frames/right {RIG} -o measured",
-        f"armsight measure --left camera:0 --right camera:1 {RIG} -o measured",
-    ),
-    "demo": ("armsight demo", "armsight demo --room workshop -o demo"),
-    "simulate": (
-        "armsight simulate webcam-cell -o cell",
-        "armsight simulate webcam-cell --room workshop -o cell",
-        "armsight simulate handeye -o photos",
-    ),
-    "doctor": ("armsight doctor", "armsight doctor --rig rig.yaml --depth 1.5"),
     "calibrate camera": ("armsight calibrate camera images/ --board checkerboard:9x6:0.025 -o camera.yaml",),
     "calibrate stereo": (
         "armsight calibrate stereo --left images/left --right images/right --board checkerboard:9x6:0.025 -o rig.yaml",
@@ -144,8 +128,8 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight convert rig stereo.yml -o rig.yaml",
         "armsight convert rig rig.yaml --to opencv -o r.yml",
     ),
-    "convert table": ("armsight convert table log.txt --robot-format kuka --as robot_poses -o robot_poses.csv",),
     "convert poses": ("armsight convert poses poses.csv -o poses.tum",),
+    "convert table": ("armsight convert table log.txt --robot-format kuka --as robot_poses -o robot_poses.csv",),
     "convert handeye": ("armsight convert handeye handeye.yaml --to easy_handeye -o handeye_easy.yaml",),
     "convert arm": ("armsight convert arm robot.urdf --tip tool0 -o arm.yaml",),
     "kinematics fk": ("armsight kinematics fk --arm arm.yaml --joints joints.csv -o poses.csv",),
@@ -154,25 +138,44 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "kinematics path": ("armsight kinematics path --arm arm.yaml --poses poses.csv -o joints.csv",),
     "kinematics formulas": ("armsight kinematics formulas --arm arm.yaml -o formulas.tex",),
     "kinematics show": ("armsight kinematics show --arm ur10e -o arm.html",),
+    "path smooth": ("armsight path smooth path.csv --bound-m 0.0005 -o smooth.csv",),
+    "path resample": ("armsight path resample path.csv --step-m 0.001 -o even.csv",),
+    "path fillet": ("armsight path fillet path.csv --radius-m 0.005 -o rounded.csv",),
+    "path offset": ("armsight path offset path.csv --by-m -0.01 -o above.csv",),
+    "path angle": ("armsight path angle path.csv --travel-deg 15 -o tilted.csv",),
+    "path reverse": ("armsight path reverse path.csv -o back.csv",),
+    "path join": ("armsight path join first.csv second.csv -o both.csv",),
+    "path check": ("armsight path check path.csv --arm arm.yaml --limits limits.yaml -o check.html",),
+    "path export": (
+        "armsight path export path.csv --to urscript --arm arm.yaml -o seam.script",
+        "armsight path export path.csv --to krl --arm arm.yaml --tool 1 -o seam.src",
+    ),
+    "path from-picks": (
+        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv "
+        "--world world.yaml -o path.csv",
+    ),
     "robot test": ("armsight robot test --robot rsi:49152 --for 60",),
     "robot jog": (
         "armsight robot jog --robot sim:webcam-cell --joint 1 --by 0.02",
         "armsight robot jog --robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
     ),
 }
-"""Command -> what to type."""
+"""Command -> what to type; the help lists the commands of a panel in this order."""
 
 
 def add_examples(app: typer.Typer) -> None:
-    """Put the examples below each command's help, and the commands into panels."""
+    """Put the examples below each command's help, and the commands into panels, all in the order of EXAMPLES."""
+    order, panels = list(EXAMPLES), [*dict.fromkeys(PANELS.values()), ROBOTS]
     for name, info in every_command(app):
-        if name in EXAMPLES:
-            info.epilog = "\n\n".join(("Examples:", *EXAMPLES[name]))
-        info.rich_help_panel = PANELS.get(name, ROBOTS) if " " not in name else info.rich_help_panel
-    order = [*dict.fromkeys(PANELS.values()), ROBOTS]
-    app.registered_commands.sort(key=lambda info: order.index(str(info.rich_help_panel)))
+        info.epilog = "\n\n".join(("Examples:", *EXAMPLES[name]))
+        if " " not in name:
+            info.rich_help_panel = PANELS.get(name, ROBOTS)
+    app.registered_commands.sort(key=lambda info: (panels.index(str(info.rich_help_panel)), order.index(_name(info))))
     for group in app.registered_groups:
         group.rich_help_panel = PANELS.get(group.name or "", ROBOTS)
+        if group.typer_instance is not None:
+            names = [name.removeprefix(f"{group.name} ") for name in EXAMPLES if name.startswith(f"{group.name} ")]
+            group.typer_instance.registered_commands.sort(key=lambda info: names.index(_name(info)))
 
 
 def every_command(app: typer.Typer) -> Iterator[tuple[str, typer.models.CommandInfo]]:

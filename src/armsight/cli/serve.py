@@ -1,109 +1,110 @@
-"""armsight serve."""
+"""armsight serve, and armsight console."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, SRC
+from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM
+from armsight.errors import Cancelled, UsageError
+from armsight.fields import Bounds, Doc, Flag
 
 if TYPE_CHECKING:
+    from armsight.server.waiting import WaitingPage
     from armsight.server.web_server import ServeOptions
 
+Bind: TypeAlias = Annotated[str, Doc("Address to listen at; any but this machine's needs TLS and tokens.")]
+Tokens: TypeAlias = Annotated[Path | None, Doc("tokens.yaml: who may watch and who may drive.")]
+Certificate: TypeAlias = Annotated[Path | None, Doc("The server's certificate, PEM.")]
+Key: TypeAlias = Annotated[Path | None, Doc("The certificate's key, PEM.")]
 
+
+@command(app, json=False)
 def serve(
+    face: CommandUI,
     robot: Annotated[
         str | None,
-        typer.Option(
-            metavar="DRIVER:DEVICE", help="The robot: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT, alter:PORT."
-        ),
+        Doc("The robot: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT, alter:PORT."),
+        Flag(metavar="DRIVER:DEVICE"),
     ] = None,
-    bind: Annotated[str, typer.Option(help="Address to listen at; any but this machine's needs TLS and tokens.")] = (
-        "127.0.0.1"
-    ),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 8765,
+    bind: Bind = "127.0.0.1",
+    port: Annotated[int, Doc("Port to listen at; 0 takes a free one."), Bounds(least=0, most=65535)] = 8765,
     stop_port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Port of the line for stops; 0 takes a free one. [default: the next one]"),
+        Doc("Port of the line for stops; 0 takes a free one. [default: the next one]"),
+        Bounds(least=0, most=65535),
     ] = None,
-    tokens: Annotated[Path | None, typer.Option(help="tokens.yaml: who may watch and who may drive.")] = None,
-    tls_cert: Annotated[Path | None, typer.Option(help="The server's certificate, PEM.")] = None,
-    tls_key: Annotated[Path | None, typer.Option(help="The certificate's key, PEM.")] = None,
-    arm: Annotated[
-        str | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}; a simulated robot brings its own.")
-    ] = None,
-    limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
+    tokens: Tokens = None,
+    tls_cert: Certificate = None,
+    tls_key: Key = None,
+    arm: Annotated[str | None, Doc(f"{KNOWN_ARM}; a simulated robot brings its own."), AN_ARM] = None,
+    limits: Annotated[Path | None, Doc("limits.yaml: what the guard keeps. [default: its own]")] = None,
     rsi_config: Annotated[
-        Path | None, typer.Option(metavar="FILE.xml", help="Of rsi: the RSI Ethernet configuration, for its own tags.")
+        Path | None, Doc("Of rsi: the RSI Ethernet configuration, for its own tags."), Flag(metavar="FILE.xml")
     ] = None,
     log: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.mcap", help="Recording of commands, events and readings. [default: a new file here]"
-        ),
+        Doc("Recording of commands, events and readings. [default: a new file here]"),
+        Flag(metavar="FILE.mcap"),
     ] = None,
     console: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Serve the operator's pages as well, of the cell in FOLDER; its arm and limits count.",
-        ),
+        Doc("Serve the operator's pages as well, of the cell in FOLDER; its arm and limits count."),
+        Flag(metavar="FOLDER"),
     ] = None,
     add_token: Annotated[
         str | None,
-        typer.Option(metavar="NAME:ROLE", help="Add a token for watch or drive to --tokens, print it once, and end."),
+        Doc("Add a token for watch or drive to --tokens, print it once, and end."),
+        Flag(metavar="NAME:ROLE"),
     ] = None,
 ) -> None:
     """Serve a robot: this program alone talks to its controller and guards it; others watch, stop and drive it."""
-    with CommandUI(as_json=False, until_stopped=True) as face:
-        from armsight.app.robot.recorder import default_log
-        from armsight.errors import UsageError
-        from armsight.server.serving import serve_robot
-        from armsight.server.web_server import ServeOptions
+    face.until_stopped = True
+    from armsight.app.robot.recorder import default_log
+    from armsight.server.serving import serve_robot
+    from armsight.server.web_server import ServeOptions
 
-        if add_token is not None:
-            _add_token(face, tokens, add_token)
-            return
-        if robot is None:
-            raise UsageError("no robot is named", consequence="Nothing is served", cure="Give --robot DRIVER:DEVICE")
-        options = ServeOptions(
-            bind=bind, port=port, stop_port=stop_port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key
-        )
-        if console is not None:
-            _with_pages(
-                face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log}
-            )
-            return
-        kept = log or default_log()
+    if add_token is not None:
+        _add_token(face, tokens, add_token)
+        return
+    if robot is None:
+        raise UsageError("no robot is named", consequence="Nothing is served", cure="Give --robot DRIVER:DEVICE")
+    options = ServeOptions(bind=bind, port=port, stop_port=stop_port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)
+    if console is not None:
+        _with_pages(face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log})
+        return
+    kept = log or default_log()
 
-        def ready(url: str, outside: str) -> None:
-            face.say(f"{robot} is served at {url}; what happens is kept in {kept}. Ctrl-C ends it.")
-            if outside:
-                face.say(f"Note: {outside}.")
-            if tokens is None:
-                face.say("Without --tokens everyone on this machine may drive.")
-            face.say("This is no safety function: the emergency stop stands beside it.")
+    def ready(url: str, outside: str) -> None:
+        face.say(f"{robot} is served at {url}; what happens is kept in {kept}. Ctrl-C ends it.")
+        if outside:
+            face.say(f"Note: {outside}.")
+        if tokens is None:
+            face.say("Without --tokens everyone on this machine may drive.")
+        face.say("This is no safety function: the emergency stop stands beside it.")
 
-        serve_robot(
-            robot,
-            arm,
-            options,
-            kept,
-            limits=limits,
-            rsi_config=rsi_config,
-            ready=ready,
-            cancelled=face.progress("starting").cancelled,
-        )
+    serve_robot(
+        robot,
+        arm,
+        options,
+        kept,
+        limits=limits,
+        rsi_config=rsi_config,
+        ready=ready,
+        cancelled=face.progress("starting").cancelled,
+    )
 
 
 def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions, own: dict[str, object]) -> None:
     """Serve programs and the operator's pages with one loop, one right to drive, and the same tokens."""
-    from armsight.cli.console import serve_cell
     from armsight.console import texts
-    from armsight.errors import UsageError
     from armsight.server.waiting import waiting_page
     from armsight.server.web_server import check_options
 
@@ -121,7 +122,6 @@ def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions
 
 def _add_token(face: CommandUI, tokens: Path | None, text: str) -> None:
     """Print a new token on standard output, and nothing else there."""
-    from armsight.errors import UsageError
     from armsight.store.tokens import add_token
 
     if tokens is None:
@@ -130,3 +130,135 @@ def _add_token(face: CommandUI, tokens: Path | None, text: str) -> None:
     token = add_token(tokens, name, role)
     face.say(f"{name} may {role} with this token; it is kept nowhere, {tokens} holds its hash:")
     typer.echo(token)
+
+
+@command(app, json=False)
+def console(
+    face: CommandUI,
+    robot: Annotated[
+        str | None,
+        Doc("The robot to move: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT."),
+        Flag(metavar="DRIVER:DEVICE"),
+    ] = None,
+    folder: Annotated[Path, Doc("Where cell.yaml and all results are kept."), Flag(metavar="FOLDER")] = Path("cell"),
+    left: Annotated[
+        str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
+    ] = None,
+    right: Annotated[
+        str | None, Doc("Right frames, in step with the left ones; none with mirrors."), Flag(metavar="SRC")
+    ] = None,
+    rig: Annotated[str | None, Doc("rig.yaml, a name inside the folder.")] = None,
+    target: Annotated[str | None, Doc("target.yaml, a name inside the folder.")] = None,
+    play_again: Annotated[bool, Doc("Files begin anew at their end.")] = False,
+    bind: Bind = "127.0.0.1",
+    port: Annotated[int, Doc("Of the web page."), Bounds(least=1, most=65535)] = 8080,
+    stop_port: Annotated[
+        int | None, Doc("Of the line for stops. [default: the next one]"), Bounds(least=0, most=65535)
+    ] = None,
+    tokens: Tokens = None,
+    tls_cert: Certificate = None,
+    tls_key: Key = None,
+) -> None:
+    """Serve the operator's web page; stop with Ctrl-C.
+
+    What is given here is kept in FOLDER/cell.yaml, as the page Settings shows it. A simulated robot brings its cell
+    along where the folder holds none.
+    """
+    face.until_stopped = True
+    with _opening(bind, port, tls_cert is not None) as page:
+        from armsight.server.web_server import ServeOptions, check_options
+
+        at = {"bind": bind, "port": port, "stop_port": stop_port}
+        options = ServeOptions(**at, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)  # type: ignore[arg-type]
+        check_options(options)
+        given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
+        changed = {name: value for name, value in given.items() if value is not None}
+        if robot is None:
+            _without_robot(face, folder, changed, options, page)
+        else:
+            serve_cell(face, robot, folder, changed, options, page)
+
+
+@contextlib.contextmanager
+def _opening(bind: str, port: int, secure: bool) -> Iterator[WaitingPage]:
+    """Give the page that is there before anything else is loaded."""
+    from armsight.console import texts
+    from armsight.server.waiting import waiting_page
+
+    with waiting_page(bind, port, texts.TITLE, secure=secure) as page:
+        page.step(texts.OPENING["load"])
+        yield page
+
+
+def _without_robot(
+    face: CommandUI, folder: Path, changed: dict[str, Any], options: ServeOptions, page: WaitingPage
+) -> None:
+    from fastapi import FastAPI
+
+    from armsight.app.operator.robot_cell import one_console
+    from armsight.console import texts
+    from armsight.console.application import add_console
+    from armsight.console.state import Console
+    from armsight.server.serving import serve_pages
+
+    with one_console(folder):
+        made = Console.of_folder(folder)
+        try:
+            page.step(texts.OPENING["measure"])
+            _tell_refusal(face, made.begin(changed))
+            server = FastAPI()
+            add_console(server, made)
+            serve_pages(server, options, page.listener, ready=partial(_say, face, page=page))
+        finally:
+            made.close()
+
+
+def serve_cell(
+    face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions, page: WaitingPage
+) -> None:
+    """Serve a robot with its pages, and with the interface for programs beside them, until Ctrl-C.
+
+    changed: entries of the cell's file. page: told what is done until the pages are there. Raises what its files, the
+    robot, the address and the disk refuse.
+    """
+    from armsight.app.operator.robot_cell import one_console, open_robot_cell, prepare_simulated
+    from armsight.console import texts
+    from armsight.console.application import add_console
+    from armsight.console.state import Console
+    from armsight.server.application import create_app
+    from armsight.server.auth import Authenticator
+    from armsight.server.serving import serve_pages
+
+    cancelled = face.progress("opening").cancelled
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(one_console(folder))
+        if not changed:
+            prepare_simulated(robot, folder)
+        face.say(f"{robot} is being opened")
+        page.step(texts.OPENING["robot"].format(robot=robot))
+        cell = stack.enter_context(open_robot_cell(robot, folder))
+        if cancelled():
+            raise Cancelled("stopped before the page was served")
+        cell.service.pump()
+        if cell.service.outside:
+            face.say(f"Note: {cell.service.outside}.")
+        made = Console.of_folder(folder, cell)
+        try:
+            page.step(texts.OPENING["measure"])
+            _tell_refusal(face, made.begin(changed, robot=robot))
+            server = create_app(cell.service, Authenticator(options.tokens or ()))
+            add_console(server, made)
+            told = partial(_say, face, page=page)
+            serve_pages(server, options, page.listener, ready=told, service=cell.service)
+        finally:
+            made.close()
+
+
+def _tell_refusal(face: CommandUI, refusal: str) -> None:
+    if refusal:
+        face.say(f"Nothing is measured yet, the page Settings mends it: {refusal}")
+
+
+def _say(face: CommandUI, url: str, *, page: WaitingPage) -> None:
+    page.close()  # from here the server answers
+    face.say(f"Open {url} in a browser; stop with Ctrl-C")

@@ -1,115 +1,95 @@
-"""armsight verify."""
+"""armsight verify: rows of a file, a plan of a test, a running arm (--live), and an arm after a crash (--mastering)."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import KNOWN_ARM, AsJson, Base, OutFolder, Tip, quantity
-from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
+from armsight.app import requests
+from armsight.app.requests.shared import CAMERAS, LIVE, MASTERING, TABLES, Base, CameraFlags, OutFolder, TableFlags, Tip
+from armsight.cli.command import VERIFIED, app, command
+from armsight.cli.command_ui import CommandUI, StatusLine
+from armsight.cli.flags import Asked
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
+from armsight.fields import Doc, Flag
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from armsight.app.verify.plan import VerifyPlanOutput
-    from armsight.verify.results import VerifyJoint, VerifyOutput
+    from armsight.records import TargetPose
+    from armsight.verify.results import VerifyJoint, VerifyLiveOutput, VerifyOutput
+    from armsight.verify.supervision import Compared, Level
 
 
-@takes_tables
+@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS))
 def verify(
+    face: CommandUI,
+    *,
     out: OutFolder,
-    part: Annotated[
-        str | None,
-        typer.Argument(metavar="[cube|poses|paths]", help="With --plan: which part of the test. [default: cube, all]"),
-    ] = None,
-    measured: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Measured poses or points: poses.csv, points.csv, a tracker's table (x_m,y_m,z_m), TUM. With columns "
-            "pose and visit, or run, the figures of ISO 9283.",
-        ),
-    ] = None,
-    arm: Annotated[str | None, typer.Option(metavar="ARM", help=f"{KNOWN_ARM}.")] = None,
-    joints: Annotated[
-        Path | None, typer.Option(help="joints.csv of the controller. [default: q1 .. qn of the measured file]")
-    ] = None,
-    commanded: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Instead of an arm: the poses that were commanded.")
-    ] = None,
-    world: Annotated[Path | None, typer.Option(help="world.yaml: where the measuring rig stands.")] = None,
-    align: Annotated[
-        str | None,
-        typer.Option(
-            metavar="none|base|tool|both", help="What is laid where it fits best. [default: both; none with --world]"
-        ),
-    ] = None,
-    compare: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="An earlier run, to stand beside this one in the report.")
-    ] = None,
-    band: Annotated[
-        float | None,
-        typer.Option(
-            help="For rows with a column arrival: the limit band that the arm settles into. [default: the pose "
-            "repeatability of the same pose]",
-            **quantity("m"),
-        ),
-    ] = None,
-    plan: Annotated[
-        bool, typer.Option("--plan", help="Instead of verifying, plan the test of ISO 9283 for --arm.")
-    ] = False,
-    side: Annotated[
-        float | None,
-        typer.Option(help="With --plan: the cube's side. [default: the largest that fits]", **quantity("m")),
-    ] = None,
-    speed: Annotated[
-        float | None, typer.Option(help="With --plan: the speed along the paths.", **quantity("m/s"))
-    ] = None,
+    rows: Asked[requests.verify.VerifyJob],
+    plan: Annotated[bool, Doc("Instead of verifying, plan the test of ISO 9283 for --arm.")] = False,
+    planned: Asked[requests.verify.PlanJob],
     tip: Tip = None,
     base: Base = None,
-    json: AsJson = False,
-    table_options: TableOptions = NOTHING_STATED,
+    tables: Asked[TableFlags],
+    live: Annotated[
+        bool, Doc("Supervise a running arm before two live cameras, with --arm, --world."), Flag(panel=LIVE)
+    ] = False,
+    running: Asked[requests.verify.LiveVerifyJob],
+    mastering: Annotated[
+        bool, Doc("After a crash: propose ten poses; with --measured, judge them."), Flag(panel=MASTERING)
+    ] = False,
+    crashed: Asked[requests.verify.MasteringJob],
+    cameras: Asked[CameraFlags],
 ) -> None:
     """Compare measured poses with where the arm says it is, say what the difference comes from; figures of ISO 9283.
 
     Writes verify.json, errors.csv and report.html; with --plan plan.csv and plan.json.
     """
-    with CommandUI(as_json=json) as face:
-        _check_plan(plan, part, side, speed, [measured, joints, commanded, world, align, compare, band])
-        if tip is not None or base is not None:
-            from armsight.app.arm_files import arm_source
-
-            arm = arm_source(_given(arm), tip=tip, base=base)
-        if plan:
-            from armsight.app.verify.plan import PlanJob, run_plan
-
-            planned = run_plan(PlanJob(arm=arm, out=out, what=part or "cube", side_m=side, speed_m_s=speed))
-            plan_table(face, planned, out)
-            face.result(planned)
-            return
-        from armsight.app.verify.run import VerifyJob, run_verify
-
-        if measured is None:
-            raise UsageError("no measurements were given", cure="Give --measured FILE, or --plan with --arm")
-        job = VerifyJob(
-            measured=measured,
-            out=out,
-            arm=arm,
-            joints=joints,
-            commanded=commanded,
-            world=world,
-            align=align,
-            compare=compare,
-            band_m=band,
-            table=table_options.format(face),
+    of_plan = (*_named(plan=plan), *planned.given)
+    of_rows = (*rows.given, *of_plan, *_named(tip=tip, base=base), *tables.given)
+    if live:
+        others = (*of_rows, *_named(mastering=mastering), *crashed.given)
+        _supervise(face, running, cameras, _foreign(others, running.flags))
+        return
+    if mastering:
+        others = (*of_rows, *running.given, *cameras.given)
+        _after_crash(face, crashed, _foreign(others, crashed.flags))
+        return
+    others = (*running.given, *crashed.given, *cameras.given)
+    foreign = _foreign(others, rows.flags)
+    if foreign:
+        raise UsageError(
+            f"{', '.join(foreign)} only means something with --live or --mastering", cure="Add one, or leave it out"
         )
-        done = run_verify(job)
-        verify_tables(face, done, out)
-        face.result(done)
+    _check_plan(plan, rows, planned)
+    from armsight.app.arm_files import arm_source
+    from armsight.app.verify.plan import run_plan
+    from armsight.app.verify.run import run_verify
+
+    chosen: dict[str, Any] = {}
+    if tip is not None or base is not None:
+        chosen["arm"] = arm_source(_given(rows.value("arm")), tip=tip, base=base)
+    if plan:
+        proposed = run_plan(planned.made(**chosen))
+        plan_table(face, proposed, out)
+        face.result(proposed)
+        return
+    if rows.missing:
+        raise UsageError("no measurements were given", cure="Give --measured FILE, or --plan with --arm")
+    done = run_verify(rows.made(table=tables.made().made(face.say), **chosen))
+    verify_tables(face, done, out)
+    face.result(done)
+
+
+def _named(**flags: object) -> tuple[str, ...]:
+    return tuple(f"--{name}" for name, value in flags.items() if value not in (None, False))
+
+
+def _foreign(given: tuple[str, ...], known: tuple[str, ...]) -> list[str]:
+    """Return the flags that a way of verifying knows nothing of, once each."""
+    return [one for one in dict.fromkeys(given) if one not in known]
 
 
 def _given(arm: str | None) -> str:
@@ -119,12 +99,13 @@ def _given(arm: str | None) -> str:
     return arm
 
 
-def _check_plan(plan: bool, part: str | None, side: float | None, speed: float | None, files: list[Any]) -> None:
+def _check_plan(plan: bool, rows: Asked[requests.verify.VerifyJob], planned: Asked[requests.verify.PlanJob]) -> None:
     """Raise UsageError where options of a plan and of a verification are mixed."""
-    if not plan and (part is not None or side is not None or speed is not None):
-        name = "--side" if side is not None else "--speed" if speed is not None else repr(part)
+    of_plan = [one for one in planned.given if one not in rows.flags]
+    if not plan and of_plan:
+        name = next((one for one in ("--side", "--speed") if one in of_plan), repr(planned.value("part")))
         raise UsageError(f"{name} goes with --plan", cure="Add --plan, or leave it out")
-    if plan and any(item is not None for item in files):
+    if plan and _foreign(rows.given, planned.flags):
         raise UsageError(
             "--plan plans a test, and files to verify were given too",
             consequence="Nothing is planned or verified",
@@ -206,3 +187,96 @@ def _joint_row(joint: VerifyJoint) -> list[str]:
     shown = [figure(None if value is None else value / DEG) for value in values]
     gain = "-" if joint.gain_heldout is None else f"{100.0 * joint.gain_heldout:.1f} %"
     return [f"{joint.index} {joint.name}", *shown, gain if joint.judged else "not judged"]
+
+
+def check_options(mode: str, missing: tuple[str, ...], foreign: list[str]) -> None:
+    """Raise UsageError where options are missing that a mode needs, or given that it knows nothing of."""
+    if missing:
+        raise UsageError(f"{mode} lacks something", cure=f"Give {', '.join(missing)} with it")
+    if foreign:
+        raise UsageError(f"{', '.join(foreign)} means nothing with {mode}", cure="Leave it away")
+
+
+def _supervise(
+    face: CommandUI, asked: Asked[requests.verify.LiveVerifyJob], cameras: Asked[CameraFlags], foreign: list[str]
+) -> None:
+    face.until_stopped = asked.value("limit") is None and asked.value("seconds_s") is None
+    from armsight.app.verify.live import run_verify_live
+
+    check_options("--live", asked.missing, foreign)
+    job = asked.made(camera_settings=cameras.made().made(face.say))
+    line = LiveLine(face)
+    done = run_verify_live(job, line.show, face.progress("supervising"))
+    live_tables(face, done, job.out)
+    face.result(done)
+
+
+def _after_crash(face: CommandUI, asked: Asked[requests.verify.MasteringJob], foreign: list[str]) -> None:
+    from armsight.app.verify.mastering import propose_mastering, run_mastering
+
+    check_options("--mastering", asked.missing, foreign)
+    job = asked.made()
+    if job.measured is None:
+        plan = propose_mastering(job)
+        rows = [
+            [f"{k}", *(f"{value:.4f}" for value in pose.q), " ".join(pose.decides)]
+            for k, pose in enumerate(plan.poses, 1)
+        ]
+        header = ["pose", *(f"q{i + 1}" for i in range(len(plan.poses[0].q))), "decides"]
+        face.table("Poses to measure, rad or m", header, rows)
+        for note in plan.notes:
+            face.say(f"- {note}")
+        face.say(f"Drive to each and measure there; then give --measured poses.csv --joints {plan.file}")
+        face.result(plan)
+        return
+    done = run_mastering(job)
+    rows = []
+    for joint in done.joints:
+        shown = [figure(None if v is None else v / DEG) for v in (joint.offset_rad, joint.std_rad)]
+        rows.append([f"{joint.index} {joint.name}", *shown, joint.why])
+    face.table("Zeros, each taken alone", ["joint", "deg", "+-", ""], rows)
+    for left in done.rejected:
+        face.say(f"  left out: row {left.row}: {left.why}")
+    for text in done.doubts:
+        face.say(f"  {text}")
+    face.say(f"Cause: {done.cause}. {done.verdict}")
+    face.say(f"Results: {job.out}; open {job.out / 'report.html'}")
+    face.result(done)
+
+
+class LiveLine(StatusLine):
+    """The line of a supervision."""
+
+    def show(self, pose: TargetPose, compared: Compared | None, level: Level, lost: str) -> None:
+        """Tell of a pair."""
+        if not self.due((int(level), bool(lost))):
+            return
+        told = f"{pose.t_s:9.3f} s  "
+        if compared is None:
+            self.draw(f"{told}LOST  {lost}")
+            return
+        place, place_std = compared.error_m / MM, compared.std_m / MM
+        turn, turn_std = compared.error_rad / DEG, compared.std_rad / DEG
+        place_told = f"{place:.3f} +- {place_std:.3f} mm"
+        self.draw(f"{told}{level.word.upper():4}  {place_told}  {turn:.3f} +- {turn_std:.3f} deg")
+
+
+def live_tables(face: CommandUI, done: VerifyLiveOutput, out: Path) -> None:
+    """Print what a supervision came to."""
+    for alarm in done.alarms:
+        face.say(f"  {alarm.t_s:.3f} s: {alarm.why}")
+    rate = "-" if done.rate_hz is None else f"{done.rate_hz:.1f} a second"
+    ms = "" if done.decision_ms is None else f"; decided in {figure(done.decision_ms.median)} ms (median)"
+    face.say(
+        f"{done.n} pairs, {rate}: {done.n_compared} compared, {done.n_lost} without the target, {done.n_stale} without "
+        f"joints, {done.missed} never came{ms}"
+    )
+    if done.errors.rms_m is not None and done.errors.std_m is not None:
+        face.say(
+            f"Error of place {figure(done.errors.rms_m / MM)} mm RMS, of which noise explains "
+            f"{figure(done.errors.std_m / MM)} mm; the decision's clock begins with a frame in memory"
+        )
+    for text in done.doubts:
+        face.say(f"  {text}")
+    face.say(done.verdict)
+    face.say(f"Results: {out}; open {out / 'report.html'}")

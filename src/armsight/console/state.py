@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
 from armsight.app.guided.mirror_alignment import MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
@@ -30,6 +29,7 @@ from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach_controller import TeachController, teach_controller
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError

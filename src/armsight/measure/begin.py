@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
 from armsight.measure.motion.states import View
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pipeline import measure_pair, measure_spots
+from armsight.measure.poses.pipeline import measure_pair
 from armsight.measure.poses.setup import Setup
 from armsight.records import CameraTiming, Frame, PoseStatus, Spots
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import BothCounts, BothSeconds, PoseStd
 

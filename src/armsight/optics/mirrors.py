@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent, NotConverged
+from armsight.fields import Doc
 from armsight.fitting import Evaluation, Problem, solve
 from armsight.optics.camera import INTRINSICS, SIDES, Camera, Plate
 from armsight.optics.kernels.camera import plate_shift
 from armsight.optics.rig import Rig, RigKind
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]

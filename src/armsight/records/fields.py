@@ -2,43 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from armsight.errors import Inconsistent
+from armsight.fields import Bounds
 
 MOST = 1e6
 """No speed, length, time or count of a limit is larger: a unit gone wrong."""
-
-
-@dataclass(frozen=True, slots=True)
-class Doc:
-    """What a field means; unit: where its name does not end in it; key: its name in JSON, where it is another."""
-
-    meaning: str
-    unit: str = ""
-    key: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Bounds:
-    """A number above `above`, from `least` to `most`; of a tuple: the fewest entries in a file that has it."""
-
-    above: float | None = None
-    least: float | None = None
-    most: float | None = None
-
-    def holds(self, value: float) -> bool:
-        """Tell whether a number is finite and within."""
-        return (
-            math.isfinite(value)
-            and (self.above is None or value > self.above)
-            and (self.least is None or value >= self.least)
-            and (self.most is None or value <= self.most)
-        )
 
 
 @dataclass(frozen=True, slots=True)

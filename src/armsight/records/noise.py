@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
+from armsight.fields import Bounds
 from armsight.records.checks import frozen_array
-from armsight.records.fields import Bounds, Shape
+from armsight.records.fields import Shape
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from typing import Annotated, Any, Generic, TypeVar, dataclass_transform, get_ar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.fields import Doc
 from armsight.geometry import xyz_quat
 from armsight.records.by_value import ByValue
-from armsight.records.fields import Doc
 
 Value = TypeVar("Value")
 Kind = TypeVar("Kind")
@@ -54,7 +54,7 @@ class Figure(Generic[Value]):
 
     def __init__(self, of: Callable[[Any], Value], doc: Doc, optional: bool) -> None:
         self.of, self.doc, self.optional = of, doc, optional
-        self.__doc__ = doc.meaning
+        self.__doc__ = doc.text
 
     @overload
     def __get__(self, record: None, kind: type | None = None) -> Figure[Value]: ...

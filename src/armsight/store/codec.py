@@ -18,9 +18,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile, DataRefused
+from armsight.fields import Bounds
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import NamedCovariance
-from armsight.records.fields import Bounds, Shape
+from armsight.records.fields import Shape
 from armsight.records.output import Output, is_output, keys
 from armsight.store.atomic import plain
 
@@ -131,7 +132,7 @@ def _output_model(kind: Any) -> type[BaseModel]:
     held: dict[str, Any] = {}
     for key in keys(kind):
         extra: Any = {"unit": key.doc.unit} if key.doc.unit else None
-        field = Field(None if key.optional else ..., description=key.doc.meaning, json_schema_extra=extra)
+        field = Field(None if key.optional else ..., description=key.doc.text, json_schema_extra=extra)
         held[key.name] = (_shown(key.hint), field)
     about = (kind.__doc__ or "").splitlines()[0]
     return create_model(kind.__name__, __doc__=about, __config__=ConfigDict(extra="forbid"), **held)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from scipy.spatial.transform import RigidTransform
 
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
 

@@ -9,10 +9,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.app.compare.parameters import Value, differences, judged
-from armsight.app.compare.run import CompareJob, compare
+from armsight.app.compare.run import compare
 from armsight.app.measure.outputs import made_with
-from armsight.app.verify.run import VerifyJob, run_verify
-from armsight.cli.commands import app
+from armsight.app.requests.files import CompareJob
+from armsight.app.requests.verify import VerifyJob
+from armsight.app.verify.run import run_verify
+from armsight.cli.command import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
 from armsight.optics import Camera, Rig, RigKind

@@ -12,16 +12,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.measure.run import measure
+from armsight.app.requests.measure import MeasureJob
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.results import MeasureOutput
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance, PoseStatus, spot_target
 from armsight.store import Table, read_poses, read_table, write_rig, write_target
-from armsight.store.covariances import COVARIANCE, SYSTEMATIC_COVARIANCE
+from armsight.store.covariances import COVARIANCE, LIGHTS_STD, SYSTEMATIC, SYSTEMATIC_COVARIANCE
 from armsight.store.tracks import LIGHTS as MEAN
-from armsight.store.tracks import LIGHTS_STD, POSE_COLUMNS, SYSTEMATIC, VELOCITY, VELOCITY_STD
+from armsight.store.tracks import POSE_COLUMNS, VELOCITY, VELOCITY_STD
 
 Array = NDArray[np.float64]
 WIDTH, HEIGHT, F, BASE = 640, 480, 700.0, 0.1

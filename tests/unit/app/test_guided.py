@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
+from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
@@ -21,6 +21,7 @@ from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
 from armsight.app.live.station import Shown
 from armsight.app.live.views import Counts, LiveView, RunView, SideView, SpotView, live_view
 from armsight.app.operator.station_observer import StationObserver
+from armsight.app.requests.calibrate_cameras import StereoJob
 from armsight.clock import ManualClock
 from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
@@ -119,7 +120,7 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
     assert {name for name, _ in step.spread()} | {figure.name for figure in figures_of(step)} <= set(texts.ROW_NAMES)
     verdict = step.run(Silent())
     again = calibrate_stereo(
-        CalibrateJob(
+        StereoJob(
             board=boards.board,
             out=tmp_path / "again.yaml",
             left=str(boards.folder / "left"),

@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from armsight.app.calibrate.mirrors import MirrorsJob, run_mirrors
+from armsight.app.calibrate.mirrors import run_mirrors
 from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.step import Figure, Next
 from armsight.app.guided.step_runner import History, figures_of
 from armsight.app.live.measurement import COMPLEX, LiveJob
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.simulate.run import simulate
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.identify.live import LiveJob, OperatorCallbacks, open_devices, read_limits, run_identify_live
+from armsight.app.identify.live import OperatorCallbacks, open_devices, read_limits, run_identify_live
+from armsight.app.requests.identify import LiveJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
@@ -27,6 +28,7 @@ from armsight_sim.scenario_builder import build_world
 
 LIMITS = np.array([[-0.5, 5.2], [-0.4, 1.9], [0.3, 1.1]])
 TEXT = "-0.5:5.2,-0.4:1.9,0.3:1.1"
+LIMITS = read_limits(TEXT)
 TRUE = {(0, "d_m"): 1.27, (0, "a_m"): 0.0, (0, "alpha_rad"): np.pi / 2, (1, "d_m"): -0.05, (1, "a_m"): 0.1,
         (1, "alpha_rad"): np.pi / 2}  # fmt: skip
 YES = OperatorCallbacks(confirm=lambda _: True)
@@ -72,7 +74,7 @@ class Cell:
     def job(self, **more: Any) -> LiveJob:
         """The job of identifying this arm, quickly."""
         files = {name: self.folder / f"{name}.yaml" for name in ("rig", "target", "world")}
-        given: dict[str, Any] = {"limits": TEXT, "pace": Pace(speed=1.0, frames=1), "out": self.folder / "arm.yaml"}
+        given: dict[str, Any] = {"limits": LIMITS, "pace": Pace(speed=1.0, frames=1), "out": self.folder / "arm.yaml"}
         return LiveJob(robot="here", left="here", right="here", **files, **(given | more))
 
     def run(self, person: OperatorCallbacks = YES, progress: Any = None, **more: Any) -> Any:
@@ -238,7 +240,7 @@ def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path
 def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
     with pytest.raises(DeviceFailed, match=r"joint 3 does not go from .*range of j3"):
-        cell.run(limits="-0.5:5.2,-0.4:1.9,0.3:1.6", model=nearly_right(tmp_path))
+        cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"), model=nearly_right(tmp_path))
     assert np.max(np.array(cell.asked)[:, 2]) <= 1.2
 
 
@@ -247,9 +249,9 @@ def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> No
     with pytest.raises(Cancelled, match="not confirmed"):
         cell.run(OperatorCallbacks())
     with pytest.raises(Inconsistent, match=r"joint 2 stands at 1\.66"):
-        cell.run(limits="-0.5:5.2,-0.4:1.2,0.3:1.1")
+        cell.run(limits=read_limits("-0.5:5.2,-0.4:1.2,0.3:1.1"))
     with pytest.raises(UsageError, match="limits do not give 3 joints"):
-        cell.run(limits="-0.5:5.2,-0.4:1.9")
+        cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9"))
     plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True).plan
     assert len(plan.sweeps) == 3 and plan.expected_std[1].a_m < 2e-3
     assert not cell.asked, "a command was sent"
@@ -283,7 +285,7 @@ def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
     target = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "target")
     job = cell.job()
     for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
-        other = LiveJob(robot=robot, left=left, right="x", rig=job.rig, target=job.target, limits=TEXT, out=job.out)
+        other = LiveJob(robot=robot, left=left, right="x", rig=job.rig, target=job.target, limits=LIMITS, out=job.out)
         with pytest.raises(UsageError):
             open_devices(other, target, ManualClock())
 
@@ -314,7 +316,7 @@ def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Pat
     from typer.testing import CliRunner
 
     from armsight.app.simulate.run import write_world_files
-    from armsight.cli.commands import app
+    from armsight.cli.command import app
 
     model = load_scenario("kapucu2005-rrp")[0]
     write_world_files(build_world(model, frames=1), tmp_path)

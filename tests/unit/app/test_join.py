@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.join import JoinJob, join
+from armsight.app.join import join
+from armsight.app.requests.files import JoinJob
 from armsight.calibrate.handeye import Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import fk, preset

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from armsight.app.arm_files import load_arm
-from armsight.cli.kinematics import convert_arm, kinematics
+from armsight.cli.command import app
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close
 from armsight.kinematics import Coupling, fk, pose, preset
@@ -28,9 +27,6 @@ Q = np.array([[0.1, -0.5, 0.7, 0.2, 0.6, 0.3], [0.15, -0.55, 0.75, 0.15, 0.55, 0
 
 
 def run(*words: object, code: int = 0) -> dict[str, Any]:
-    app = typer.Typer()
-    app.add_typer(kinematics, name="kinematics")
-    app.command("convert-arm")(convert_arm)
     done = CliRunner().invoke(app, [str(word) for word in (*words, "--json")])
     assert done.exit_code == code, done.output
     content: dict[str, Any] = json.loads(done.stdout)
@@ -91,7 +87,7 @@ def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joi
     step = 1e-6 * np.eye(6)
     moved = [fk(arm, arm.values(shown[0] + sign * step))[:, :3, 3] for sign in (1.0, -1.0)]
     np.testing.assert_allclose(J[:3], ((moved[0] - moved[1]) / 2e-6).T, atol=1e-8)
-    run("convert-arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.urdf", code=3)
+    run("convert", "arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.urdf", code=3)
     run("kinematics", "formulas", "--arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.py", code=3)
     with pytest.raises(Inconsistent, match="no joint before it"):
         replace(arm, couplings=(Coupling(joint="j2", by="j3"),))
@@ -156,9 +152,9 @@ def test_jacobian_path_formulas_and_picture(tmp_path: Path, joints: Path) -> Non
 
 
 def test_arms_are_converted_both_ways(tmp_path: Path) -> None:
-    run("convert-arm", "irb120", "-o", tmp_path / "a.urdf")
-    run("convert-arm", tmp_path / "a.urdf", "-o", tmp_path / "b.yaml", "--convention", "craig")
-    run("convert-arm", tmp_path / "b.yaml", "-o", tmp_path / "c.urdf")
+    run("convert", "arm", "irb120", "-o", tmp_path / "a.urdf")
+    run("convert", "arm", tmp_path / "a.urdf", "-o", tmp_path / "b.yaml", "--convention", "craig")
+    run("convert", "arm", tmp_path / "b.yaml", "-o", tmp_path / "c.urdf")
     for name in ("a.urdf", "b.yaml", "c.urdf"):
         np.testing.assert_allclose(fk(load_arm(str(tmp_path / name)), Q), fk(preset("irb120"), Q), atol=1e-12)
     assert "convention: craig" in (tmp_path / "b.yaml").read_text()
@@ -172,6 +168,6 @@ def test_what_is_refused(tmp_path: Path, joints: Path) -> None:
     fault = run("kinematics", "show", "--arm", "ur10", "--joints", "1,2", "-o", tmp_path / "p.html", code=2)
     assert "6 joints" in fault["error"]["cause"]
     run("kinematics", "formulas", "--arm", "ur10", "-o", tmp_path / "f.txt", code=2)
-    run("convert-arm", "ur10", "-o", tmp_path / "a.txt", code=2)
-    run("convert-arm", "ur10", "-o", tmp_path / "a.yaml", "--convention", "proximal", code=2)
+    run("convert", "arm", "ur10", "-o", tmp_path / "a.txt", code=2)
+    run("convert", "arm", "ur10", "-o", tmp_path / "a.yaml", "--convention", "proximal", code=2)
     run("kinematics", "jacobian", "--arm", "ur10", "--joints", joints, "--axes", "eye", "-o", tmp_path / "J", code=2)

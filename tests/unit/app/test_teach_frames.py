@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.teach import AS_MEASURED, StandingJob, TeachJob, teach_poses, teach_standing
+from armsight.app.requests.motion import StandingJob, TeachJob
+from armsight.app.teach import AS_MEASURED, teach_poses, teach_standing
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.errors import UsageError
 from armsight.records import PoseStatus, TargetPose

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.app.verify.live import run_verify_live
-from armsight.app.verify.supervising import LiveVerifyJob, Supervised
+from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, NotEnoughData

@@ -12,14 +12,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.app.play.play_job import PlayJob
 from armsight.app.play.play_path import run_play
+from armsight.app.requests.motion import JogJob, PlayJob, ServoJob
 from armsight.app.robot.guarding import guard_for
-from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.opening import open_robot
 from armsight.app.servo.run_servo import run_servo
-from armsight.app.servo.servo_job import ServoJob
-from armsight.cli.commands import app
+from armsight.cli.command import app
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import ArmsightError, BadFile, Cancelled, Inconsistent, UsageError

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.measure.run import MeasureJob
 from armsight.app.measure.run import measure as run_measure
+from armsight.app.requests.measure import MeasureJob
 from armsight.drivers import CameraSettings, aravis
 from armsight.drivers.aravis import AravisCamera, genicam_cameras
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError

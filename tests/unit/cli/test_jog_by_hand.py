@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.robot.jog_by_hand import HandJogJob, jog_by_hand
+from armsight.app.requests.motion import HandJogJob
+from armsight.app.robot.jog_by_hand import jog_by_hand
 from armsight.app.robot.opening import open_robot
-from armsight.cli.commands import app
+from armsight.cli.command import app
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import GamepadInput, JogAxes, KeyboardInput, open_jog_input
 from armsight.errors import Cancelled, DeviceFailed, DeviceNotFound, UsageError
@@ -110,7 +111,7 @@ def moved(then: Callable[[], JogAxes], by: float = 0.02, **job):
         asked.append(question)
         return confirmed
 
-    done = jog_by_hand(HandJogJob(robot=SIM, by="keyboard", **job), confirm, clock=clock, opened=robot, inputs=inputs)
+    done = jog_by_hand(HandJogJob(robot=SIM, hand="keyboard", **job), confirm, clock=clock, opened=robot, inputs=inputs)
     return done, first[0], asked
 
 

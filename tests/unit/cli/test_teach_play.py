@@ -14,16 +14,16 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.play.play_job import PlayJob
 from armsight.app.play.play_path import run_play
+from armsight.app.requests.motion import PlayJob, ServoJob, TeachJob
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.jog_by_hand import listening
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.servo_job import ServoDevices, ServoJob, SteppedClock
+from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.teach import TaughtBeside, TeachJob, teach_following
-from armsight.cli.commands import app
+from armsight.app.teach import TaughtBeside, teach_following
+from armsight.cli.command import app
 from armsight.clock import ManualClock
 from armsight.control.play import PathSource
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError

@@ -10,25 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.app.calibrate.handeye import calibrate_tip
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip import calibrate_tooltip
-from armsight.cli.handeye import add_to
+from armsight.cli.command import app
 from armsight.errors import BadFile
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses
 from armsight.store.handeye_file import PAIR_COLUMNS, read_handeye, read_pairs, read_robot_poses, read_tip, write_pairs
 
-app = typer.Typer()
-add_to(app)
-
 
 def run(*words: object) -> Any:
-    return CliRunner().invoke(app, [str(word) for word in words])
+    return CliRunner().invoke(app, ["calibrate", *map(str, words)])
 
 
 def recording(n: int = 14, *, to_hand: bool = False) -> PosePairs:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.pivot import PivotJob, pivoted, run_pivot
+from armsight.app.calibrate.pivot import pivoted, run_pivot
+from armsight.app.requests.calibrate_robot import PivotJob
 from armsight.calibrate.tooltip import TipRecording
 from armsight.errors import NotEnoughData
 from armsight.records import PoseStatus, TargetPose

@@ -8,7 +8,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_spots
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Measured, Setup, Track
 from armsight.measure.poses.setup import symmetries
 from armsight.optics import Camera, Rig, converged_rig, parallel_rig
 from armsight.records import PoseStatus, Spots, Target, spot_target, unmeasured_target

@@ -17,7 +17,7 @@ from armsight.app.demo import TruthError
 from armsight.app.record.export import ExportOutput
 from armsight.calibrate.handeye import Part, RejectedPair
 from armsight.errors import BadFile
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PointStd
 from armsight.store.atomic import write_json

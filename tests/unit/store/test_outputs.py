@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import armsight as library
-from armsight.cli.commands import app
-from armsight.cli.result_folders import STREAMED, WRITTEN
+from armsight.cli.command import WRITTEN, Command, app
+from armsight.cli.examples import every_command
 from armsight.errors import DeviceFailed, UsageError
 from armsight.store.outputs import held_outputs, refuse_place
 
@@ -46,29 +44,19 @@ def test_a_second_writer_is_told_and_the_first_ones_end_lets_go(tmp_path: Path) 
     assert library.write_formulas("ur10", tmp_path / "a.tex").arm
 
 
-def _commands() -> dict[str, Any]:
-    groups = [("", app), *((group.name, group.typer_instance) for group in app.registered_groups)]
-    return {
-        f"{prefix} {(one.name or one.callback.__name__).replace('_', '-')}".strip(): one.callback
-        for prefix, group in groups
-        if group is not None
-        for one in group.registered_commands
-        if one.callback is not None
-    }
-
-
 def test_every_command_that_writes_refuses_a_device_and_a_place_in_use(tmp_path: Path) -> None:
-    commands = _commands()
-    writing = [name for name, call in commands.items() if WRITTEN & set(inspect.signature(call).parameters)]
+    commands: dict[str, Command] = {name: getattr(info.callback, "armsight") for name, info in every_command(app)}  # noqa: B009
+    taken = {name: [one.name for one in command.parameters()] for name, command in commands.items()}
+    writing = [name for name, flags in taken.items() if WRITTEN & set(flags)]
     assert len(writing) > 40
-    assert set(writing) >= STREAMED
+    assert {name for name, command in commands.items() if command.streamed} < set(writing)
     busy = tmp_path / "busy"
     for name in writing:
-        flag = next(one for one in ("out", "record", "log") if one in inspect.signature(commands[name]).parameters)
+        flag = next(one for one in ("out", "record", "log") if one in taken[name])
         for place, held in (("/dev/null", []), (busy, [busy])):
             value = [Path(place)] if name == "convert rig" else Path(place)
             with pytest.raises(BaseException) as ended, held_outputs(held):
-                commands[name](**{flag: value})
+                commands[name].run(**{flag: value})
             assert getattr(ended.value, "exit_code", None) == (4 if held else 2), name
     assert not busy.exists()
 

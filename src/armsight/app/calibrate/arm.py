@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
 from armsight.app.calibrate.cameras import report_path
+from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -24,9 +25,9 @@ from armsight.calibrate.arm import (
     propose,
 )
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
 from armsight.optics import Rig
-from armsight.records.fields import Doc
 from armsight.records.output import output
 from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
@@ -42,23 +43,6 @@ Array = NDArray[np.float64]
 
 BESIDE = (".corrections.csv", ".urdf", ".proposed.csv", ".report.html")
 """Endings of what is written beside arm.yaml."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArmJob:
-    """What `calibrate arm` is told; rig and world: for proposals that both cameras see."""
-
-    model: str
-    points: Path
-    out: Path
-    holdout: Path | None = None
-    scale: bool = True
-    tolerance_m: float = Tolerance().length_m
-    tolerance_rad: float = Tolerance().angle_rad
-    propose: int = 0
-    rig: Path | None = None
-    world: Path | None = None
-    table: TableFormat = OURS
 
 
 @output
@@ -85,9 +69,15 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     nominal = load_arm(job.model)
     points = _measurements(nominal, job.points, job.table)
     holdout = None if job.holdout is None else _measurements(nominal, job.holdout, job.table)
+    seen = in_view(read_rig(job.rig), read_world(job.world)) if job.propose and job.rig and job.world else None
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
-    proposal = _proposal(job, result, points)
+    proposal = (
+        propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
+        if job.propose
+        else None
+    )
+    _write_proposal(job.out, result.nominal, proposal)
     inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
     write_arm(job.out, result.arm, inputs=inputs)
     write_text(job.out.with_suffix(".corrections.csv"), corrections(result))
@@ -116,19 +106,15 @@ def _check_names(job: ArmJob) -> None:
             )
 
 
-def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposal | None:
-    """Return further joint positions to measure at, written beside the arm; None, and no such file, for none asked."""
-    if not job.propose:
-        with disk_errors(job.out):
-            job.out.with_suffix(".proposed.csv").unlink(missing_ok=True)
-        return None
-    seen = None if job.rig is None or job.world is None else in_view(read_rig(job.rig), read_world(job.world))
-    tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
-    told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
-    nominal = result.nominal
-    rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in nominal.readings(told.q).tolist())]
-    write_text(job.out.with_suffix(".proposed.csv"), "\n".join(rows) + "\n")
-    return told
+def _write_proposal(out: Path, nominal: Arm, proposal: Proposal | None) -> None:
+    """Write further joint positions to measure at beside an arm; without any, no such file of an earlier run stays."""
+    path = out.with_suffix(".proposed.csv")
+    if proposal is None:
+        with disk_errors(out):
+            path.unlink(missing_ok=True)
+        return
+    names = ",".join(f"q{i + 1}" for i in range(nominal.n))
+    write_text(path, "\n".join([names, *(cells(row) for row in nominal.readings(proposal.q).tolist())]) + "\n")
 
 
 def _write_urdf(path: Path, arm: Arm) -> Path | None:

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.requests.calibrate_cameras import NoiseJob
 from armsight.app.schemas.cameras import CameraNoise, MeasuredNoise, NoiseOutput
 from armsight.app.sources.frames import is_recording, open_source, recording_path
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
-from armsight.drivers import AUTOMATIC, CameraSettings, is_live, list_images
+from armsight.drivers import is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.optics import SIDES, Camera, RigKind
@@ -32,21 +33,6 @@ SETTLING_FRAMES = 15
 """First frames of a live camera that are left out: its exposure still settles."""
 
 FILES = (".yaml", ".yml")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseJob:
-    """Still frames (a source as on the command line), or a camera.yaml or rig.yaml that holds the noise; where it goes.
-
-    out: the camera.yaml or rig.yaml. side: which camera of a rig. every, limit: of the frames.
-    """
-
-    frames: str
-    out: Path
-    side: str | None = None
-    every: int = 1
-    limit: int | None = None
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

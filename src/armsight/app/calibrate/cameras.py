@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
-from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
+from armsight.app.calibrate.camera_noise import FoundNoise, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
-from armsight.app.calibrate.zoom import ZoomValue, add_setting, zoom_file, zoom_output
+from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
+from armsight.app.requests.calibrate_cameras import CameraJob, NoiseJob, StereoJob
 from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput, ZoomOutput
 from armsight.app.sources.frames import open_pairs, open_source
-from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
-from armsight.drivers import AUTOMATIC, CameraSettings, ImageReading, is_live
-from armsight.errors import Cancelled, NotEnoughData, UsageError
+from armsight.drivers import AUTOMATIC, is_live
+from armsight.errors import Cancelled, NotEnoughData
 from armsight.optics import LensKind
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.records.output import keys
@@ -40,57 +40,7 @@ POSE_UNITS: Mapping[str, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrateJob:
-    """Board as text, where to put the result, every how manyth frame to use (videos), folds of the left-out error.
-
-    detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
-    that holds its noise. zoom: of a zoom lens, the setting at which the images were taken; out then keeps its other
-    settings. camera_settings: what is asked of live cameras. bits: of the light in 16-bit images. strict: an image that
-    cannot be read stops the run. lens: one of LensKind, of the camera or of both, or two with a comma.
-    """
-
-    board: str
-    out: Path
-    every: int = 1
-    limit: int | None = None
-    workers: int | None = None
-    folds: int = BoardOptions().folds
-    source: str = ""
-    left: str = ""
-    right: str = ""
-    detector: str = "auto"
-    noise: str | None = None
-    zoom: ZoomValue | None = None
-    camera_settings: CameraSettings = AUTOMATIC
-    bits: int | None = None
-    strict: bool = False
-    lens: str = LensKind.PINHOLE.value
-
-    @property
-    def options(self) -> BoardOptions:
-        """What the calibration is free to do; UsageError for a lens that there is not, or that cannot zoom."""
-        names = self.lens.split(",")
-        for name in names:
-            if name not in list(LensKind):
-                raise UsageError(
-                    f"{name[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}"
-                )
-        if len(names) > (2 if self.right else 1):
-            raise UsageError(
-                f"{len(names)} kinds of lens are given", cure="Give one, or for a pair left and right: fisheye,pinhole"
-            )
-        if LensKind.FISHEYE in names and self.zoom is not None:
-            raise UsageError("a fisheye lens with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
-        return BoardOptions(folds=self.folds, lens=LensKind(names[0]), right_lens=LensKind(names[-1]))
-
-    @property
-    def reading(self) -> ImageReading:
-        """How image files are read; one that cannot be is left out unless the job is strict."""
-        return ImageReading(bits=self.bits, strict=self.strict)
-
-
-def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> CameraOutput:
+def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> CameraOutput:
     """Calibrate one camera and write its camera.yaml, or one setting of it; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -104,7 +54,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     if job.zoom is not None:
         zoom_file(job.out)
     found = None if job.noise is None else _noise(job, job.noise, progress)
-    with open_source(job.source, settings=job.camera_settings, reading=job.reading) as source:
+    with open_source(job.source, settings=job.asked, reading=job.reading) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(
@@ -125,7 +75,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     return camera_output(done, rejected, noise=found.output if found else None, zoom=zoom)
 
 
-def _write(job: CalibrateJob, done: CameraCalibration, found: FoundNoise | None) -> ZoomOutput | None:
+def _write(job: CameraJob, done: CameraCalibration, found: FoundNoise | None) -> ZoomOutput | None:
     """Write camera.yaml; of a zoom lens return all its settings."""
     noise = None if found is None else found.noise
     inputs = [*input_files(job.source), *(found.inputs if found else ())]
@@ -136,19 +86,19 @@ def _write(job: CalibrateJob, done: CameraCalibration, found: FoundNoise | None)
     return zoom_output(lens, job.zoom.zoom)
 
 
-def _report_of(job: CalibrateJob) -> Path:
+def _report_of(job: CameraJob) -> Path:
     """Return where the report goes: each setting of a zoom lens has one of its own."""
     if job.zoom is None:
         return report_path(job.out)
     return job.out.with_name(f"{job.out.stem}.zoom-{job.zoom.zoom:g}.report.html")
 
 
-def _noise(job: CalibrateJob, frames: str, progress: Progress) -> FoundNoise:
-    asked = job.camera_settings if is_live(frames) else AUTOMATIC  # still frames may be files beside a live camera
+def _noise(job: CameraJob, frames: str, progress: Progress) -> FoundNoise:
+    asked = job.asked if is_live(frames) else AUTOMATIC  # still frames may be files beside a live camera
     return find_noise(NoiseJob(frames=frames, out=job.out, camera_settings=asked), progress)
 
 
-def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> StereoOutput:
+def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> StereoOutput:
     """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -273,11 +223,11 @@ def _require(views: Sequence[BoardView], rejected: Sequence[Rejected], board: st
     )
 
 
-def _stop(job: CalibrateJob) -> int | None:
+def _stop(job: CameraJob | StereoJob) -> int | None:
     return None if job.limit is None else job.limit * job.every
 
 
-def _total(total: int | None, job: CalibrateJob) -> int:
+def _total(total: int | None, job: CameraJob | StereoJob) -> int:
     stop = _stop(job)
     if total is None:
         return job.limit or 0

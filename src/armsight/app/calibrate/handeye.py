@@ -14,6 +14,7 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
+from armsight.app.requests.calibrate_robot import HandEyeJob
 from armsight.calibrate.handeye import (
     HandEye,
     RejectedPair,
@@ -37,33 +38,6 @@ from armsight.store.handeye_file import (
     write_tip,
 )
 from armsight.store.interpret import OURS, TableFormat
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandEyeJob:
-    """One of: pairs; images with camera, board and robot; robot_stream with camera_stream (poses.csv files).
-
-    clocks_within_s: by how much the streams' clocks differ at most; None: any offset is looked for.
-    free_camera: fit the intrinsics along with images. propose: how many further poses to propose. bits: of the
-    light in 16-bit images. strict: an image that cannot be read stops the run.
-    """
-
-    out: Path
-    setup: Setup = Setup.EYE_IN_HAND
-    pairs: Path | None = None
-    images: str = ""
-    camera: Path | None = None
-    board: str = ""
-    robot: Path | None = None
-    robot_stream: Path | None = None
-    camera_stream: Path | None = None
-    clocks_within_s: float | None = None
-    free_camera: bool = False
-    propose: int = 0
-    workers: int | None = None
-    table: TableFormat = OURS
-    bits: int | None = None
-    strict: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from pathlib import Path
 
+from armsight.app.requests.calibrate_cameras import TargetJob
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
+from armsight.drivers import PairSource
 from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pairs import pair_spots
@@ -22,22 +21,6 @@ from armsight.records import Frame, Progress, Silent, Spots
 from armsight.store import read_rig, write_target
 
 Pair = tuple[Frame, Frame]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TargetJob:
-    """Sources as on the command line: left and right, or images that hold both views; lights: of the target."""
-
-    rig: Path
-    out: Path
-    left: str | None = None
-    image: str | None = None
-    right: str | None = None
-    lights: int = 3
-    limit: int | None = None
-    threshold: float | None = None
-    inverted: bool = False
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> TargetCalibration:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -16,6 +16,7 @@ from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.schemas.cameras import (
     MirrorAlignment,
     MirrorsOutput,
@@ -23,8 +24,8 @@ from armsight.app.schemas.cameras import (
 )
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
-from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
-from armsight.drivers import AUTOMATIC, CameraSettings, is_live
+from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
+from armsight.drivers import is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
@@ -50,37 +51,6 @@ OTHER_CURE = "Show the whole board in both views, lit evenly, and check the coun
 Pair = tuple[BoardView, BoardView]
 Missed = tuple[str, NotSeen]
 """Which image, and why."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MirrorsJob:
-    """What shows the mirror rig, and how it was built.
-
-    image: complex images. left_only, right_only: images with the other path covered, of the same moments. thickness_m:
-    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with a check, the rig as it
-    was; parallel: hold the mirrors against parallel axes all the same. target, camera: calibrate from complex images of
-    this lit target, the lens as camera.yaml says; camera also for a check without a rig.
-    """
-
-    out: Path | None = None
-    board: str = ""
-    image: str | None = None
-    left_only: str | None = None
-    right_only: str | None = None
-    thickness_m: float | None = None
-    index: float = GLASS
-    baseline_m: float | None = None
-    near_m: float = 0.06
-    gap_m: float = 0.04
-    rig: Path | None = None
-    parallel: bool = False
-    target: Path | None = None
-    camera: Path | None = None
-    every: int = 1
-    limit: int | None = None
-    workers: int | None = None
-    folds: int = BoardOptions().folds
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOutput:

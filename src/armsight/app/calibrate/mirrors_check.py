@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.mirrors import MirrorsJob, Pair, board_name, complex_views
+from armsight.app.calibrate.mirrors import Pair, board_name, complex_views
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.schemas.cameras import (
     CheckedAlignment,
     MirrorCheckOutput,

@@ -14,7 +14,8 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.drivers import FrameSource
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.measure.poses.pipeline import Setup, measure_spots
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Setup
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Rig

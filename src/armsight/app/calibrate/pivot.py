@@ -4,45 +4,29 @@ enough."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.run import target_of
+from armsight.app.requests.calibrate_robot import PivotJob
 from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
+from armsight.calibrate.tooltip import MeasuredPoint, TipRecording
 from armsight.calibrate.tooltip_result import TipCalibration
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
+from armsight.drivers import PairSource
 from armsight.errors import NotEnoughData
+from armsight.fields import Doc
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.records import PoseStatus, Progress, Silent, TargetPose
-from armsight.records.fields import Doc
 from armsight.records.output import output
 from armsight.store import read_rig, write_poses
 from armsight.store.handeye_file import write_tip
 
 APART_RAD = 0.03
 """Turn since the last pose taken: poses closer than 2 degrees tell nearly the same twice."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PivotJob:
-    """Sources as on the command line; goal_m: largest standard deviation of the tip's place that is good enough."""
-
-    rig: Path
-    target: Path
-    out: Path
-    left: str
-    right: str | None = None
-    goal_m: float = GOOD_ENOUGH_M
-    point: tuple[float, float, float] | None = None
-    sigma_m: float = 0.0
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 @output

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.app.sources.frames import camera_source
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
-from armsight.drivers import AUTOMATIC, CameraSettings, is_live
+from armsight.drivers import is_live
 from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pipeline import check_size
@@ -27,24 +27,6 @@ Array = NDArray[np.float64]
 
 LIVE_S = 20.0
 """For how long live cameras are watched where --frames says nothing."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimingJob:
-    """Sources of frames as on the command line, or tables of spots; for each camera by itself."""
-
-    rig: Path
-    out: Path
-    target: Path | None = None
-    left: str | None = None
-    right: str | None = None
-    left_spots: Path | None = None
-    right_spots: Path | None = None
-    fps: float | None = None
-    limit: int | None = None
-    threshold: float | None = None
-    inverted: bool = False
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingCalibration:

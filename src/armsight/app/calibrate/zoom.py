@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from armsight.app.convert import ConvertOutput
+from armsight.app.requests.calibrate_cameras import ZoomRigJob, ZoomValue
 from armsight.app.schemas.cameras import LeftOutSetting, ZoomOutput, ZoomRigOutput
 from armsight.calibrate.cameras import CameraCalibration
 from armsight.errors import UsageError
@@ -31,27 +32,6 @@ NO_PUPILS = (
     "the settings do not say where the pupil stands (pupil_m): at other settings than the rig's the cameras' centres "
     "are taken to stay, and any way they move is in no standard deviation"
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ZoomValue:
-    """The zoom that a camera is calibrated at; pupil_m, pupil_std_m: the centre of projection's place, if known."""
-
-    zoom: float
-    pupil_m: float | None = None
-    pupil_std_m: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ZoomRigJob:
-    """A rig.yaml, the files of its lenses, the zooms it was calibrated at, and where the result goes."""
-
-    rig: Path
-    out: Path
-    left: Path | None = None
-    right: Path | None = None
-    zoom_left: float | None = None
-    zoom_right: float | None = None
 
 
 def zoom_file(path: Path) -> ZoomCameraFile | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,8 +15,9 @@ from armsight.app.compare.calibrations import (
 )
 from armsight.app.compare.parameters import Difference, Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
+from armsight.app.requests.files import CompareJob
 from armsight.errors import BadFile, Inconsistent, UsageError
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.compare_report import CompareRun, Course, Row, compare_report
 from armsight.store import write_text
@@ -100,16 +100,6 @@ class CompareOutput(Output):
     ] = None
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str | None, Doc("The report; with -o.")] = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareJob:
-    """Two results; out: a folder for report and summary. distance_m: at which rigs are compared."""
-
-    a: Path
-    b: Path
-    out: Path | None = None
-    distance_m: float | None = None
 
 
 def compare(job: CompareJob) -> CompareOutput:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_board
-from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera, calibrate_stereo, report_path
+from armsight.app.calibrate.cameras import calibrate_camera, calibrate_stereo, report_path
 from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
+from armsight.app.requests.calibrate_cameras import CameraJob, StereoJob
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
@@ -165,13 +166,13 @@ class BoardCalibration:
             )
         folders = [str(self.folder / side) for side in self.sides]
         if len(self.sides) > 1:
-            job = CalibrateJob(board=self.board, out=self.out, left=folders[0], right=folders[1])
-            rig = calibrate_stereo(job, progress)
+            pair = StereoJob(board=self.board, out=self.out, left=folders[0], right=folders[1])
+            rig = calibrate_stereo(pair, progress)
             rows = [("RMS", f"{rig.rms_px:.3f} px"), ("baseline", f"{1e3 * rig.baseline_m:.2f} mm")]
             rows += [("± baseline", f"{1e3 * rig.std['baseline_m']:.3f} mm (1 σ)")]
             left_out, advice = rig.holdout_rms_px, rig.advice
         else:
-            job = CalibrateJob(board=self.board, out=self.out, source=folders[0])
+            job = CameraJob(board=self.board, out=self.out, source=folders[0])
             camera = calibrate_camera(job, progress)
             rows = [("RMS", f"{camera.rms_px:.3f} px"), ("focal length", f"{camera.fx_px:.1f} px")]
             rows += [("± focal length", f"{camera.std['fx_px']:.2f} px (1 σ)")]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, MirrorsJob, lit_design, run_mirrors
+from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, lit_design, run_mirrors
 from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
 from armsight.app.calibrate.mirrors_lit_target import see_lights
@@ -19,6 +19,7 @@ from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, GOOD_RMS_PX, TILTE
 from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
 from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Station
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.schemas.cameras import MirrorsOutput
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
+from armsight.app.calibrate.arm import run_calibrate_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye, calibrate_tip
+from armsight.app.calibrate.handeye import calibrate_handeye, calibrate_tip
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
 from armsight.app.operator.cell_poses import flange_pose
+from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, NotEnoughData

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from armsight.app.calibrate.timing import LIVE_S, TimingJob, calibrate_cameras_timing
+from armsight.app.calibrate.timing import LIVE_S, calibrate_cameras_timing
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
+from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.errors import NotEnoughData
 from armsight.records import Progress
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import load_arm
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
-from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
+from armsight.app.identify.sweep_files import identified, joint_std
 from armsight.app.measure.run import target_of
+from armsight.app.requests.identify import IdentifyJob, LiveJob
 from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
@@ -24,12 +25,13 @@ from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, 
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
-from armsight.drivers import AUTOMATIC, ROBOTS, CameraSettings, PairSource, Robot, is_live, load
+from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
+from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
-from armsight.store import read_rig, read_world
+from armsight.store import World, read_rig, read_world
 from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
@@ -45,42 +47,29 @@ SIGMA_PX = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LiveJob:
-    """robot: DRIVER[:DEVICE], or sim:SCENARIO with the cameras camera:sim:SCENARIO:left and :right; left, right: live.
-
-    limits: limits.yaml (limits: [[lo, hi], ...]) or 'lo:hi,lo:hi', in rad or m. model: an arm.yaml whose tool is the
-    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only. around_px: as
-    propose_sweeps takes it. left_out: the last joints (from 1) that are not swept but held; limits are of all joints.
-    mask: an image that is black where no light may be looked for.
-    """
-
-    robot: str
-    left: str
-    right: str
-    rig: Path
-    target: Path
-    limits: str
-    out: Path
-    world: Path | None = None
-    model: Path | None = None
-    readings: int = 10
-    pace: Pace = field(default_factory=Pace)
-    sigma: float | None = None
-    method: str = "ml"
-    nominal: str | None = None
-    propose: bool = False
-    around_px: float = 0.0
-    left_out: tuple[int, ...] = ()
-    camera_settings: CameraSettings = AUTOMATIC
-    mask: Path | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OperatorCallbacks:
     """Who watches the robot: confirm is asked before it moves, show is given the plan before the sweeps."""
 
     confirm: Callable[[str], bool] = lambda _: False
     show: Callable[[PlanOutput], None] = lambda _: None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """The rig, where it stands, and an arm roughly right whose tool is the beacon."""
+
+    rig: Rig
+    world: World | None = None
+    model: Arm | None = None
+
+
+def read_known(job: LiveJob) -> Known:
+    """Return what the job's files hold. Raises BadFile, UsageError."""
+    return Known(
+        rig=read_rig(job.rig),
+        world=None if job.world is None else read_world(job.world),
+        model=None if job.model is None else load_arm(str(job.model)),
+    )
 
 
 def run_identify_live(
@@ -98,17 +87,19 @@ def run_identify_live(
     DataRefused (also for a lost beacon), DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    rig, target = read_rig(job.rig), target_of(job.target)
-    swept_joints(len(read_limits(job.limits)), job.left_out)  # refused before anything is opened
+    known, target = read_known(job), target_of(job.target)
+    swept_joints(len(job.limits), job.left_out)  # refused before anything is opened
     _check(job, target)
     robot, pairs = devices or open_devices(job, target, clock)
-    setup = Setup(rig=rig, target=target, settings=beacon_settings(target, job.mask))
+    setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, job.mask))
     with robot, pairs:
-        return identify_observed(job, person, robot, StereoBeaconObserver(setup, iter(pairs), clock), clock, progress)
+        observer = StereoBeaconObserver(setup, iter(pairs), clock)
+        return identify_observed(job, known, person, robot, observer, clock, progress)
 
 
 def identify_observed(
     job: LiveJob,
+    known: Known,
     person: OperatorCallbacks,
     robot: Robot,
     observer: BeaconObserver,
@@ -116,18 +107,18 @@ def identify_observed(
     progress: Progress,
 ) -> IdentifyOutput | ProposedPlanOutput:
     """Do as run_identify_live, with a robot that is open and whoever sees the beacon."""
-    rig, limits = read_rig(job.rig), read_limits(job.limits)
+    rig, limits = known.rig, job.limits
     m = swept_joints(len(limits), job.left_out)
     held = np.empty(0)
     if m < len(limits):
         _check_joints(robot, limits)
         robot, limits = (first := FirstJoints(robot=robot, m=m)), limits[:m]
         held = first.held
-    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
+    base = None if known.world is None else known.world.T_parent_rig.inv().as_matrix()
     low_high, start = checked_limits(limits, robot.read().q)
     sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
-    if job.model is not None:
-        arm, notes = _modelled(job, held), list[str]()
+    if known.model is not None:
+        arm, notes = _modelled(known, held, job.sigma or SIGMA_PX), list[str]()
     else:
         with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
             arm, notes = _probed(job, person, robot, sweeper, rig)
@@ -214,7 +205,13 @@ def read_limits(text: str) -> Array:
         raise refusal from None
     if limits.ndim != 2 or limits.shape[1] != 2:
         raise refusal
-    if not stated and looks_like_degrees(limits):
+    return limits if stated else in_radians(limits, text)
+
+
+def in_radians(limits: Array, text: str = "") -> Array:
+    """Return limits (n, 2) in rad or m as they are. Raises Inconsistent for values that can only be degrees."""
+    if looks_like_degrees(limits):
+        text = text or ",".join(f"{low!r}:{high!r}" for low, high in limits.tolist())
         raise Inconsistent(
             f"the limits {text!r} look like degrees: the largest is {largest(limits):g}, and a turn has 6.28 rad",
             consequence="Nothing is moved",
@@ -302,16 +299,16 @@ def _stopped_on_error(robot: Robot, sweeper: Sweeper, file: Path) -> Iterator[No
         raise
 
 
-def _modelled(job: LiveJob, held: Array) -> RoughArm:
-    """Return the arm of the model's file as the rig sees it; its last joints held at these readings."""
-    if job.model is None or job.world is None:
+def _modelled(known: Known, held: Array, sigma_px: float) -> RoughArm:
+    """Return the model as the rig sees it; its last joints held at these readings."""
+    arm, world = known.model, known.world
+    if arm is None or world is None:
         raise UsageError("a model needs the rig's place", cure="Give --model and --world")
-    arm, world = load_arm(str(job.model)), read_world(job.world)
     arm = first_joints(arm, arm.n - len(held), held) if len(held) else arm
     T = world.T_parent_rig.inv().as_matrix()
     if world.parent == "base":
         T = T @ arm.T_world_base.inv().as_matrix()
-    return known_arm(arm, T, job.sigma or SIGMA_PX)
+    return known_arm(arm, T, sigma_px)
 
 
 def _probed(

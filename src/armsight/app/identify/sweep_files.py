@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,52 +14,26 @@ from armsight.app.calibrate.cameras import report_path
 from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.measure.run import target_of
+from armsight.app.requests.identify import IdentifyJob
 from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import Joint
+from armsight.kinematics import Arm, Joint
 from armsight.measure.poses.beacon import without_standing
-from armsight.measure.poses.pipeline import Setup, check_sizes, measure_spots
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Setup, check_sizes
 from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
 from armsight.records.result_parts import RejectedRow
 from armsight.report.identify_report import identify_report
-from armsight.store import read_rig, read_world, write_text
+from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
-from armsight.store.interpret import OURS, TableFormat
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyJob:
-    """A sweep file; or frames (left, right) of a beacon (target) before a rig, with sweep_joints.csv (joints).
-
-    sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
-    world: where the rig stands to the base; the first frame is then the base's foot on the first axis. nominal: an arm
-    (file or preset) to put beside the identified one. held: where the joints stood, in rad or m, that the robot has
-    behind the swept ones. mask: an image that is black where no light may be looked for in the frames.
-    """
-
-    out: Path
-    sweep: Path | None = None
-    target: Path | None = None
-    left: str | None = None
-    right: str | None = None
-    joints: Path | None = None
-    rig: Path | None = None
-    world: Path | None = None
-    method: str = "ml"
-    increments: str = "known"
-    sigma: float | None = None
-    nominal: str | None = None
-    held: tuple[float, ...] = ()
-    mask: Path | None = None
-    table: TableFormat = OURS
 
 
 def run_identify(job: IdentifyJob, progress: Progress | None = None) -> IdentifyOutput:
@@ -88,14 +61,22 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
     return identified(job, sweeps, rig, notes)
 
 
-def identified(
-    job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = (), *, plan: PlanOutput | None = None
-) -> IdentifyOutput:
-    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solved:
+    """An identified arm, in the world's axes where a world is known; nominal: what it is held against.
 
-    plan: of the sweeps, for the figures.
+    left_out: the joints (from 1) behind the swept ones, of n.
     """
-    nominal = None if job.nominal is None else load_arm(job.nominal)
+
+    result: Identification
+    arm: Arm
+    nominal: Arm | None
+    left_out: range
+    n: int
+
+
+def solve_sweeps(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, world: World | None, nominal: Arm | None) -> Solved:
+    """Identify the arm that made these sweeps, as the job says, and read or write nothing. Raises DataRefused."""
     m, n = sweeps.n, sweeps.n + len(job.held)
     left_out = range(m + 1, n + 1)
     if nominal is not None and left_out and nominal.n == n:
@@ -106,27 +87,39 @@ def identified(
             consequence="They cannot be compared",
             cure="Give the arm that was swept, or none",
         )
-    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     result = identify(
         sweeps,
         rig=rig if sweeps.uv_px is not None else None,
         sigma=job.sigma,
         method=job.method,
         increments=job.increments,
-        base=base,
+        base=None if world is None else world.T_parent_rig.inv().as_matrix(),
         name=f"{job.out.stem}, {named(range(1, m + 1))} of {n}" if left_out else job.out.stem,
     )
     _check_paper(result)
-    notes = [*([consequence(n, left_out)] if left_out else []), *notes]
-    inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     arm = result.arm
-    if job.world is not None:  # found in the rig's axes
-        arm = replace(arm, T_world_base=read_world(job.world).T_parent_rig * arm.T_world_base)
-    write_arm(job.out, arm, inputs=inputs)
+    if world is not None:  # found in the rig's axes
+        arm = replace(arm, T_world_base=world.T_parent_rig * arm.T_world_base)
+    return Solved(result=result, arm=arm, nominal=nominal, left_out=left_out, n=n)
+
+
+def identified(
+    job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = (), *, plan: PlanOutput | None = None
+) -> IdentifyOutput:
+    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first.
+
+    plan: of the sweeps, for the figures.
+    """
+    nominal = None if job.nominal is None else load_arm(job.nominal)
+    world = None if job.world is None else read_world(job.world)
+    solved = solve_sweeps(job, sweeps, rig, world, nominal)
+    notes = [*([consequence(solved.n, solved.left_out)] if solved.left_out else []), *notes]
+    inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
+    write_arm(job.out, solved.arm, inputs=inputs)
     files = [("file", path.name) for path in inputs]
-    write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
-    done = identify_output(result, notes=notes, plan=plan)
-    held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(left_out, job.held, strict=True)]
+    write_text(report_path(job.out), identify_report(solved.result, sweeps, rig, nominal=solved.nominal, inputs=files))
+    done = identify_output(solved.result, notes=notes, plan=plan)
+    held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(solved.left_out, job.held, strict=True)]
     return replace(done, left_out=held) if held else done
 
 

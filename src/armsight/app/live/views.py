@@ -9,6 +9,7 @@ from typing import Annotated, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.fields import Doc
 from armsight.geometry import euler_rad
 from armsight.measure.aiming import aiming_hint
 from armsight.measure.poses.pipeline import Measured
@@ -16,7 +17,6 @@ from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
 from armsight.optics.triangulate import epipolar_curve
 from armsight.records import Frame, Spots, TargetPose
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 
 DEPTHS_M = np.geomspace(0.15, 30.0, 24)

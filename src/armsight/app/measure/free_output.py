@@ -42,7 +42,7 @@ from armsight.store.atomic import RowFile, write_json
 from armsight.units import MM, MS
 
 if TYPE_CHECKING:
-    from armsight.app.measure.run import MeasureJob
+    from armsight.app.requests.measure import MeasureJob
 
 Array = NDArray[np.float64]
 

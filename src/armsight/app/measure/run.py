@@ -19,13 +19,12 @@ from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs, made_with
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
+from armsight.app.requests.measure import MeasureJob
 from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.frame_times import frame_times
 from armsight.app.sources.frames import complex_pairs, is_recording, open_pairs, open_source, recordings_in
 from armsight.drivers import (
-    AUTOMATIC,
     CameraSettings,
-    ImageReading,
     PairSettings,
     PairSource,
     by_side,
@@ -39,7 +38,7 @@ from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
 from armsight.measure.results import MeasureOutput
-from armsight.measure.settings import METHODS, SpotSettings
+from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
@@ -63,52 +62,6 @@ class Step:
     measured: Measured
     ms: float
     swapped: Inconsistent | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeasureJob:
-    """What to measure, with what, and where to put it.
-
-    left and right, or image: sources as on the command line. fps: of folders. limit: frames after which to stop.
-    mask: an image that is black where no light may be looked for. stills: the frames are single shots, each measured
-    by itself. left_spots, right_spots: tables of spots in place of frames. timing: pairs of frames of one moment, views
-    of cameras that run free, or auto: free where the rig's file says when its cameras expose. rate_hz, at: with free
-    cameras, the rate of the poses, or a table whose t_s they are given at; neither: the times of the left frames.
-    zoom: where the lenses of the left and right camera stand, of a rig with zoom settings. camera_settings: what is
-    asked of live cameras, or of each. bits: of the light in 16-bit images. strict: an image that cannot be read stops
-    the run.
-    """
-
-    rig: Path
-    target: Path
-    out: Path
-    left: str | None = None
-    right: str | None = None
-    image: str | None = None
-    times: Path | None = None
-    world: Path | None = None
-    mask: Path | None = None
-    fps: float | None = None
-    max_skew_s: float = MAX_SKEW_S
-    limit: int | None = None
-    threshold: float | None = None
-    inverted: bool = False
-    stills: bool = False
-    method: str = METHODS[0]
-    left_spots: Path | None = None
-    right_spots: Path | None = None
-    timing: str = TIMINGS[0]
-    rate_hz: float | None = None
-    at: Path | None = None
-    zoom: tuple[float | None, float | None] = (None, None)
-    camera_settings: PairSettings = AUTOMATIC
-    bits: int | None = None
-    strict: bool = False
-
-    @property
-    def reading(self) -> ImageReading:
-        """How image files are read; one that cannot be is a lost frame unless the job is strict."""
-        return ImageReading(bits=self.bits, strict=self.strict)
 
 
 def target_of(named: Path) -> Target:
@@ -298,7 +251,7 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target, times_s: list[float] | Non
         colour=colour,
         fps=job.fps,
         times_s=times_s,
-        max_skew_s=job.max_skew_s,
+        max_skew_s=MAX_SKEW_S if job.max_skew_s is None else job.max_skew_s,
         settings=job.camera_settings,
         reading=job.reading,
     )

@@ -11,7 +11,8 @@ import numpy as np
 
 from armsight.app.simulate.cells import load_cell
 from armsight.measure import settings
-from armsight.measure.poses.pipeline import Setup, measure_spots, warm_up
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.pipeline import Setup, warm_up
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Progress, Spots, spot_target
 

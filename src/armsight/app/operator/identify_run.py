@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
-from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
+from armsight.app.identify.live import OperatorCallbacks, identify_observed, in_radians, read_known
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.cell_poses import rig_pose
@@ -19,13 +19,14 @@ from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
+from armsight.app.requests.identify import LiveJob
 from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
 from armsight.records import Progress, Silent
-from armsight.store import World, read_rig, read_world, write_world
+from armsight.store import World, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_handeye
@@ -150,9 +151,10 @@ def _identify(
     job, light = prepared(asked, robot, propose=propose)
     pace = Pace(speed=_pace(asked, robot.session.override), frames=asked.frames)
     job = replace(job, pace=pace, around_px=around_px(station.shown, light))
-    observer = StationObserver(station, read_rig(job.rig), light, clock)
+    known = read_known(job)
+    observer = StationObserver(station, known.rig, light, clock)
     with moved:
-        return identify_observed(job, person, moved, observer, clock, progress)
+        return identify_observed(job, known, person, moved, observer, clock, progress)
 
 
 def _pace(asked: IdentifyRequest, override: float) -> float:
@@ -179,14 +181,13 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
     out = asked.folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     light = target.names[0]
-    limits = ",".join(f"{low!r}:{high!r}" for low, high in (one.limits() for one in asked.ranges))
     job = LiveJob(
         robot=robot.robot,
         left=asked.cell.left,
         right=asked.cell.right,
         rig=rig,
         target=target_file,
-        limits=limits,
+        limits=in_radians(np.array([one.limits() for one in asked.ranges])),
         out=out / "arm.yaml",
         readings=asked.readings,
         propose=propose,

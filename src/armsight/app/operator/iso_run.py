@@ -17,8 +17,9 @@ from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
-from armsight.app.verify.run import VerifyJob, run_verify
+from armsight.app.verify.run import run_verify
 from armsight.clock import Clock, SystemClock
 from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
 from armsight.drivers import Robot

@@ -15,9 +15,9 @@ from armsight.app.live.station import Shown, Station
 from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach_controller import LEAST_CYCLE_S
+from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
 from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
-from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
 from armsight.control.session.operator_session import Person
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.records import PoseStatus, TargetPose

@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.live.station import Shown, Station
 from armsight.app.operator.cell_poses import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.teach import TeachJob, save
+from armsight.app.requests.motion import TeachJob
+from armsight.app.teach import save
 from armsight.clock import Clock, SystemClock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
 from armsight.errors import ArmsightError, NotEnoughData

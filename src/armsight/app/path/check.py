@@ -13,9 +13,9 @@ from armsight.app.kinematics import reading_values
 from armsight.app.play.play_job import tipped
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, PathIssue, check_path
+from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.path_report import path_report
 from armsight.store.atomic import write_text

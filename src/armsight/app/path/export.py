@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Annotated
 
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
 from armsight.app.play.play_job import tipped
+from armsight.app.requests.files import ExportJob
 from armsight.control.guard import Limits
 from armsight.control.paths import (
     PathCheck,
@@ -29,9 +28,9 @@ from armsight.control.paths import (
 )
 from armsight.control.paths.outliers import PathJump, path_jumps
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
 from armsight.records import TaughtPath
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
@@ -57,33 +56,6 @@ class PathExportOutput(Output):
         list[float] | None,
         Doc("Readings to which the program goes first, rad; null where it goes there on a straight line."),
     ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportJob:
-    """What to write, and how.
-
-    to: one of FORMATS; None: by the ending of out. parent: the frame of the path. arm, tip (in flange axes), limits,
-    start: for the check. name: of the program; None: the name of out. The other fields are those of
-    `control.paths.program`.
-    """
-
-    source: Path
-    out: Path
-    to: str | None = None
-    arm: str | None = None
-    tip: Path | None = None
-    limits: Path | None = None
-    parent: str = "world"
-    start: str | None = None
-    name: str | None = None
-    speed_m_s: float | None = None
-    blend_m: float = 0.0
-    acceleration_m_s2: float = 0.5
-    turn_rad_s: float = math.pi / 3.0
-    approach_m: float = 0.05
-    tool: str | None = None
-    weld_output: str | None = None
 
 
 def export_path(job: ExportJob) -> PathExportOutput:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.requests.files import PicksJob
 from armsight.control.paths.along import along_edges, path_through_points
 from armsight.drivers.images import read_image
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
-from armsight.measure.correspondence import Correspondence, PatchSettings, StereoViews, find_in_other_view
+from armsight.fields import Doc
+from armsight.measure.correspondence import Correspondence, StereoViews, find_in_other_view
 from armsight.records import Progress
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import PointStd
 from armsight.store.path_file import write_path
@@ -68,34 +67,13 @@ class PathPicksOutput(Output):
     refused: Annotated[list[RefusedPickOutput], Doc("Places left out with --skip.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PicksJob:
-    """Pictures, rig and picks; side: the view that the picks are of.
-
-    world: where the rig is; None: the path is in the rig's axes. step_px: between points on an edge. tool_axis: the
-    tool's z in the path's frame; None: the picked view's optical axis. skip: whether places that are not found are left
-    out instead of refusing all.
-    """
-
-    left: Path
-    right: Path
-    rig: Path
-    picks: Path
-    out: Path
-    side: str = "left"
-    world: Path | None = None
-    step_px: float = 10.0
-    tool_axis: str | None = None
-    skip: bool = False
-    settings: PatchSettings = field(default_factory=PatchSettings)
-
-
 def path_from_picks(job: PicksJob, progress: Progress) -> PathPicksOutput:
     """Write the path through the places that were picked, in their order.
 
     Raises the first pick's own refusal, with how many there are, where one is not found and skip is not set;
     NotEnoughData where fewer than two are; UsageError, BadFile, BadImage, Inconsistent.
     """
+    settings = job.settings  # refused before anything is read
     views = StereoViews(rig=read_rig(job.rig), left=read_image(job.left), right=read_image(job.right))
     picks = read_picks(job.picks)
     parent, T = _frame(job)
@@ -107,7 +85,7 @@ def path_from_picks(job: PicksJob, progress: Progress) -> PathPicksOutput:
         if progress.cancelled():
             raise Cancelled("stopped", consequence="No path is written")
         try:
-            found.append((int(row), find_in_other_view(views, job.side, px, job.settings)))
+            found.append((int(row), find_in_other_view(views, job.side, px, settings)))
         except DataRefused as error:
             refused.append((int(row), px, error))
         progress.update(number + 1, len(uv))

@@ -24,8 +24,8 @@ from armsight.control.paths import (
 )
 from armsight.control.paths.outliers import LEAST_ROWS, PathOutlier
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Doc
 from armsight.records import TaughtPath
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store.path_file import read_path, write_path
 

@@ -2,111 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.servo.servo_job import LATENCY_S, ServoJob
+from armsight.app.requests.motion import PlayJob
 from armsight.control.guard import Guard, Limits
-from armsight.control.play import CameraPlacement, PathPlan, PlaySettings, Weave, plan_path
+from armsight.control.play import CameraPlacement, PathPlan, PlaySettings, plan_path
 from armsight.control.servo import Mount
-from armsight.errors import BadFile, UsageError
+from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.store.handeye_file import read_handeye, read_tip
 from armsight.store.path_file import read_path
 from armsight.units import MM
 
-STOP_M = 0.01
-"""A tip that the cameras see further from where it was told to be has hit something, or is another one."""
 STOP_MOST_M = 0.5
 """Off by so much the tip is anywhere: a larger --stop-at is millimetres, and would never stop."""
 FRAMES = ("world", "base")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlayJob:
-    """robot: DRIVER:DEVICE. path: path.csv, in frame world or base. arm, limits, tip: their files; tip in flange axes.
-
-    rig, target, handeye and left, right or image: cameras that watch; all None: none do. weave: none,
-    sine:AMPLITUDE:WAVELENGTH or zigzag:AMPLITUDE:WAVELENGTH in m. override: share of the planned speed. path_speed_m_s,
-    blend_m, approach_speed_m_s, retract_m, keep_rotation: see control.play.PlaySettings. speed: share of the limits'
-    speeds. stop_m: distance of the tip seen from the tip told at which the arm stops; None: never.
-    """
-
-    robot: str
-    path: Path
-    out: Path
-    arm: Path | None = None
-    limits: Path | None = None
-    tip: Path | None = None
-    rig: Path | None = None
-    target: Path | None = None
-    handeye: Path | None = None
-    left: str | None = None
-    right: str | None = None
-    image: str | None = None
-    exposure_s: float | None = None
-    latency_s: float = LATENCY_S
-    frame: str = FRAMES[0]
-    weave: str = "none"
-    override: float = 1.0
-    path_speed_m_s: float = 0.01
-    blend_m: float = 0.003
-    approach_speed_m_s: float = 0.02
-    retract_m: float = 0.05
-    keep_rotation: bool = False
-    speed: float = 1.0
-    stop_m: float | None = STOP_M
-
-    @property
-    def watched(self) -> bool:
-        """Whether cameras are to watch."""
-        given = (self.rig, self.target, self.handeye, self.left, self.right, self.image)
-        return any(value is not None for value in given)
-
-    @property
-    def settings(self) -> PlaySettings:
-        """How the path is run. Raises UsageError."""
-        return PlaySettings(
-            speed_m_s=self.path_speed_m_s,
-            blend_m=self.blend_m,
-            weave=Weave.parse(self.weave),
-            approach_speed_m_s=self.approach_speed_m_s,
-            retract_m=self.retract_m,
-            keep_rotation=self.keep_rotation,
-        )
-
-    def cameras(self) -> ServoJob:
-        """Return the cameras with their files. Raises UsageError where one is missing, BadFile for the hand-eye."""
-        if self.rig is None or self.target is None or self.handeye is None:
-            names = (("--rig", self.rig), ("--target", self.target), ("--handeye", self.handeye))
-            missing = ", ".join(name for name, value in names if value is None)
-            raise UsageError(
-                f"cameras are to watch, and {missing} is missing",
-                consequence="Where they see the tip cannot be told, and nothing is moved",
-                cure="Give rig, target and hand-eye calibration, or none of them and no camera",
-            )
-        if not self.handeye.exists():
-            raise BadFile(
-                f"the hand-eye calibration {self.handeye} is missing",
-                consequence="Where the cameras are on the robot is not known, and nothing is moved",
-                cure="Make it with: armsight calibrate handeye",
-            )
-        return ServoJob(
-            robot=self.robot,
-            rig=self.rig,
-            target=self.target,
-            handeye=self.handeye,
-            out=self.out,
-            left=self.left,
-            right=self.right,
-            image=self.image,
-            latency_s=self.latency_s,
-            exposure_s=self.exposure_s,
-        )
 
 
 def check(job: PlayJob) -> None:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
 from armsight.app.measure.warm_up import prepare
-from armsight.app.play.play_job import PlayJob, check, load_plan, tipped_guard
+from armsight.app.play.play_job import check, load_plan, tipped_guard
 from armsight.app.play.target_monitor import TargetMonitor, Watcher
+from armsight.app.requests.motion import PlayJob
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder

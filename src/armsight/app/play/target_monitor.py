@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from typing import Protocol
 
 from armsight.app.measure.run import target_of
-from armsight.app.play.play_job import PlayJob, load_sight
+from armsight.app.play.play_job import load_sight
+from armsight.app.requests.motion import PlayJob
 from armsight.app.servo.run_servo import measuring
 from armsight.app.servo.servo_job import ServoDevices
 from armsight.app.servo.vision import Vision, VisionThread, open_servo, probe

@@ -12,8 +12,8 @@ from armsight.app.record.record import RIG_NAME, TARGET_NAME
 from armsight.app.simulate.cells import write_png
 from armsight.drivers import ordered_map
 from armsight.errors import BadFile, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.fields import Doc
 from armsight.records import Frame, Progress, Silent
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text

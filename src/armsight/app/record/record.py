@@ -13,20 +13,21 @@ from typing import Annotated
 
 from armsight._files import real_path
 from armsight.app.record.recorder import Recorder
+from armsight.app.requests.measure import RecordJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
+from armsight.drivers import PairSource, Skew, is_live
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.fields import Doc
 from armsight.measure.poses.pipeline import check_sizes
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import read_rig, read_target
 from armsight.store.atomic import disk_errors
-from armsight.store.recording import ImageFormat, RecordingWriter, Repaired, repair
+from armsight.store.recording import RecordingWriter, Repaired, repair
 
 RIG_NAME = "rig.yaml"
 TARGET_NAME = "target.yaml"
@@ -67,31 +68,6 @@ class RepairOutput(Output):
     duration_s: Annotated[float, Doc("From the first message to the last, s.")]
     lost_bytes: Annotated[int, Doc("Bytes that were not whole.")]
     damaged_chunks: Annotated[int, Doc("Chunks whose checksum does not fit.")]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordJob:
-    """What to record and how.
-
-    left and right: sources as on the command line; or cell: a simulated cell's name. rig, target: files that go into
-    the recording. limit: pairs, seconds_s: time after which to stop.
-    """
-
-    out: Path
-    left: str | None = None
-    right: str | None = None
-    cell: str | None = None
-    seed: int = 0
-    rig: Path | None = None
-    target: Path | None = None
-    kind: ImageFormat = ImageFormat.PNG
-    colour: bool = False
-    fps: float | None = None
-    max_skew_s: float = MAX_SKEW_S
-    limit: int | None = None
-    seconds_s: float | None = None
-    overwrite: bool = False
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:
@@ -228,7 +204,7 @@ def _source(job: RecordJob) -> tuple[PairSource, bool]:
         job.right,
         colour=job.colour,
         fps=job.fps,
-        max_skew_s=job.max_skew_s,
+        max_skew_s=MAX_SKEW_S if job.max_skew_s is None else job.max_skew_s,
         settings=job.camera_settings,
     )
     return pairs, is_live(sources[0])

@@ -10,8 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.identify.sweep_files import IdentifyJob, seen_in_frames
+from armsight.app.identify.sweep_files import seen_in_frames
 from armsight.app.reproduce.stage import Stage, method_of
+from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.drivers import read_image
 from armsight.errors import Inconsistent

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.measure.run import measure
 from armsight.app.reproduce.stage import Stage, method_of
 from armsight.app.reproduce.tracks import (
     COORDINATES,
@@ -23,6 +23,7 @@ from armsight.app.reproduce.tracks import (
     statistic_rows,
     time_panel,
 )
+from armsight.app.requests.measure import MeasureJob
 from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad

@@ -14,8 +14,8 @@ from armsight.app.reproduce.pachidis2005 import reproduce_pachidis
 from armsight.app.reproduce.stage import Stage
 from armsight.app.schemas.reproduce import Values
 from armsight.errors import UsageError
+from armsight.fields import Doc
 from armsight.records import Progress, Silent
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.reproduce import ComparedRow, ComparisonTable, Reproduction, reproduce_report
 from armsight.store import write_text

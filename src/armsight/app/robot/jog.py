@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
+from armsight.app.requests.motion import JogJob
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder
@@ -34,23 +34,6 @@ SETTLE_S = 0.5
 """Time in which the arm comes to rest behind its last command."""
 STUCK_S = 1.0
 """Held for so long, or sent nowhere, the motion is given up."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JogJob:
-    """robot: DRIVER:DEVICE. joint: from 1. by: rad or m. speed: share of the limits' speeds. arm, limits: their files.
-
-    record: an .mcap file for commands, readings and events; None: nothing is kept. rsi_config: of an rsi link.
-    """
-
-    robot: str
-    joint: int
-    by: float
-    speed: float = 0.5
-    arm: Path | None = None
-    limits: Path | None = None
-    record: Path | None = None
-    rsi_config: Path | None = None
 
 
 class _Watcher:

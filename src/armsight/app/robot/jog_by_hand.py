@@ -8,10 +8,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 
 from armsight.app.arm_files import load_arm
+from armsight.app.requests.motion import HandJogJob
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, recording
 from armsight.app.robot.opening import driver_settings, open_robot
@@ -30,23 +29,6 @@ from armsight.units import DEG, MM
 
 LOOK_S = 0.05
 """Longest time between two looks at the hand."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandJogJob:
-    """robot: DRIVER:DEVICE. by: keyboard or gamepad[:DEVICE]. frame: joints, base or tool. speed: share of the limits'.
-
-    arm, limits: their files. record: an .mcap file. rsi_config: of an rsi link.
-    """
-
-    robot: str
-    by: str
-    frame: str = JogFrame.JOINTS
-    speed: float = 0.5
-    arm: Path | None = None
-    limits: Path | None = None
-    record: Path | None = None
-    rsi_config: Path | None = None
 
 
 def jog_by_hand(
@@ -70,7 +52,7 @@ def jog_by_hand(
     _check(job, arm_of(robot, job.arm) is not None, robot.name)
     source = JogSource(robot.n_joints, job.frame, speed_m_s=guard.limits.speed_m_s)
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
-    with robot, inputs(job.by, axes) as hand:
+    with robot, inputs(job.hand, axes) as hand:
         outside = standing_outside(guard, robot)
         if not confirm(_question(robot, guard, source.frame, hand) + noted(outside)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import Suspect
+from armsight.fields import Doc
 from armsight.optics.mirrors import FormError
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedFile
 

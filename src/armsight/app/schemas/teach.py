@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from armsight.app.schemas.servo import ServoOutput
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, output
 
 

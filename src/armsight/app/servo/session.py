@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.guarding import noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
@@ -20,7 +21,7 @@ from armsight.app.schemas.servo import (
     ServoOutput,
     ServoTimeOutput,
 )
-from armsight.app.servo.servo_job import ServoDevices, ServoJob
+from armsight.app.servo.servo_job import ServoDevices
 from armsight.app.servo.vision import Beside, Vision, VisionThread, probe
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, TargetState

@@ -13,8 +13,9 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
+from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.servo_job import ServoDevices, ServoJob, SteppedClock
+from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock, SystemClock

@@ -13,8 +13,8 @@ from armsight.app.simulate.scenarios import build_world, load_scenario, scenario
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CELLS, SETS, known, load
 from armsight.errors import Cancelled, UsageError
+from armsight.fields import Doc
 from armsight.records import Frame, Motion, Progress, Silent
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
 from armsight.store.arm_file import ARM_FORMAT, arm_from_mapping, write_arm

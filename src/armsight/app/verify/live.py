@@ -10,11 +10,12 @@ import numpy as np
 from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
+from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.robot.opening import open_robot
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.app.verify.live_output import LiveLog, live_output
-from armsight.app.verify.supervising import RECORDING, LiveVerifyJob, Show, Supervised, Supervision
+from armsight.app.verify.supervising import RECORDING, Show, Supervised, Supervision
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import is_live
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
+from armsight.app.requests.verify import MasteringJob
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, fk
@@ -40,24 +40,6 @@ NOISE = np.array([2e-4, 1e-3])
 """Of a measured pose, m and rad, for the accuracy told beforehand: two webcams a metre away."""
 TILT_RAD = np.deg2rad(40.0)
 """By how much the target may be turned away from how it stands in the middle pose: lights shine one way."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MasteringJob:
-    """world: where the rig stood before the crash; without it base and tool are free. tool: fixed or free, as the
-    arm's file has it or not. measured, joints: of the poses; without measured, poses are proposed about around (n,),
-    rad or m, within span_rad; with rig, target and world those that both cameras see."""
-
-    arm: str
-    out: Path
-    world: Path | None = None
-    tool: str | None = None
-    measured: Path | None = None
-    joints: Path | None = None
-    around: str | None = None
-    span_rad: float = float(np.deg2rad(30.0))
-    rig: Path | None = None
-    target: Path | None = None
 
 
 def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 
 from armsight.app.arm_files import load_arm
+from armsight.app.requests.verify import PlanJob
 from armsight.errors import UsageError
+from armsight.fields import Doc
 from armsight.records import Progress
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store.atomic import write_json
 from armsight.store.iso9283_plan import write_test_plan
@@ -67,19 +67,6 @@ class VerifyPlanOutput(Output):
     files: Annotated[list[str], Doc("What was written.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanJob:
-    """What `verify --plan` is told. what: cube (all motions), poses (all but paths), paths, or the name of a motion.
-    side_m: of the cube; without it the largest that fits."""
-
-    arm: str | None
-    out: Path
-    what: str = "cube"
-    side_m: float | None = None
-    plane: str = "a"
-    speed_m_s: float | None = None
-
-
 def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput:
     """Plan the standard's test; write plan.csv and plan.json into the job's folder. Raises UsageError, DataRefused."""
     if job.arm is None:
@@ -88,7 +75,7 @@ def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput
     if job.speed_m_s is not None:
         options = replace(options, speed_m_s=job.speed_m_s)
     plan = plan_test(load_arm(job.arm), options, progress)
-    chosen = replace(plan, motions=_chosen(plan, job.what))
+    chosen = replace(plan, motions=_chosen(plan, job.part))
     write_test_plan(job.out / PLAN, chosen)
     done = _output(plan, chosen.motions)
     write_json(job.out / SUMMARY, done.to_dict())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armsight._files import real_path
 from armsight.app.arm_files import load_arm
+from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
@@ -20,7 +21,6 @@ from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes, write_json
 from armsight.store.codec import read_output
-from armsight.store.interpret import OURS, TableFormat
 from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_measured, read_reported_joints
 from armsight.store.worlds import World
 from armsight.verify import Align, Measured, Repeats, Reported, verify
@@ -32,24 +32,6 @@ Other = VerifyOutput | None
 
 MAX_SUMMARY_BYTES = 100_000_000
 SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VerifyJob:
-    """What `verify` is told. joints: left out where the measured file has columns q1 .. qn. align: none, base, tool or
-    both; without it both, with a world none. compare: the folder of another run. band_m: the limit band of
-    arrivals at a pose."""
-
-    measured: Path
-    out: Path
-    arm: str | None = None
-    joints: Path | None = None
-    commanded: Path | None = None
-    world: Path | None = None
-    align: str | None = None
-    compare: Path | None = None
-    band_m: float | None = None
-    table: TableFormat = OURS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

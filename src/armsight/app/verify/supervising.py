@@ -6,63 +6,30 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
 from armsight.app.record.recorder import Recorder
+from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot
+from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
-from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Limits, Watch
+from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Watch
 
 RECORDING = "live.mcap"
 BLIND_S = 0.5
 """Nothing compared for so long is told as such."""
 AFTER_STOP_S = 1.0
 """Supervision goes on so long after a stop: the recording shows how the arm came to rest."""
-LATENCY_S, LATENCY_STD_S = 0.03, 0.01
-"""From the middle of an exposure to the frame in memory, of cameras nobody has measured: two frames at 60 a second."""
-JOINT_STD = 2e-5
-"""Of a joint reading in rad or m: a step of a 17-bit encoder is 5e-5 rad."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveVerifyJob:
-    """robot: DRIVER:DEVICE, or sim:SCENARIO with camera:sim:SCENARIO:left and :right; play: it then moves by itself.
-
-    world: where the rig stands, of the base or of the world that the arm's base is given in. joint_std: of a reading,
-    rad or m. latency_s, latency_std_s: from exposure to frame in memory. blind_stop_s: stop where nothing could be
-    compared for so long. frames: keep the images too. limit, seconds_s: pairs, time after which to end.
-    """
-
-    robot: str
-    left: str
-    right: str
-    rig: Path
-    target: Path
-    arm: str
-    world: Path
-    out: Path
-    limits: Limits = field(default_factory=Limits)
-    joint_std: float = JOINT_STD
-    latency_s: float = LATENCY_S
-    latency_std_s: float = LATENCY_STD_S
-    blind_stop_s: float | None = None
-    frames: bool = False
-    limit: int | None = None
-    seconds_s: float | None = None
-    play: bool = False
-    camera_settings: CameraSettings = AUTOMATIC
 
 
 Show = Callable[[TargetPose, Compared | None, Level, str], None]

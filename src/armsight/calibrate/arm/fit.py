@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm.model import POSE, ArmModel
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.fields import Doc
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import ToolPoint
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]

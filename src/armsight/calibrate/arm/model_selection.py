@@ -16,8 +16,8 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import Choice, choose, orthonormal_basis
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, NotConverged, NotEnoughData
+from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
-from armsight.records.fields import Doc
 
 Array = NDArray[np.float64]
 

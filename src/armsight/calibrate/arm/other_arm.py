@@ -21,8 +21,8 @@ from armsight.calibrate.arm.model_selection import Level, left_out, significant_
 from armsight.calibrate.arm.parameter_selection import Choice
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import ArmsightError, NotConverged
+from armsight.fields import Doc
 from armsight.kinematics import PRESETS, Arm, in_convention, preset
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 

@@ -12,9 +12,9 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Couplings
 from armsight.calibrate.arm.other_arm import OtherArm
 from armsight.calibrate.correlation import Correlation
+from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
-from armsight.records.fields import Doc
 from armsight.records.output import Output, figure, output
 
 Array = NDArray[np.float64]

@@ -16,12 +16,12 @@ from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_place, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
+from armsight.fields import Doc
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, fk
 from armsight.records import NamedCovariance
-from armsight.records.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd, RejectedRow
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.units import DEG, MM
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from armsight.calibrate.handeye.pairs import Array
 from armsight.calibrate.handeye.solution import Solution
-from armsight.records.fields import Doc
+from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.units import DEG, MM
 

@@ -13,9 +13,9 @@ from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, RotationExcitation, Setup
 from armsight.calibrate.handeye.stream_pairing import TimeOffset
+from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
-from armsight.records.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd
 from armsight.units import DEG, MM

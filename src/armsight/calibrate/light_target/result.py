@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.light_target.naming import pairs_of
+from armsight.fields import Doc
 from armsight.records import NamedCovariance, Target, frozen_array, spot_target
-from armsight.records.fields import Doc
 from armsight.records.output import Output, figure, output
 
 Array = NDArray[np.float64]

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.mirrors.diagnosis import MIRRORS, POSE, STEP_RAD, predicted_change, relative_rig
 from armsight.errors import NotEnoughData
+from armsight.fields import Doc
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, Target
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]

@@ -18,12 +18,12 @@ from armsight.calibrate.cameras.pairing import baseline_std, in_frame, rig_of
 from armsight.calibrate.cameras.stereo import StereoCalibration
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, without_plate
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fields import Doc
 from armsight.fitting import Fit
 from armsight.optics import INTRINSICS, SIDES, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, NamedCovariance, Target, TargetPose
-from armsight.records.fields import Doc
 from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import numpy as np
 
+from armsight.fields import Doc
 from armsight.records import CameraTiming, NamedCovariance
-from armsight.records.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.records.timing import CLOCK

@@ -13,7 +13,8 @@ from armsight.app.operator import iso_run
 from armsight.app.operator.iso_run import JOB_NAME, IsoDone, IsoPlan, IsoRequest
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.supervise import StationSupervisor, SupervisedState, limits_of
-from armsight.app.verify.run import VerifyJob, run_verify
+from armsight.app.requests.verify import VerifyJob
+from armsight.app.verify.run import run_verify
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,

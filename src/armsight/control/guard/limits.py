@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Bounds
 from armsight.kinematics import Arm
 from armsight.records import Saveable, frozen_array
-from armsight.records.fields import Bounds, NotNegative, Positive, Shape, require_bounds
+from armsight.records.fields import NotNegative, Positive, Shape, require_bounds
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]

@@ -1,0 +1,26 @@
+"""What each command is told: one frozen dataclass a request, from whose fields the command line makes its flags.
+
+These modules import nothing that takes long, so that a command's help and a wrong flag are answered at once; what only
+a type names is imported for type checkers alone. A module is loaded when its name is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from armsight.app.requests import calibrate_cameras as calibrate_cameras
+    from armsight.app.requests import calibrate_robot as calibrate_robot
+    from armsight.app.requests import files as files
+    from armsight.app.requests import identify as identify
+    from armsight.app.requests import measure as measure
+    from armsight.app.requests import motion as motion
+    from armsight.app.requests import verify as verify
+else:
+    _MODULES = ("calibrate_cameras", "calibrate_robot", "files", "identify", "measure", "motion", "verify")
+
+    def __getattr__(name: str) -> object:
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return import_module(f"{__name__}.{name}")

@@ -1,0 +1,164 @@
+"""Fields that several requests have, and groups of flags that make one object together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from armsight.errors import UsageError
+from armsight.fields import Bounds, Doc, Flag, Flags, loaded
+from armsight.units import read_quantity
+
+if TYPE_CHECKING:
+    from armsight.calibrate.handeye import Setup
+    from armsight.drivers import CameraSettings
+    from armsight.store.interpret import TableFormat
+
+SRC = (
+    "a folder of images, a quoted 'pattern*.png', a video, a recording.mcap, bag:FILE:/topic, or camera:0, "
+    "camera:aravis:NAME"
+)
+BOARD = (
+    "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles:, "
+    "charuco:8x5:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3 or a file: target.yaml, Kalibr's aprilgrid.yaml"
+)
+KNOWN_ARM = "arm.yaml, .urdf or a known arm's name such as ur5e"
+OUT = Flag("-o --out")
+A_SRC = Flag(metavar="SRC")
+AN_ARM = Flag(metavar="ARM")
+
+OutFolder: TypeAlias = Annotated[Path, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
+Left: TypeAlias = Annotated[str | None, Doc(f"Left frames: {SRC}."), A_SRC]
+Right: TypeAlias = Annotated[str | None, Doc("Right frames, in step with the left ones."), A_SRC]
+ABoard: TypeAlias = Annotated[str, Doc(BOARD), Flag(metavar="BOARD")]
+Every: TypeAlias = Annotated[int, Doc("Use every n-th frame, for videos."), Bounds(least=1)]
+Limit: TypeAlias = Annotated[int | None, Doc("Stop after so many."), Bounds(least=1), Flag("--frames")]
+Fps: TypeAlias = Annotated[
+    float | None, Doc("Frames a second, where none brings its time. [default: 30]"), Bounds(least=1e-6)
+]
+Threshold: TypeAlias = Annotated[
+    float | None, Doc("Grey level that counts as light. [default: automatic]"), Bounds(least=0.0, most=255.0)
+]
+Inverted: TypeAlias = Annotated[bool, Doc("Look for dark spots on a bright ground.")]
+Workers: TypeAlias = Annotated[
+    int | None, Doc("Threads that read and search images. [default: all cores]"), Bounds(least=1)
+]
+Bits: TypeAlias = Annotated[
+    int | None, Doc("Bits that carry the light in 16-bit image files, such as 12."), Flag(metavar="N")
+]
+Strict: TypeAlias = Annotated[bool, Doc("Stop at an image file that cannot be read, in place of going on without it.")]
+Tip: TypeAlias = Annotated[str | None, Doc("Of a URDF that branches: the last link of the arm."), Flag(metavar="LINK")]
+Base: TypeAlias = Annotated[
+    str | None, Doc("Of a URDF: the arm's base link. [default: the root]"), Flag(metavar="LINK")
+]
+MaxSkew: TypeAlias = Annotated[
+    float | None,
+    Doc("Largest time in s between live frames of a pair. [default: 1/60]"),
+    Bounds(least=0.0),
+    Flag("--max-skew"),
+]
+
+CAMERAS = "Live cameras (both the same)"
+LIVE, MASTERING = "With --live", "With --mastering"
+TABLES = "Tables that are not armsight's own (see the guide: tables)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraFlags:
+    """The settings of live cameras."""
+
+    exposure_s: Annotated[float | None, Doc("Lock the exposure, in s."), Flag(metavar="S", panel=CAMERAS)] = None
+    gain: Annotated[
+        float | None,
+        Doc("Lock the gain: in dB with GenICam, else in the driver's unit."),
+        Flag(metavar="GAIN", panel=CAMERAS),
+    ] = None
+    focus: Annotated[
+        float | None, Doc("Lock the focus, in the driver's unit."), Flag(metavar="VALUE", panel=CAMERAS)
+    ] = None
+    white_balance_k: Annotated[
+        float | None, Doc("Lock the white balance, in kelvin."), Flag(metavar="K", panel=CAMERAS)
+    ] = None
+    trigger: Annotated[
+        str | None,
+        Doc("GenICam: expose at the edges of this input, such as Line1."),
+        Flag(metavar="LINE", panel=CAMERAS),
+    ] = None
+    pixel_format: Annotated[
+        str | None, Doc("GenICam: such as Mono8 or BayerRG8; 8 bits."), Flag(metavar="NAME", panel=CAMERAS)
+    ] = None
+
+    def made(self, tell: Callable[[str], None]) -> CameraSettings:
+        """Return the settings. Raises UsageError for a value that no camera can have."""
+        from armsight.drivers import CameraSettings
+
+        return CameraSettings(**asdict(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableFlags:
+    """What is said about tables that are not ours."""
+
+    euler: Annotated[
+        str, Doc("Order of Euler angles: xyz-fixed, zyx, zyz ..."), Flag(metavar="ORDER", panel=TABLES)
+    ] = ""
+    columns: Annotated[
+        str, Doc("Names where no header is: q1..q6_deg,xyz_mm,quat_wxyz,-"), Flag(metavar="NAMES", panel=TABLES)
+    ] = ""
+    robot_format: Annotated[
+        str,
+        Doc("The robot's poses and joints are written as by abb, fanuc, kuka, staubli, ur, yaskawa ..."),
+        Flag(metavar="MAKER", panel=TABLES),
+    ] = ""
+    units: Annotated[str, Doc("Where the header states none: mm,deg"), Flag(metavar="UNITS", panel=TABLES)] = ""
+    as_stated: Annotated[
+        bool, Doc("Take units and orders as stated though the numbers look otherwise."), Flag(panel=TABLES)
+    ] = False
+
+    def made(self, tell: Callable[[str], None]) -> TableFormat:
+        """Return them as the readers take them; what was understood is told."""
+        from armsight.store.interpret import TableFormat
+
+        given = asdict(self)
+        return TableFormat(robot=given.pop("robot_format"), tell=tell, **given)
+
+
+Cameras: TypeAlias = Annotated["CameraSettings", Flags(CameraFlags)]
+Table: TypeAlias = Annotated["TableFormat", Flags(TableFlags)]
+
+
+automatic = loaded("armsight.drivers:AUTOMATIC")
+"""What is asked of cameras where nobody says: nothing."""
+ours = loaded("armsight.store.interpret:OURS")
+"""What is said of tables: that they are our own."""
+on_hand = loaded("armsight.calibrate.handeye:Setup.EYE_IN_HAND")
+"""Where the camera is: on the hand."""
+
+
+def setup_called(name: str) -> Setup:
+    """Return where the camera is, by its name. Raises UsageError."""
+    from armsight.calibrate.handeye import Setup
+
+    if name not in tuple(Setup):
+        raise UsageError(f"no setup is called {name!r}; there are {', '.join(Setup)}")
+    return Setup(name)
+
+
+def point_of(text: str) -> tuple[float, float, float]:
+    """Return the point of 'X,Y,Z', m or with units. Raises UsageError."""
+    try:
+        x, y, z = (read_quantity(cell, "m") for cell in text.split(","))
+    except ValueError:
+        raise UsageError(f"the point {text!r} is not X,Y,Z", cure="Write for instance 0.2,1.25,0.08, in m") from None
+    return x, y, z
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Return (width, height) of '640x480'. Raises UsageError."""
+    match = re.fullmatch(r"([1-9][0-9]{0,5})[xX]([1-9][0-9]{0,5})", text)
+    if match is None:
+        raise UsageError(f"the size {text!r} is not WIDTHxHEIGHT", cure="Write for instance 640x480")
+    return int(match[1]), int(match[2])

@@ -1,0 +1,174 @@
+"""armsight calibrate handeye, tooltip, pivot, arm and robot-world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from armsight.app import requests
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, point_of
+from armsight.cli.command import calibrate, command
+from armsight.cli.command_ui import CommandUI
+from armsight.cli.tables import figure, parameter, pose_rows, tip_rows
+from armsight.fields import Doc, Flag
+from armsight.units import MM
+
+if TYPE_CHECKING:
+    from armsight.app.calibrate.arm import ArmOutput
+    from armsight.calibrate.handeye import HandEye
+    from armsight.calibrate.tooltip_result import TipCalibration
+
+
+@command(calibrate)
+def handeye(face: CommandUI, job: requests.calibrate_robot.HandEyeJob) -> None:
+    """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
+    from armsight.app.calibrate.handeye import calibrate_handeye
+
+    done = calibrate_handeye(job, face.progress("calibrating"))
+    handeye_tables(face, done, job.out)
+    face.result(done)
+
+
+@command(calibrate)
+def tooltip(
+    face: CommandUI,
+    *,
+    poses: Annotated[Path, Doc("poses.csv of the target (or flange) while the tool pivots on a point.")],
+    out: Annotated[Path, Doc("tip.yaml to write."), OUT],
+    point: Annotated[
+        tuple[float, float, float] | None,
+        Doc("The point, m or with units (200mm), if it was measured."),
+        Flag(metavar="X,Y,Z", read=point_of),
+    ] = None,
+    sigma_m: requests.calibrate_robot.PointStd,
+    table: Table,
+) -> None:
+    """Find where the end of a tool is, from poses recorded while it was turned about its end."""
+    from armsight.app.calibrate.handeye import calibrate_tip
+
+    done = calibrate_tip(poses, out, point=point, sigma_m=sigma_m, format_=table)
+    face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m.tolist(), done.std_tip))
+    face.say(f"{_worth(done)}, residual {figure(done.residual_rms_m / MM)} mm RMS{_left_out(done)}. Result: {out}")
+    for note in done.notes:
+        face.say(note)
+    for item in done.rejected:
+        face.say(f"  left out: row {item.row}: {item.why}")
+    face.result(done)
+
+
+@command(calibrate)
+def pivot(face: CommandUI, job: requests.calibrate_robot.PivotJob) -> None:
+    """Find a tool's tip while you pivot it before the cameras; ends when it is known well enough."""
+    from armsight.app.calibrate.pivot import run_pivot
+
+    done = run_pivot(job, face.progress("pivoting"))
+    face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m.tolist(), done.std_tip))
+    said = "good enough" if done.reached else "not yet as good as wanted: pivot on, or lower the goal"
+    face.say(f"{_worth(done)}, {said}{_left_out(done)}. Result: {job.out}")
+    for note in done.notes:
+        face.say(note)
+    face.result(done)
+
+
+def _worth(done: TipCalibration) -> str:
+    """Return how many poses there are, and how many independent ones those of a recording are worth, in words."""
+    worth = "" if done.n_effective is None else f", worth {done.n_effective:.0f} independent ones"
+    return f"{done.n_used} poses{worth}"
+
+
+def _left_out(done: TipCalibration) -> str:
+    return "" if done.loo_rms_m is None else f", left out {figure(done.loo_rms_m / MM)} mm"
+
+
+def handeye_tables(face: CommandUI, done: HandEye, out: Path) -> None:
+    """Print a hand-eye calibration."""
+    poses = {
+        "T_flange_camera": (done.T_flange_camera, done.std_camera),
+        "T_base_target": (done.T_base_target, done.std_target),
+        "T_base_camera": (done.T_base_camera, done.std_camera),
+        "T_flange_target": (done.T_flange_target, done.std_target),
+    }
+    for name, (pose, std) in poses.items():
+        if pose is not None:
+            face.table(name, ["", "value", "+-"], pose_rows(pose, std))
+    face.say(done.verdict)
+    if done.comparison is not None:
+        face.say(done.comparison.why)
+    if done.camera_file is not None:
+        face.say(f"The result belongs to the freed camera: {done.camera_file}")
+    for text in done.advice:
+        face.say(f"- {text}")
+    for item in done.rejected[:8]:
+        face.say(f"  left out: {item.name}: {item.why}")
+    from armsight.geometry import xyz_quat
+
+    for proposed in done.proposals or ():
+        xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in xyz_quat(proposed.T_base_flange))
+        face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(proposed.expected_std_m / MM, 2)} mm")
+    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+
+
+@command(calibrate)
+def arm(face: CommandUI, job: requests.calibrate_robot.ArmJob, tip: Tip = None, base: Base = None) -> None:
+    """Correct a known arm's geometry from measured positions, where a gain can be proved."""
+    from armsight.app.arm_files import arm_source
+    from armsight.app.calibrate.arm import run_calibrate_arm
+
+    done = run_calibrate_arm(replace(job, model=arm_source(job.model, tip=tip, base=base)))
+    arm_tables(face, done, job.out)
+    face.result(done)
+
+
+def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
+    """Print an arm's calibration."""
+    named = [("rows used", done.before, done.after)]
+    named += [("rows left out by cross-validation", done.crossval.before, done.crossval.after)]
+    named += [("rows of the holdout", done.holdout.before, done.holdout.after)] if done.holdout is not None else []
+    rows = [
+        [name, *(figure(value / MM, 4) for part in (before, after) for value in (part.mean_m, part.max_m))]
+        for name, before, after in named
+    ]
+    face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
+    freed = [parameter(name, done.corrections[name], done.deviations[name]) for name in done.free]
+    if freed:
+        face.table("Corrections", ["", "by", "+-"], freed)
+    face.say(done.verdict)
+    for note in done.notes:
+        if note not in done.verdict:
+            face.say(f"  {note}.")
+    if done.still:
+        face.say("Did not move: " + ", ".join(done.still) + ". Nothing of them is corrected by these rows.")
+    for item in done.outliers[:8]:
+        face.say(f"  row {item.row} misses by {figure(item.error_m / MM)} mm")
+    for q in done.proposals or ():
+        face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
+    if done.expected_std is not None:
+        expected = [parameter(name, value) for name, value in done.expected_std.items()]
+        face.table("Standard deviations to expect with those measured too", ["", "+-"], expected)
+    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+
+
+@command(calibrate)
+def robot_world(
+    face: CommandUI,
+    *,
+    arm: Annotated[str, Doc(f"{KNOWN_ARM}, its tool the beacon."), AN_ARM],
+    points: Annotated[Path, Doc("observed.csv: q1..qn,x_m,y_m,z_m in rig axes.")],
+    out: Annotated[Path, Doc("world.yaml to write."), OUT],
+    tip: Tip = None,
+    base: Base = None,
+    table: Table,
+) -> None:
+    """Find where the rig stands to the arm's base, from observed points at joint readings."""
+    from armsight.app.arm_files import arm_source
+    from armsight.app.calibrate.arm import run_calibrate_world
+
+    done = run_calibrate_world(arm_source(arm, tip=tip, base=base), points, out, table)
+    face.table("T_base_rig", ["", "value", "+-"], pose_rows(done.T_base_rig, done.std))
+    face.say(f"{done.n_used} points, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
+    for item in done.rejected[:8]:
+        face.say(f"  left out: row {item.row}: {item.why}")
+    for note in done.notes:
+        face.say(f"- {note}")
+    face.result(done)

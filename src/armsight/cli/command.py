@@ -1,0 +1,309 @@
+"""How a function becomes a command: its flags, one CommandUI round it, and the results of other runs left as they are.
+
+Results of another run in a folder are replaced only with --overwrite, and only by new ones; inputs never.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import inspect
+import math
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any, get_args
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command_from_info
+from typer.models import CommandInfo
+
+from armsight._files import real_path
+from armsight.cli.command_ui import CommandUI
+from armsight.cli.flags import CommandFlags
+from armsight.errors import Cancelled, UsageError
+
+MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
+VIEWS = ("left", "right", "image")
+WORLD = ("scenario.yaml", "rig.yaml", "target.yaml", "truth.csv", "times.csv")
+ARM = ("arm.yaml", "arm_true.yaml", "truth_world.csv", "joints.csv", "sweep_joints.csv", "handeye.yaml", "world.yaml")
+SET_TABLES = ("robot_poses.csv", "pairs.csv", "robot.csv", "flange.csv", "points.csv", "holdout.csv", "observed.csv")
+SET_FILES = ("photos", "complex", "lights", "camera.yaml", "rig_true.yaml", "arm_tool.yaml", "places_true.yaml")
+SETS = (*SET_TABLES, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
+VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.csv")
+
+WRITTEN = {"out", "record", "log"}
+"""Options that name what a command writes."""
+NOT_TO_BE_TRUSTED = 3
+
+JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
+OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
+
+
+class ResultsDoubted(typer.Exit):
+    """The end of a command whose results are written and not to be trusted."""
+
+    def __init__(self) -> None:
+        super().__init__(NOT_TO_BE_TRUSTED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What a command is beside its function, whose first parameter is the CommandUI and all others are flags.
+
+    json: it has a result that programs read. keeps: the results that it writes into its folder `out`. own: a result
+    whose presence says that the folder is this command's own, which it may replace unasked. in_place: its result takes
+    the place of an input. streamed: it writes one table and nothing else, which may go to the standard output (-o -).
+    panels: of the help, in their order.
+    """
+
+    function: Callable[..., None]
+    json: bool = True
+    keeps: tuple[str, ...] = ()
+    own: str | None = None
+    in_place: bool = False
+    streamed: bool = False
+    panels: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def flags(self) -> CommandFlags:
+        """What the function takes."""
+        return CommandFlags(self.function)
+
+    def parameters(self) -> list[inspect.Parameter]:
+        """Return typer's parameters."""
+        added = {"json": JSON} if self.json else {}
+        added |= {"overwrite": OVERWRITE} if self.keeps else {}
+        every = self.flags.parameters() + [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+            for name, kind in added.items()
+        ]
+        return sorted(every, key=self._panel)
+
+    def _panel(self, parameter: inspect.Parameter) -> int:
+        panel = get_args(parameter.annotation)[1].rich_help_panel
+        return self.panels.index(panel) + 1 if panel in self.panels else 0
+
+    def run(self, **given: Any) -> None:
+        """Run the function; a run that fails leaves the results that were there, one that was stopped what it has."""
+        as_json = given.pop("json", False)
+        overwrite = given.pop("overwrite", False) if self.keeps else False
+        with contextlib.ExitStack() as held:
+            if WRITTEN & set(given):
+                with CommandUI(as_json=as_json):
+                    held.enter_context(self._outputs(given, as_json))
+            if not self.keeps or given["out"] is None:  # None: it writes only where it is told to
+                self._work(given, as_json)
+                return
+            with CommandUI(as_json=as_json):
+                out = given["out"]
+                refuse_inputs(out, self.keeps, given)
+                overwrite = overwrite or (self.own is not None and (out / self.own).exists())
+                _replacing(out, self.keeps, overwrite, lambda: self._work(given, as_json))
+
+    def _work(self, given: Mapping[str, Any], as_json: bool) -> None:
+        with CommandUI(as_json=as_json) as face:
+            self.function(face, **self.flags.arguments(given, face.say))
+
+    def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:
+        """Hold what is written for this command alone. Raises UsageError for an input, and for what is no file."""
+        from armsight.store.atomic import STREAM
+        from armsight.store.outputs import held_outputs
+
+        outs = [Path(out) for name in sorted(WRITTEN & set(given)) for out in _texts(given[name])]
+        if self.streamed and outs == [STREAM]:
+            if as_json:
+                raise UsageError(
+                    "-o - and --json both take the standard output",
+                    consequence="Nothing was done",
+                    cure="Give one of them",
+                )
+            outs = []
+        for out in () if self.in_place else outs:
+            if not out.is_dir():
+                refuse_inputs(out.parent, (out.name,), given)
+        return held_outputs(outs)
+
+
+def load_help() -> None:
+    """Load typer's help without rich's Markdown and traceback, which take longer than all else and are not used."""
+    if "typer.rich_utils" in sys.modules:
+        return
+    unused = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
+    stand_ins = {name: ModuleType(name) for name in unused if name not in sys.modules}
+    for name, module in stand_ins.items():
+        setattr(module, unused[name], type(unused[name], (), {}))
+    sys.modules.update(stand_ins)
+    try:
+        importlib.import_module("typer.rich_utils")
+    finally:
+        for name in stand_ins:
+            del sys.modules[name]
+
+
+@contextlib.contextmanager
+def _telling_at_once() -> Iterator[None]:
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except Exception:  # typer prints what is wrong by the same means as its help
+        load_help()
+        raise
+
+
+class Group(TyperGroup):
+    """A group whose help is printed at once, and what is wrong with its arguments too."""
+
+    def make_context(self, *given: Any, **more: Any) -> Any:
+        """Read the arguments of the group itself."""
+        with _telling_at_once():
+            return super().make_context(*given, **more)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that is asked for."""
+        with _telling_at_once():
+            return super().invoke(ctx)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help."""
+        load_help()
+        super().format_help(ctx, formatter)
+
+
+class LazyCommand(TyperCommand):
+    """A command whose flags are made when it is asked for: those of all would take longer than printing the help.
+
+    Its numbers are finite: nan is below no limit and above none, and passes every range.
+    """
+
+    _params: Any = ()
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help."""
+        load_help()
+        super().format_help(ctx, formatter)
+
+    @property
+    def params(self) -> Any:
+        """The flags."""
+        if not self._params and (command := getattr(self.callback, "armsight", None)) is not None:
+
+            def run(**given: Any) -> None:
+                command.run(**given)
+
+            parameters = command.parameters()
+            run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
+            run.__annotations__ = {one.name: one.annotation for one in parameters}
+            made = get_command_from_info(
+                CommandInfo(name=self.name, callback=run), pretty_exceptions_short=False, rich_markup_mode="rich"
+            )
+            self._params, self.callback = made.params, made.callback
+        return self._params
+
+    @params.setter
+    def params(self, value: Any) -> None:
+        self._params = value
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # typer's own copy of click has the type
+        """Return what is left of the arguments. Raises typer.BadParameter for nan and inf."""
+        left = super().parse_args(ctx, args)
+        parameters: list[Any] = self.get_params(ctx)
+        for one in parameters:
+            given = ctx.params.get(one.name or "")
+            for value in given if isinstance(given, list | tuple) else [given]:
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise typer.BadParameter(f"{value} is no finite number", ctx=ctx, param=one)
+        return left
+
+
+app = typer.Typer(
+    name="armsight",
+    cls=Group,
+    help="See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+def _group(name: str, text: str) -> typer.Typer:
+    group = typer.Typer(name=name, cls=Group, help=text, no_args_is_help=True)
+    app.add_typer(group, name=name)
+    return group
+
+
+calibrate = _group(
+    "calibrate",
+    "Calibrate cameras, hand-eye, a tool's tip, an arm (calibrate arm), where the rig stands, targets and clocks.",
+)
+convert = _group("convert", "Convert between armsight's files and those of other programs.")
+kinematics = _group("kinematics", "Joints to poses and back, for any serial arm.")
+path = _group("path", "Change, check and export the path of a tool's tip.")
+robot = _group("robot", "Test the link to a robot, and move one of its joints.")
+
+
+def command(
+    group: typer.Typer, name: str | None = None, **more: Any
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add a function to a group as a command; more: of Command."""
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        def run() -> None:
+            """Stand for the command until its flags are made."""
+
+        functools.update_wrapper(run, function)
+        run.__signature__ = inspect.Signature()  # type: ignore[attr-defined]  # none yet, see LazyCommand
+        run.__annotations__ = {}
+        run.armsight = Command(function=function, **more)  # type: ignore[attr-defined]
+        group.command(name, cls=LazyCommand)(run)
+        return function
+
+    return decorate
+
+
+def refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any]) -> None:
+    """Raise UsageError where one of the results, names in a folder, is given as an input."""
+    outputs = {real_path(folder / name) for name in names}
+    for flag, value in given.items():
+        for text in _texts(value) if flag not in WRITTEN else ():
+            if Path(text).exists() and real_path(Path(text)) in outputs:
+                raise UsageError(
+                    f"{text} is an input, and would be written over by the result",
+                    consequence="Nothing was done",
+                    cure="Give another output (-o)",
+                )
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    """Return what may be the paths of an option."""
+    if isinstance(value, list | tuple):
+        return tuple(text for one in value for text in _texts(one))
+    return (str(value),) if isinstance(value, str | Path) and str(value) else ()
+
+
+def _replacing(out: Path, names: tuple[str, ...], overwrite: bool, work: Callable[[], None]) -> None:
+    """Do the work with earlier results aside; bring them back where it failed."""
+    from armsight.store.earlier_results import EarlierResults, refuse_earlier
+
+    if not overwrite:
+        refuse_earlier(out, names)
+    earlier = EarlierResults(out, names)
+    try:
+        work()
+    except ResultsDoubted:
+        earlier.settle()
+        raise
+    except typer.Exit as ended:
+        if ended.exit_code in (0, Cancelled.exit_code):
+            earlier.settle()
+        else:
+            earlier.put_back()
+        raise
+    except BaseException:
+        earlier.put_back()
+        raise
+    earlier.settle()

@@ -1,0 +1,234 @@
+"""A command's flags, made of what its function takes: requests field by field, and parameters of its own.
+
+A flag's name, help, range and unit stand beside the field (armsight.fields) and nowhere else; here they become typer's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass
+from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin
+
+import typer
+
+from armsight.fields import Bounds, Doc, Flag, Flags, bare, known_hints, marks
+from armsight.units import DEG, UNITS_OF, read_quantity
+
+Request = TypeVar("Request")
+Tell = Callable[[str], None]
+
+DIGITS = 12
+"""Of a default in the person's unit: it is held in SI, and 0.02 m is not quite 20 mm."""
+
+
+class Quantity:
+    """Reads an option in a unit, SI where none is written behind it; refuses what another was meant by."""
+
+    def __init__(self, unit: str, least: float | None = None) -> None:
+        self._unit, self._least = unit, least
+        self.__name__ = unit
+
+    def __call__(self, given: str | float) -> float:
+        """Return the number in SI; a default is one already. Raises typer.BadParameter, with the ways to write it."""
+        try:
+            return read_quantity(str(given), self._unit, self._least)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+
+
+@dataclass(frozen=True, slots=True)
+class OneFlag:
+    """A flag by the name that typer hands its value over with; written: as people give it."""
+
+    name: str
+    written: str
+    parameter: inspect.Parameter
+    read: Callable[[Any], Any] | None
+
+    def values(self, given: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+        """Return its value by its name; nothing where it was not given and has no default of its own."""
+        value = given[self.name]
+        if value is None:
+            return {}
+        return {self.name: value if self.read is None else self.read(value)}
+
+    def flags(self) -> tuple[OneFlag, ...]:
+        """Return the flags."""
+        return (self,)
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What several flags make together: a request; or, as a group within one, what its `made` returns."""
+
+    name: str
+    kind: type
+    parts: tuple[OneFlag | Parts, ...]
+    group: bool = False
+
+    def values(self, given: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+        """Return the object by its name. Raises UsageError."""
+        one = self.kind(**{name: value for part in self.parts for name, value in part.values(given, tell).items()})
+        return {self.name: one.made(tell) if self.group else one}
+
+    def flags(self) -> tuple[OneFlag, ...]:
+        """Return the flags."""
+        return tuple(flag for part in self.parts for flag in part.flags())
+
+
+class Asked(Generic[Request]):
+    """One of the requests that a command can make: which of its flags were given, and the request itself."""
+
+    def __init__(self, parts: Parts, values: Mapping[str, Any], defaults: Mapping[str, Any], tell: Tell) -> None:
+        self._parts, self._values, self._defaults, self._tell = parts, values, defaults, tell
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """All its flags, as they are written."""
+        return tuple(one.written for one in self._parts.flags())
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The flags that were given, as they are written."""
+        flags = self._parts.flags()
+        return tuple(one.written for one in flags if self._values[one.name] != self._defaults[one.name])
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The flags that were not given and that it cannot do without."""
+        needed = {one.name for one in dataclasses.fields(self._parts.kind) if not _has_default(one)}
+        return tuple(
+            one.written for one in self._parts.flags() if one.name in needed and self._values[one.name] is None
+        )
+
+    def value(self, name: str) -> Any:
+        """Return one of its values, None where it was not given and has no default of its own. Raises UsageError."""
+        part = next(one for one in self._parts.parts if one.name == name)
+        return part.values(self._values, self._tell).get(name)
+
+    def made(self, **more: Any) -> Request:
+        """Return the request; more: fields in place of those of the flags. Raises UsageError."""
+        parts = self._parts.parts
+        values = {name: value for part in parts for name, value in part.values(self._values, self._tell).items()}
+        return self._parts.kind(**{**values, **more})  # type: ignore[no-any-return]  # the kind of the annotation
+
+
+class CommandFlags:
+    """The flags of a command, of all parameters of its function but the first; their order is that of the help."""
+
+    def __init__(self, function: Callable[..., None]) -> None:
+        hints = known_hints(function)
+        _, *taken = inspect.signature(function).parameters.values()
+        self._parts = [_taken(one.name, hints[one.name], one.default) for one in taken]
+
+    def parameters(self) -> list[inspect.Parameter]:
+        """Return typer's parameters; of flags of one name the first counts, and no mode's are required."""
+        found: dict[str, inspect.Parameter] = {}
+        for part, asked in self._parts:
+            for flag in part.flags():
+                one = flag.parameter
+                found.setdefault(flag.name, one.replace(default=_or_none(one.default)) if asked else one)
+        return list(found.values())
+
+    def arguments(self, given: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+        """Return what the function is called with. Raises UsageError."""
+        made: dict[str, Any] = {}
+        defaults = {one.name: _or_none(one.default) for one in self.parameters()}
+        for part, asked in self._parts:
+            made.update({part.name: Asked(part, given, defaults, tell)} if asked else part.values(given, tell))  # type: ignore[arg-type]
+        return made
+
+
+def _taken(name: str, hint: Any, default: Any) -> tuple[OneFlag | Parts, bool]:
+    """Return the flags of a parameter, and whether it is one of several requests."""
+    if get_origin(hint) is Asked:
+        return _request(name, get_args(hint)[0]), True
+    if dataclasses.is_dataclass(hint):
+        return _request(name, hint), False  # type: ignore[arg-type]  # a class
+    return _field(name, hint, default), False
+
+
+def _request(name: str, kind: type, *, group: bool = False) -> Parts:
+    """Return the flags of a dataclass: of each field that has a Doc, or that is a group."""
+    hints = known_hints(kind)
+    told = [one for one in dataclasses.fields(kind) if marks(hints[one.name], Doc | Flags)]
+    parts = [_field(one.name, hints[one.name], _default(one)) for one in told]
+    return Parts(name=name, kind=kind, parts=tuple(parts), group=group)
+
+
+def _field(name: str, hint: Any, default: Any) -> OneFlag | Parts:
+    for flags in marks(hint, Flags):
+        return _request(name, flags.group, group=True)
+    flag = next(iter(marks(hint, Flag)), Flag())
+    shown = default if flag.default is ... else flag.default
+    if flag.unit is not None and isinstance(shown, float) and flag.default is ...:
+        shown = round(shown / flag.unit, DIGITS)
+    open_ = shown is None or shown in ("", ())
+    kind = _kind(hint, flag)
+    info = _info(name, hint, flag, kind)
+    parameter = inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None if open_ else shown,
+        annotation=Annotated[kind | None if open_ else kind, info],
+    )
+    unit = flag.unit
+    read = flag.read if unit is None else lambda value: value * unit
+    return OneFlag(name=name, written=_written(name, flag), parameter=parameter, read=read)
+
+
+def _info(name: str, hint: Any, flag: Flag, kind: Any) -> Any:
+    """Return typer's description of a flag."""
+    limits = next(iter(marks(hint, Bounds)), Bounds())
+    more: dict[str, Any] = {"metavar": flag.metavar, "help": next(iter(marks(hint, Doc)), Doc("")).text}
+    if flag.panel is not None:
+        more["rich_help_panel"] = flag.panel
+    if flag.quantity:
+        more |= {"parser": Quantity(flag.quantity, limits.least)}
+        more["metavar"] = flag.metavar or "|".join(UNITS_OF[flag.quantity]).upper()
+    else:
+        more |= {"min": limits.least, "max": limits.most}
+    if flag.positional:
+        return typer.Argument(**more)
+    return typer.Option(*(flag.names.split() or [_written(name, flag)]), **more)
+
+
+def _written(name: str, flag: Flag) -> str:
+    """Return how a flag is written; of -o --out the short one, as messages have it.
+
+    Where Flag gives no name it is the field's with the person's unit: none of a quantity, whose unit may be written
+    behind the number, none of seconds, hertz and kelvin, and mm or deg of what is given in those.
+    """
+    if flag.names:
+        return flag.names.split()[0].split("/")[0]
+    if flag.unit is not None:
+        name = name.removesuffix("_m").removesuffix("_rad") + ("_deg" if flag.unit == DEG else "_mm")
+    elif flag.quantity:
+        name = name.removesuffix("_m_s").removesuffix("_m")
+    elif not name.endswith("_m_s"):
+        name = name.removesuffix("_s").removesuffix("_hz").removesuffix("_k")
+    return "--" + name.replace("_", "-")
+
+
+def _kind(hint: Any, flag: Flag) -> Any:
+    """Return the type that typer reads: text where an object is made of it."""
+    if isinstance(flag.default, bool):
+        return bool
+    kind = bare(hint)[0]
+    return str if flag.read is not None or kind is Any else kind
+
+
+def _default(one: dataclasses.Field[Any]) -> Any:
+    if one.default is not MISSING:
+        return one.default
+    return inspect.Parameter.empty if one.default_factory is MISSING else None
+
+
+def _has_default(one: dataclasses.Field[Any]) -> bool:
+    return one.default is not MISSING or one.default_factory is not MISSING
+
+
+def _or_none(default: Any) -> Any:
+    return None if default is inspect.Parameter.empty else default

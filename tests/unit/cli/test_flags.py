@@ -1,0 +1,146 @@
+"""A command's flags are those of the requests that it takes, with the unit that people write."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from armsight.app.requests import calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify
+from armsight.app.requests.shared import Table
+from armsight.calibrate.arm import Tolerance
+from armsight.calibrate.cameras import BoardOptions
+from armsight.calibrate.mirrors import calibration as mirrors
+from armsight.calibrate.tooltip import GOOD_ENOUGH_M
+from armsight.cli.command import Group, command
+from armsight.cli.command_ui import CommandUI
+from armsight.cli.flags import Asked
+from armsight.errors import UsageError
+from armsight.fields import Bounds, Doc, Flag, known_hints, marks
+from armsight.measure.correspondence import PatchSettings
+from armsight.store.interpret import TableFormat
+from armsight.units import DEG, MM
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Asking:
+    """A request with a field of every kind."""
+
+    source: Annotated[Path, Doc("What."), Flag(positional=True, metavar="SRC")]
+    wait_s: Annotated[float, Doc("How long."), Bounds(least=0.0)] = 1.5
+    length_m: Annotated[float, Doc("How far."), Flag(quantity="m")] = 0.6
+    plate_m: Annotated[float, Doc("How thick."), Bounds(least=1.0), Flag(unit=MM)] = 3.0 * MM
+    turn_rad: Annotated[float | None, Doc("How much."), Flag(unit=DEG)] = None
+    speed_m_s: Annotated[float, Doc("How fast, m/s.")] = 0.1
+    quiet: Annotated[bool, Doc("Say nothing.")] = False
+    names: Annotated[tuple[str, ...], Doc("Which."), Flag("--named", read=lambda text: tuple(text.split(",")))] = ()
+    table: Table = dataclasses.field(default_factory=TableFormat)
+    untold: int = 7
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Other:
+    """What the same command can be asked instead."""
+
+    robot: Annotated[str, Doc("Which robot.")]
+    wait_s: Annotated[float, Doc("Another text.")] = 2.5
+
+
+def taken(*words: str) -> tuple[Any, Any, Any]:
+    """Run a command of both requests; return its result, the first request, and the other as it was asked."""
+    app = typer.Typer(cls=Group)
+    seen: list[Any] = []
+
+    @command(app)
+    def work(face: CommandUI, job: Asking, other: Asked[Other]) -> None:
+        """Work."""
+        seen.extend((job, other))
+        if other.value("robot") == "none":
+            raise UsageError("there is no such robot")
+
+    @command(app)
+    def rest(face: CommandUI) -> None:
+        """Rest."""
+
+    work.__annotations__ |= {"job": Asking, "other": Asked[Other]}
+    done = CliRunner().invoke(app, ["work", *words])
+    return done, *(seen or (None, None))
+
+
+def test_a_request_is_made_of_its_flags() -> None:
+    done, job, other = taken("a.csv")
+    assert done.exit_code == 0, done.output
+    assert (job.source, job.wait_s, job.length_m, job.plate_m, job.untold) == (Path("a.csv"), 1.5, 0.6, 3.0 * MM, 7)
+    assert (job.turn_rad, job.names, job.quiet, job.table.euler) == (None, (), False, "")
+    assert other.given == () and other.missing == ("--robot",)
+    words = ["a.csv", "--wait", "2", "--length", "200mm", "--plate-mm", "5", "--turn-deg", "180", "--speed-m-s", "0.3"]
+    done, job, other = taken(*words, "--named", "a,b", "--quiet", "--euler", "zyx", "--robot", "sim")
+    assert done.exit_code == 0, done.output
+    assert (job.wait_s, job.length_m, job.plate_m, job.turn_rad) == (2.0, 0.2, 5.0 * MM, 180.0 * DEG)
+    assert (job.speed_m_s, job.names, job.quiet, job.table.euler) == (0.3, ("a", "b"), True, "zyx")
+    assert other.given == ("--robot", "--wait") and other.missing == ()
+    assert (other.made().robot, other.made().wait_s, other.made(robot="x").robot) == ("sim", 2.0, "x")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "Missing argument 'SRC'"),
+        (("a", "--wait", "-1"), "'--wait'"),
+        (("a", "--speed-m-s", "nan"), "no finite number"),
+        (("a", "--length", "600"), "write 600m or 600mm"),
+        (("a", "--length", "3s"), "its units are m, mm"),
+        (("a", "--plate-mm", "0.5"), "'--plate-mm'"),
+        (("a", "--untold", "3"), "No such option"),
+        (("a", "--robot", "none"), "there is no such robot"),
+    ],
+)
+def test_what_cannot_be_is_refused(words: tuple[str, ...], told: str) -> None:
+    done, *_ = taken(*words)
+    assert done.exit_code == 2
+    assert told in done.output
+
+
+def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of_two() -> None:
+    text = " ".join(taken("--help")[0].output.split())
+    assert "--plate-mm" in text and "[default: 3.0]" in text and "M|MM" in text
+    assert "How long." in text and "Another text." not in text and "untold" not in text
+
+
+REQUESTS = [
+    kind
+    for module in (calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify)
+    for kind in vars(module).values()
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
+]
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+def test_every_field_that_a_request_shows_has_a_meaning_that_ends(kind: Any) -> None:
+    for name, hint in known_hints(kind).items():
+        for doc in marks(hint, Doc):
+            assert doc.text and doc.text == doc.text.strip(), name
+
+
+def test_defaults_are_those_of_what_is_asked() -> None:
+    def default(kind: Any, name: str) -> Any:
+        return next(one.default for one in dataclasses.fields(kind) if one.name == name)
+
+    same: Mapping[tuple[Any, str], object] = {
+        (calibrate_cameras.CameraJob, "folds"): BoardOptions().folds,
+        (calibrate_cameras.StereoJob, "folds"): BoardOptions().folds,
+        (calibrate_cameras.CameraJob, "lens"): BoardOptions().lens.value,
+        (calibrate_cameras.MirrorsJob, "index"): mirrors.GLASS,
+        (calibrate_robot.PivotJob, "goal_m"): GOOD_ENOUGH_M,
+        (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
+        (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,
+        (files.PicksJob, "pick_std_px"): PatchSettings().pick_std_px,
+        (files.PicksJob, "patch_px"): 2 * PatchSettings().half_px + 1,
+    }
+    for (kind, name), value in same.items():
+        assert default(kind, name) == value, name
