@@ -15,21 +15,7 @@ from typing import Any
 from armsight.app.arm_files import ConvertArmOutput
 from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.pivot import PivotOutput
-from armsight.app.compare.run import CompareOutput
-from armsight.app.convert import ConvertOutput
-from armsight.app.demo import DemoOutput
-from armsight.app.doctor import DoctorOutput
-from armsight.app.join import JoinOutput
-from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
-from armsight.app.path.check import PathCheckOutput
-from armsight.app.path.export import PathExportOutput
-from armsight.app.path.picks import PathPicksOutput
-from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
-from armsight.app.record.export import ExportOutput
-from armsight.app.record.record import RecordOutput, RepairOutput
-from armsight.app.reproduce.run import ReproduceOutput
-from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
-from armsight.app.schemas.cameras import (
+from armsight.app.calibrate.results import (
     CameraOutput,
     MirrorCheckOutput,
     MirrorsOutput,
@@ -37,12 +23,27 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.play import PlayOutput
-from armsight.app.schemas.robot import JogOutput, RobotTestOutput
-from armsight.app.schemas.servo import ServoOutput
-from armsight.app.schemas.teach import TeachOutput
+from armsight.app.compare.run import CompareOutput
+from armsight.app.convert import ConvertOutput
+from armsight.app.demo import DemoOutput
+from armsight.app.doctor import DoctorOutput
+from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
+from armsight.app.join import JoinOutput
+from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
+from armsight.app.path.check import PathCheckOutput
+from armsight.app.path.export import PathExportOutput
+from armsight.app.path.picks import PathPicksOutput
+from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
+from armsight.app.play.play_path import PlayOutput
+from armsight.app.record.export import ExportOutput
+from armsight.app.record.record import RecordOutput, RepairOutput
+from armsight.app.reproduce.run import ReproduceOutput
+from armsight.app.robot.jog import JogOutput
+from armsight.app.robot.link_test import RobotTestOutput
+from armsight.app.servo.session import ServoOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
+from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.handeye import HandEye

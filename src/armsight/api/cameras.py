@@ -16,9 +16,9 @@ from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.cameras import camera_output, stereo_output
 from armsight.app.calibrate.mirrors import mirrors_output
+from armsight.app.calibrate.results import CameraOutput, StereoOutput
 from armsight.app.calibrate.zoom import add_setting
 from armsight.app.requests.calibrate_cameras import ZoomValue
-from armsight.app.schemas.cameras import CameraOutput, StereoOutput
 from armsight.calibrate import cameras as solvers
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors import calibration as mirror_solver

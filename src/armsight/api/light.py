@@ -9,10 +9,10 @@ from armsight.api.given import Given, PathText, RigLike, Source, TableLike, Targ
 from armsight.app.calibrate.camera_noise import find_noise
 from armsight.app.calibrate.light_target import calibrate_lit_target
 from armsight.app.calibrate.mirrors_check import run_check
+from armsight.app.calibrate.results import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
 from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.calibrate.zoom import zoom_rig
 from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob, TargetJob, TimingJob, ZoomRigJob
-from armsight.app.schemas.cameras import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
 from armsight.calibrate.light_target import TargetCalibration
 from armsight.calibrate.timing import TimingCalibration
 from armsight.drivers import CameraSettings

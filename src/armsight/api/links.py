@@ -18,10 +18,9 @@ from armsight.api.given import (
     as_text,
 )
 from armsight.app.requests.motion import JogJob
-from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.link_test import test_robot
+from armsight.app.robot.jog import JogOutput, jog_robot
+from armsight.app.robot.link_test import RobotTestOutput, test_robot
 from armsight.app.robot.twin import twin_beside
-from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.control.guard import Limits
 from armsight.drivers import Robot, RobotState
 from armsight.errors import ArmsightError, UsageError

@@ -20,15 +20,13 @@ from armsight.api.given import (
     TargetLike,
 )
 from armsight.api.links import Confirm, RobotLike, as_question, name_of
-from armsight.app.play.play_path import run_play
+from armsight.app.play.play_path import PlayOutput, run_play
 from armsight.app.requests.motion import LATENCY_S, PlayJob, ServoJob, StandingJob, TeachJob
-from armsight.app.schemas.play import PlayOutput
-from armsight.app.schemas.servo import ServoOutput
-from armsight.app.schemas.teach import TeachOutput
 from armsight.app.servo.run_servo import run_servo
 from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.session import ServoOutput
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
-from armsight.app.teach import PATH, teach_following, teach_poses, teach_standing
+from armsight.app.teach import PATH, TeachOutput, teach_following, teach_poses, teach_standing
 from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot

@@ -13,9 +13,9 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
 from armsight.app.identify.live import OperatorCallbacks, in_radians, read_limits, run_identify_live
+from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
 from armsight.app.requests.identify import LiveJob
 from armsight.app.requests.verify import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob, MasteringJob
-from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput
 from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.mastering import propose_mastering, run_mastering
 from armsight.control.joint_sweep import Pace

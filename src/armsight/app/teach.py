@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -13,11 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
-from armsight.app.schemas.servo import ServoOutput
-from armsight.app.schemas.teach import TeachOutput
 from armsight.app.servo.run_servo import run_servo
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.session import Confirm, Show
+from armsight.app.servo.session import Confirm, ServoOutput, Show
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock
 from armsight.control.events import QueueSink
@@ -25,12 +24,14 @@ from armsight.control.servo import Mount, ServoSource
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig
 from armsight.drivers import CameraSettings, PairSource
 from armsight.errors import StaleData, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent, Target, TargetPose
+from armsight.records.output import Output, output
 from armsight.store import World, read_poses, read_rig, read_world, write_poses
 from armsight.store.atomic import write_json
 from armsight.store.path_file import write_path
@@ -39,6 +40,27 @@ PATH, TARGETS, SUMMARY = "path.csv", "targets.csv", "teach.json"
 
 Begun = Callable[[PathRecorder], None]
 """Is given the recorder once it is there, so that a key or a page may start, pause, undo and tag."""
+
+
+@output
+class TeachOutput(Output):
+    """armsight teach."""
+
+    state: Annotated[str | None, Doc("The guard's last state; null: no robot took part.")]
+    n_cycles: Annotated[int, Doc("Cycles of the control loop; 0 without a robot.")]
+    late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
+    stopped_by: Annotated[str, Doc("Why it ended: time, operator, end (of the frames), or the guard's words.")]
+    path: Annotated[str, Doc("The path's file.")]
+    parent: Annotated[str, Doc("The frame of its poses: world, base, or as measured: that of poses.csv.")]
+    n_rows: Annotated[int, Doc("Poses of the path.")]
+    n_stretches: Annotated[int, Doc("Stretches between a start and a pause.")]
+    length_m: Annotated[float, Doc("Length of the path, m.")]
+    n_ok: Annotated[int, Doc("Frames whose pose was taken.")]
+    n_doubtful: Annotated[int, Doc("Frames whose pose does not fit the claims: not recorded.")]
+    n_position_only: Annotated[int, Doc("Frames that told only where the target is: not recorded.")]
+    n_lost: Annotated[int, Doc("Frames without the target: not recorded.")]
+    n_unplaced: Annotated[int, Doc("Frames at whose exposure the arm's place was not known: not recorded.")]
+    servo: Annotated[ServoOutput | None, Doc("How the arm followed; null: none did.")]
 
 
 def save(job: TeachJob, recorder: PathRecorder) -> None:

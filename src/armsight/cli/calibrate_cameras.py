@@ -22,7 +22,7 @@ from armsight.errors import UsageError
 from armsight.units import MM, MS
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.cameras import CheckedAlignment, MirrorAlignment, MirrorCheckOutput, MirrorsOutput
+    from armsight.app.calibrate.results import CheckedAlignment, MirrorAlignment, MirrorCheckOutput, MirrorsOutput
     from armsight.calibrate.light_target import TargetCalibration
     from armsight.calibrate.timing import TimingCalibration
 

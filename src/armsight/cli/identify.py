@@ -16,7 +16,7 @@ from armsight.fields import Doc
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointStd, PlanOutput
+    from armsight.app.identify.results import IdentifiedJoint, IdentifyOutput, JointStd, PlanOutput
 
 UNITS = (MM, DEG, MM, DEG)
 """How people read a, alpha, d and theta: millimetres and degrees."""
@@ -58,7 +58,7 @@ def identify(
 def _live(job: requests.identify.LiveJob, face: CommandUI, yes: bool) -> None:
     """Identify online; ask before the robot moves."""
     from armsight.app.identify.live import OperatorCallbacks, run_identify_live
-    from armsight.app.schemas.arm import IdentifyOutput
+    from armsight.app.identify.results import IdentifyOutput
 
     def confirm(question: str) -> bool:
         return yes or agreed(question)

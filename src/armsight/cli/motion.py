@@ -19,9 +19,9 @@ from armsight.units import DEG, MM, MS
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from armsight.app.schemas.play import PlayOutput
-    from armsight.app.schemas.servo import ServoOutput
-    from armsight.app.schemas.teach import TeachOutput
+    from armsight.app.play.play_path import PlayOutput
+    from armsight.app.servo.session import ServoOutput
+    from armsight.app.teach import TeachOutput
     from armsight.control.play import PathSource, PlayProgress, WatchFigures
     from armsight.control.status import RobotStatus
     from armsight.control.teach import PathRecorder

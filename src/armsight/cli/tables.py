@@ -13,9 +13,9 @@ from armsight.units import DEG, MM, MS, NOTHING
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
+    from armsight.app.calibrate.results import CameraNoise, CameraOutput, StereoOutput, ZoomOutput, ZoomRigOutput
     from armsight.app.demo import DemoOutput, PoseErrors
     from armsight.app.doctor import AccuracyPlan, DoctorOutput
-    from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput, ZoomOutput, ZoomRigOutput
     from armsight.measure.results import MeasureOutput
     from armsight.records.result_parts import PointStd, PoseStd, RejectedFile
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
-from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, spread
+from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, spread
 from armsight.report.html import Card, Page, Verdict, figure_of, table, text
 from armsight.units import DEG, MM
 
@@ -101,9 +101,7 @@ def arm_figure(arm: Arm, q: Array) -> Figure:
     """Return the picture of the arm along q (m, n), m >= 1; a track's postures are thinned and faint."""
     shown = spread(q, MAX_POSTURES) if len(q) > MAX_POSTURES else np.arange(len(q))
     postures = [link_frames(arm, q[row]) for row in shown]
-    data: list[dict[str, Any]] = [
-        _line(_skeleton(arm, frames), GREY, 3, "posture", opacity=0.35) for frames in postures[1:]
-    ]
+    data: list[Plot] = [_line(_skeleton(arm, frames), GREY, 3, "posture", opacity=0.35) for frames in postures[1:]]
     frames = postures[0]
     bones = _skeleton(arm, frames)
     size = max(float(np.ptp(bones, axis=0).max()), 1e-3)
@@ -115,7 +113,7 @@ def arm_figure(arm: Arm, q: Array) -> Figure:
             data.append(_line(np.array([T[:3, 3], tip]), colour, 5, f"{name} {'xyz'[k]}"))
     if len(postures) > 1:
         data.append(_line(np.array([T[-1][:3, 3] for T in postures]), BLUE, 4, "tool's way"))
-    scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
+    scene: Plot = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
     scene["aspectmode"] = "data"
     return Figure(
         data=data,
@@ -144,7 +142,7 @@ def _axes(frames: Array, half: float) -> list[tuple[Array, Array]]:
     return [(T[:3, 3] - half * T[:3, 2], T[:3, 3] + half * T[:3, 2]) for T in frames[:-2]]
 
 
-def _line(points_m: Array, colour: str, width: int, name: str, **more: Any) -> dict[str, Any]:
+def _line(points_m: Array, colour: str, width: int, name: str, **more: Any) -> Plot:
     x, y, z = (points_m / MM).T
     return {
         "type": "scatter3d",

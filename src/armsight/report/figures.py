@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+Plot = dict[str, Any]
+"""A trace, a layout, or a part of one, as plotly takes it."""
 Index = NDArray[np.intp]
 
 BLUE, ORANGE, GREEN, RED, GREY, INK = "#1f5fa8", "#d9822b", "#2e7d4f", "#c23b3b", "#9aa7b4", "#1c2733"
@@ -43,12 +46,12 @@ MAX_NAMED = 20
 class Figure:
     """Traces and layout in plotly.js's terms, and the height in the page."""
 
-    data: Sequence[Mapping[str, Any]]
-    layout: Mapping[str, Any]
+    data: Sequence[Plot]
+    layout: Plot
     height_px: int = 420
 
 
-def layout(**more: Any) -> dict[str, Any]:
+def layout(**more: Any) -> Plot:
     """Return the layout that all figures share, with more of it or other."""
     return {
         "font": {"family": FONT, "size": 12, "color": INK},
@@ -68,7 +71,7 @@ def layout(**more: Any) -> dict[str, Any]:
     }
 
 
-def axis(title: str = "", **more: Any) -> dict[str, Any]:
+def axis(title: str = "", **more: Any) -> Plot:
     """Return an axis in the style of all figures."""
     return {
         "title": {"text": title, "standoff": 6},
@@ -156,7 +159,7 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def band(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
+def band(x: Array, low: Array, high: Array, **more: Any) -> Plot:
     """Return a filled band between low and high over x, one polygon per stretch without NaN."""
     xs: list[Array] = [np.empty(0)]
     ys: list[Array] = [np.empty(0)]
@@ -182,7 +185,7 @@ def short_names(sources: Sequence[str]) -> list[str]:
     return [html.escape(name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}") for name in names]
 
 
-def named_ticks(names: Sequence[str]) -> dict[str, Any]:
+def named_ticks(names: Sequence[str]) -> Plot:
     """Return the ticks of an axis on which name k stands at k + 1: upright and thinned, so that none overlap."""
     every = max(1, -(-len(names) // MAX_NAMED))
     at = list(range(0, len(names), every))
@@ -196,7 +199,7 @@ def named_ticks(names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> dict[str, Any]:
+def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> Plot:
     """Return bars of a width about the places x (n,), as filled shapes: the bundle draws scatter plots only.
 
     Pointing at a bar's corner tells its height; texts (n,) in `text` are told with it.
@@ -211,7 +214,7 @@ def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> di
     return {"type": "scatter", "x": xs, "y": ys, **shape, **told, **more}
 
 
-def points_in_space(name: str, xyz: Array, marker: Mapping[str, Any], mode: str = "markers") -> dict[str, Any]:
+def points_in_space(name: str, xyz: Array, marker: Plot, mode: str = "markers") -> Plot:
     """Return the trace of points (n, 3), in the units of the axes."""
     x, y, z = xyz.T
     return {"type": "scatter3d", "mode": mode, "name": name, "x": x, "y": y, "z": z, "marker": marker}

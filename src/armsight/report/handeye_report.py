@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from armsight.report.figures import (
     ORANGE,
     RED,
     Figure,
+    Plot,
     axis,
     bars,
     layout,
@@ -201,7 +201,7 @@ def scene_figure(result: HandEye) -> Figure:
         camera, target = _stacked(result.T_parent_camera), flange * result.T_parent_target
     everything = np.concatenate([flange.translation, camera.translation, target.translation])
     size = float(np.linalg.norm(np.ptp(everything, axis=0))) or 1.0
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     for name, poses, colour in (("flange", flange, GREY), ("camera", camera, BLUE), ("target", target, ORANGE)):
         data.append(_dots(name, poses, colour))
         data += _axes(poses, AXIS_SHARE * size)
@@ -213,7 +213,7 @@ def residual_figure(result: HandEye) -> Figure:
     """Return each pose's residual and left-out error, position above, orientation below."""
     names = short_names(result.pairs.names)
     at = np.arange(1.0, len(names) + 1.0)
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     for k, (part, factor) in enumerate(((slice(0, 3), MM), (slice(3, 6), DEG)), start=1):
         for values, title, colour, side in (
             (result.residuals, "residual", BLUE, -0.2),
@@ -240,7 +240,7 @@ def turning_figure(result: HandEye) -> Figure:
     """Return the turns of the hand as points, with the principal axes at two root mean squares."""
     rotation_excitation = result.rotation_excitation
     w = rotation_excitation.rotvecs_rad / DEG
-    data: list[dict[str, Any]] = [
+    data: list[Plot] = [
         {
             "type": "scatter3d",
             "mode": "markers",
@@ -278,13 +278,13 @@ def _stacked(pose: RigidTransform) -> RigidTransform:
     return RigidTransform.from_matrix(pose.as_matrix()[None])
 
 
-def _dots(name: str, poses: RigidTransform, colour: str) -> dict[str, Any]:
+def _dots(name: str, poses: RigidTransform, colour: str) -> Plot:
     x, y, z = poses.translation.T
     marker = {"size": 3, "color": colour}
     return {"type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "name": name, "marker": marker}
 
 
-def _axes(poses: RigidTransform, length_m: float) -> list[dict[str, Any]]:
+def _axes(poses: RigidTransform, length_m: float) -> list[Plot]:
     """Return three traces of short lines, one per axis, broken between poses."""
     origin, R = poses.translation, poses.rotation.as_matrix()
     out = []

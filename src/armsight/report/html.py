@@ -9,14 +9,13 @@ import html
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import resources
-from typing import Any
 
 from armsight._version import __version__
-from armsight.report.figures import Figure, json_text
+from armsight.report.figures import Figure, Plot, json_text
 from armsight.report.space import fitted_scene
 from armsight.units import NOTHING
 
@@ -206,7 +205,7 @@ class Page:
         )
 
 
-def _least_px(shape: Mapping[str, Any]) -> int:
+def _least_px(shape: Plot) -> int:
     """Return how wide a plot must be on a telephone: its narrowest panel PANEL_PX; 0 of panels all across."""
     parts = [axis.get("domain", (0.0, 1.0)) for name, axis in shape.items() if name.startswith("xaxis")]
     share = min((high - low for low, high in parts), default=1.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,19 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Identification, Sweeps
 from armsight.kinematics import Arm
 from armsight.optics import SIDES, Rig, triangulate
-from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, cloud_figure, layout, points_in_space
+from armsight.report.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    Figure,
+    Plot,
+    axis,
+    cloud_figure,
+    layout,
+    points_in_space,
+)
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
@@ -187,7 +198,7 @@ def _positions(sweeps: Sweeps, rig: Rig | None) -> Array:
 
 def path_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
     """Return readings, predictions and axes in rig axes."""
-    traces: list[dict[str, Any]] = []
+    traces: list[Plot] = []
     size = float(np.linalg.norm(np.ptp(xyz_m, axis=0)))
     for j, joint in enumerate(result.joints):
         colour = COLOURS[j % len(COLOURS)]
@@ -207,7 +218,7 @@ def path_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
     return Figure(data=traces, layout=layout(scene=scene), height_px=560)
 
 
-def _cloud(name: str, xyz: Array, mode: str, marker: dict[str, Any]) -> dict[str, Any]:
+def _cloud(name: str, xyz: Array, mode: str, marker: Plot) -> Plot:
     return points_in_space(name, xyz, marker, mode) | {"line": {"color": marker["color"], "width": 3}}
 
 

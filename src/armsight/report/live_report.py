@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import PurePath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, ORANGE, RED, Figure, axis, layout, place, thinned
+from armsight.report.figures import BLUE, ORANGE, RED, Figure, Plot, axis, layout, place, thinned
 from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, in_degrees, table
 from armsight.report.to_do import after_watching
 from armsight.units import DEG, MM
@@ -111,7 +110,7 @@ def _cards(summary: VerifyLiveOutput) -> list[Card]:
 
 def live_course(series: LiveSeries, summary: VerifyLiveOutput) -> Figure:
     """Return errors of place and rotation over time, with noise and levels."""
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     levels = summary.levels
     courses = (
         (series.place_m, MM, levels.warn_m, levels.stop_m),
@@ -138,7 +137,7 @@ def live_course(series: LiveSeries, summary: VerifyLiveOutput) -> Figure:
     )
 
 
-def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> dict[str, Any]:
+def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot:
     line = {"color": colour, "width": 1.5, "dash": dash}
     told = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line}
     return {**told, "showlegend": k == 1, **place(k)}

@@ -17,7 +17,7 @@ from armsight.kinematics import Arm
 from armsight.kinematics.target import start_values
 from armsight.records import TaughtPath
 from armsight.report.arm_view import arm_figure
-from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, thinned
+from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, thinned
 from armsight.report.html import Card, Page, Verdict, figure_of, table, text
 from armsight.units import MM
 
@@ -144,20 +144,18 @@ def _scenes(
     )
 
 
-def _close(xyz: Array) -> dict[str, Any]:
+def _close(xyz: Array) -> Plot:
     """Return a scene round the path (n, 3), in its true proportions but nowhere flat."""
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     widest = max(float((high - low).max()), 1e-6)
     half = 0.5 * np.maximum(1.1 * (high - low), FLATTEST * widest)
     ends = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1) / MM
-    scene: dict[str, Any] = {
-        f"{name}axis": axis(f"{name}, mm", ticks="", range=ends[k].tolist()) for k, name in enumerate("xyz")
-    }
+    scene: Plot = {f"{name}axis": axis(f"{name}, mm", ticks="", range=ends[k].tolist()) for k, name in enumerate("xyz")}
     ratio = dict(zip("xyz", (2.0 * half / widest).tolist(), strict=True))
     return {**scene, "aspectmode": "manual", "aspectratio": ratio}
 
 
-def _path_traces(xyz: Array, issues: Sequence[PathIssue]) -> list[dict[str, Any]]:
+def _path_traces(xyz: Array, issues: Sequence[PathIssue]) -> list[Plot]:
     """Return the path (n, 3) in green, and the ways to rows in trouble over it."""
     told: dict[int, list[PathIssue]] = {}
     for issue in issues:
@@ -175,15 +173,13 @@ def _first_kind(issues: Sequence[PathIssue]) -> PathTrouble:
     return next(kind for kind in COLOURS if kind in kinds)
 
 
-def _line3d(xyz_m: Array, colour: str, name: str, width: int, **more: Any) -> dict[str, Any]:
+def _line3d(xyz_m: Array, colour: str, name: str, width: int, **more: Any) -> Plot:
     x, y, z = (xyz_m / MM).T
     line = {"color": colour, "width": width}
     return {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "line": line, "name": name, **more}
 
 
-def _trouble(
-    xyz: Array, rows: Sequence[int], kind: PathTrouble, told: Mapping[int, Sequence[PathIssue]]
-) -> list[dict[str, Any]]:
+def _trouble(xyz: Array, rows: Sequence[int], kind: PathTrouble, told: Mapping[int, Sequence[PathIssue]]) -> list[Plot]:
     """Return the stretches to rows in trouble, and the rows themselves with what is wrong there."""
     colour, word = COLOURS[kind]
     gap = np.full((1, 3), np.nan)
@@ -197,7 +193,7 @@ def _trouble(
     ]
 
 
-def _names(xyz: Array, runs: Sequence[Sequence[PathIssue]]) -> dict[str, Any]:
+def _names(xyz: Array, runs: Sequence[Sequence[PathIssue]]) -> Plot:
     """Return the names of start and end, and of the first row of each run that is away from others."""
     named = {0: "start", len(xyz) - 1: "end"}
     apart = NAMES_APART * float(np.ptp(xyz, axis=0).max())
@@ -210,7 +206,7 @@ def _names(xyz: Array, runs: Sequence[Sequence[PathIssue]]) -> dict[str, Any]:
     return {**trace, "text": [named[row] for row in rows], "textposition": "top center"}
 
 
-def _box(box: Box, colour: str, T_world_base: Array) -> dict[str, Any]:
+def _box(box: Box, colour: str, T_world_base: Array) -> Plot:
     """Return the twelve edges of a box in base axes."""
     walk = [0, 1, 3, 2, 0, 4, 5, 7, 6, 4]
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
@@ -234,7 +230,7 @@ def _joints(path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck) -> lis
 
 
 def _shares(arm: Arm, s: Array, share: Array, title: str, ends: tuple[float, float]) -> Figure:
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     for i, joint in enumerate(arm.joints):
         if np.isfinite(share[:, i]).any():
             rows = thinned(share[:, i])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, layout
+from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text
 from armsight.report.iso_symbols import value_of
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
@@ -128,7 +127,7 @@ def _about(page: Page, measured: Measured, repeats: Repeats) -> str:
 def _side(measured: Measured, repeats: Repeats, up: int) -> Figure:
     """Return x and the coordinate up of each visit about the mean of its pose, to one scale."""
     pose = np.array(repeats.at_pose)
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     for k, name in enumerate(sorted(set(pose) - {""})):
         about = measured.xyz_m[pose == name]
         about = (about - about.mean(axis=0)) / MM

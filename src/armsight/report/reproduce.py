@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, axis, layout, place
+from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, place
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.units import DEG, MM
 
@@ -254,8 +253,8 @@ def panels_figure(panels: Sequence[Panel]) -> Figure:
     """Return panels in rows of up to three, the curves' names told once."""
     columns = min(3, len(panels))
     n_rows = math.ceil(len(panels) / columns)
-    traces: list[dict[str, Any]] = []
-    axes: dict[str, Any] = {}
+    traces: list[Plot] = []
+    axes: Plot = {}
     told: set[str] = set()
     for k, panel in enumerate(panels, 1):
         row, column = divmod(k - 1, columns)
@@ -272,7 +271,7 @@ def panels_figure(panels: Sequence[Panel]) -> Figure:
     return Figure(data=traces, layout=layout(**axes), height_px=40 + PANEL_PX * n_rows)
 
 
-def _trace(curve: Curve, told: set[str]) -> dict[str, Any]:
+def _trace(curve: Curve, told: set[str]) -> Plot:
     colour = {"truth": TRUTH, "method": METHOD, "ours": OURS}.get(curve.who, INK)
     symbol = {"method": "x", "ours": "circle-open"}.get(curve.who, "circle")
     new = curve.name not in told

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, axis, bars, layout, place, spread
+from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, bars, layout, place, spread
 
 Array = NDArray[np.float64]
 
@@ -39,7 +38,7 @@ def distance_rms(parts: Sequence[Array]) -> float | None:
 
 def residual_figure(residuals: Mapping[str, Array]) -> Figure:
     """Return per camera the cloud of residuals (m, 2) in px, and the histograms of both coordinates."""
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     shape = layout(margin={"l": 56, "r": 16, "t": 34, "b": 44})
     notes = []
     limit = _limit(residuals)
@@ -49,7 +48,7 @@ def residual_figure(residuals: Mapping[str, Array]) -> Figure:
         top = 1.0 - i * (height + GAP)
         domain = [max(0.0, top - height), top]
         cloud, shares = place(2 * i + 1), place(2 * i + 2)
-        side: dict[str, Any] = {"range": [-limit, limit], "constrain": "domain"}
+        side: Plot = {"range": [-limit, limit], "constrain": "domain"}
         shape["xaxis" + cloud["xaxis"][1:]] = axis("Δu, px", domain=[0.0, 0.36], anchor=cloud["yaxis"], **side)
         shape["yaxis" + cloud["yaxis"][1:]] = axis(
             "Δv, px", domain=domain, anchor=cloud["xaxis"], scaleanchor=cloud["xaxis"], **side
@@ -72,7 +71,7 @@ def _limit(residuals: Mapping[str, Array]) -> float:
     return max(1.05 * min(largest, WIDEST * rms), 1e-6)
 
 
-def _note(name: str, top: float) -> dict[str, Any]:
+def _note(name: str, top: float) -> Plot:
     return {
         "text": f"<b>{escape(name)}</b>",
         "x": 0.0,
@@ -85,7 +84,7 @@ def _note(name: str, top: float) -> dict[str, Any]:
     }
 
 
-def _cloud(points: Array, limit: float, axes: dict[str, str]) -> dict[str, Any]:
+def _cloud(points: Array, limit: float, axes: dict[str, str]) -> Plot:
     shown = np.clip(points[spread(points)], -limit, limit)
     return {
         "type": "scatter",
@@ -99,11 +98,11 @@ def _cloud(points: Array, limit: float, axes: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def _bars(points: Array, limit: float, axes: dict[str, str], *, legend: bool) -> list[dict[str, Any]]:
+def _bars(points: Array, limit: float, axes: dict[str, str], *, legend: bool) -> list[Plot]:
     """Return the histograms of u and v, and the normal curve with the RMS of both."""
     edges = np.linspace(-limit, limit, BINS + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    out: list[dict[str, Any]] = []
+    out: list[Plot] = []
     for axis_, colour in ((0, BLUE), (1, ORANGE)):
         count, _ = np.histogram(np.clip(points[:, axis_], -limit, limit), edges)
         share = count / max(1, len(points))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.optics import SIDES, Camera, Rig
-from armsight.report.figures import GREEN, GREY, INK, ORANGE, Figure, axis, layout
+from armsight.report.figures import GREEN, GREY, INK, ORANGE, Figure, Plot, axis, layout
 from armsight.report.run import MeasureRun
 from armsight.units import MM
 
@@ -19,13 +19,13 @@ NAMED = 12
 """Lights up to which each gets its name and its rays; a board has too many."""
 
 
-def line(xyz: Array, name: str, style: dict[str, Any], **more: Any) -> dict[str, Any]:
+def line(xyz: Array, name: str, style: Plot, **more: Any) -> Plot:
     """Return a line in space through points (n, 3) in mm."""
     places = {"x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
     return {"type": "scatter3d", **places, "name": name, "mode": "lines", "line": style, **more}
 
 
-def camera_line(rig: Rig, side: str, T_parent_rig: RigidTransform | None, *, depth_m: float) -> dict[str, Any]:
+def camera_line(rig: Rig, side: str, T_parent_rig: RigidTransform | None, *, depth_m: float) -> Plot:
     """Return a camera as a pyramid whose base is its image, depth_m away."""
     T = rig.T_rig_camera(side)
     T = T if T_parent_rig is None else T_parent_rig * T
@@ -42,9 +42,9 @@ def pyramid(camera: Camera, T_parent_camera: RigidTransform, depth_m: float) -> 
     return np.asarray(T_parent_camera.apply(closed)) / MM
 
 
-def scene_axes(parent: str) -> dict[str, Any]:
+def scene_axes(parent: str) -> Plot:
     """Return axes in mm fitted to the data: seen from behind the cameras in rig axes, else with z up."""
-    scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
+    scene: Plot = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
     scene["aspectmode"] = "data"
     behind = {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}
     above = {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.1, "y": -1.3, "z": 0.75}}

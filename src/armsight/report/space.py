@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from armsight.report.figures import Plot
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ DEFAULT_EYE, DEFAULT_UP = {"x": 1.25, "y": 1.25, "z": 1.25}, {"x": 0.0, "y": 0.0
 DEFAULTS = (("eye", DEFAULT_EYE), ("up", DEFAULT_UP))
 
 
-def fitted_scene(scene: Mapping[str, Any], data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def fitted_scene(scene: Plot, data: Sequence[Plot]) -> Plot:
     """Return a scene to scale whose axes end where the data does, as large as its view at first takes it.
 
     plotly's own "data" lets a long thin thing run out of the picture. Traces that only the legend names do not count:

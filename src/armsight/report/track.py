@@ -17,6 +17,7 @@ from armsight.report.figures import (
     ORANGE,
     RED,
     Figure,
+    Plot,
     axis,
     band,
     layout,
@@ -47,7 +48,7 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
     position = series.where(PoseStatus.POSITION_ONLY)
     xyz = series.full()[0][:, :3]
     every = np.unique(np.linspace(0, len(xyz) - 1, MAX_PLOTTED).astype(int))
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     mode = "markers" if series.apart else "lines+markers"
     if run.truth is not None:
         true = np.array([np.asarray(pose.translation) for pose in run.truth]).reshape(-1, 3) / MM
@@ -80,7 +81,7 @@ def _is_far(run: MeasureRun, xyz: Array) -> bool:
 
 def time_figure(series: Series) -> Figure:
     """Return x, y, z, rx, ry, rz over time with their 95 % bands, and marks where there is no full pose."""
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     ok, position = series.whole, series.where(PoseStatus.POSITION_ONLY)
     full, std = series.full()
     for k in range(6):
@@ -94,7 +95,7 @@ def time_figure(series: Series) -> Figure:
 
 def deviation_figure(series: Series, values: Array | None, std: Array) -> Figure:
     """Return deviations (n, 6) within their claimed band over time, std (n, 6); without any, the band's half width."""
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     for k in range(6):
         if values is not None:
             half = WITHIN_95 * std[:, k]
@@ -110,12 +111,12 @@ def deviation_figure(series: Series, values: Array | None, std: Array) -> Figure
     return Figure(data=data, layout=shape, height_px=640)
 
 
-def _banded(series: Series, values: Array, low: Array, high: Array, k: int) -> list[dict[str, Any]]:
+def _banded(series: Series, values: Array, low: Array, high: Array, k: int) -> list[Plot]:
     """Return the traces of one of six plots: a band, a line with gaps, marks where a frame stands alone.
 
     Of single shots it is bars and marks: no line leads from one to the next.
     """
-    where: dict[str, Any] = {**place(k + 1), "showlegend": False}
+    where: Plot = {**place(k + 1), "showlegend": False}
     keep = thinned(np.where(np.isfinite(high), high, values))
     known = np.isfinite(values)
     gaps = np.flatnonzero(~known[1:] & known[:-1]) + 1  # the first frame of each gap, so that lines do not cross it
@@ -144,7 +145,7 @@ def _banded(series: Series, values: Array, low: Array, high: Array, k: int) -> l
     return traces
 
 
-def _bars(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
+def _bars(x: Array, low: Array, high: Array, **more: Any) -> Plot:
     """Return an upright bar from low to high at each x (n,)."""
     gap = np.full_like(x, np.nan)
     xs, ys = np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
@@ -159,7 +160,7 @@ def _bars(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
     }
 
 
-def _marks_below(t_s: Array, k: int) -> list[dict[str, Any]]:
+def _marks_below(t_s: Array, k: int) -> list[Plot]:
     """Return red ticks along the bottom of plot k."""
     if not len(t_s):
         return []
@@ -178,16 +179,16 @@ def _marks_below(t_s: Array, k: int) -> list[dict[str, Any]]:
     ]
 
 
-def _dots(t_s: Array, values: Array, k: int) -> dict[str, Any]:
+def _dots(t_s: Array, values: Array, k: int) -> Plot:
     """Return orange dots in plot k."""
     keep = thinned(values)
     marks = {"mode": "markers", "marker": {"size": 3.5, "color": ORANGE}, "hovertemplate": "%{y:.3f}<extra></extra>"}
     return {"type": "scatter", "x": t_s[keep], "y": values[keep], **marks, **place(k + 1), "showlegend": False}
 
 
-def _six(titles: Any, time_label: str) -> dict[str, Any]:
+def _six(titles: Any, time_label: str) -> Plot:
     """Return the layout of six plots in two columns over one time axis; y7..y12 lie over them for marks."""
-    out: dict[str, Any] = layout(hovermode="x", margin={"l": 60, "r": 16, "t": 12, "b": 40})
+    out: Plot = layout(hovermode="x", margin={"l": 60, "r": 16, "t": 12, "b": 40})
     height, gap = 0.29, 0.065
     for k, title in enumerate(titles):
         column, row = divmod(k, 3)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
-from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
+from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis, bars, layout, place, spread, thinned
 from armsight.report.html import (
     Card,
     Page,
@@ -274,7 +273,7 @@ def course(result: Verification) -> Figure:
     at = result.paired.at_s
     x = result.paired.measured.rows[result.kept].astype(float) if at is None else at[result.kept]
     shown = thinned(np.linalg.norm(result.task[:, :3], axis=1))
-    data: list[dict[str, Any]] = []
+    data: list[Plot] = []
     for k in range(result.task.shape[1]):
         turn = k >= 3
         data.append(
@@ -337,8 +336,8 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
         raise ValueError("no joints")
     size = np.linalg.norm(result.task[:, :3], axis=1)
     rows = spread(np.column_stack([size, size]))
-    data: list[dict[str, Any]] = []
-    more: dict[str, Any] = {}
+    data: list[Plot] = []
+    more: Plot = {}
     columns = min(arm.n, 3)
     lines = -(-arm.n // columns)
     for i, joint in enumerate(arm.joints):

@@ -41,7 +41,7 @@ LINE = CommandedPath(xyz_m=[[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], speed_m_s=0.1)
 
 def test_every_figure_is_there_even_of_nothing():
     found = evaluate(Iso9283Test())
-    assert set(found.as_json()) >= SYMBOLS
+    assert set(found.results()) >= SYMBOLS
     assert all(one.value is None and one.withheld and one.n == 0 for one in found)
 
 
@@ -191,10 +191,9 @@ def test_the_worst_place_stands_for_all():
     found = evaluate(Iso9283Test(poses=[visits(pose="P1"), visits(3, pose="P2"), visits(pose="P3", seed=3)]))
     worst = max((found["RP_m P1"], found["RP_m P3"]), key=lambda one: one.value)
     assert found["RP_m"] == worst
-    listed = found.as_json()
-    assert listed["RP_m"]["place"] == worst.place
-    assert listed["RP_m P2"]["withheld"]
-    assert set(listed["RP_m"]) >= {"value", "n", "wanted", "withheld", "std"}
+    listed = found.results()
+    assert listed["RP_m"] == worst.result() and listed["RP_m P2"].withheld
+    assert set(listed["RP_m"].to_dict()) >= {"value", "n", "wanted", "withheld", "std"}
     nowhere = evaluate(Iso9283Test(poses=[visits(1, pose="P1"), visits(4, pose="P2"), visits(2, pose="P3")]))
     assert nowhere["RP_m"].place == "P2"
     with pytest.raises(KeyError, match="no figure"):

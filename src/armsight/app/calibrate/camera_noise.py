@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.calibrate.results import CameraNoise, MeasuredNoise, NoiseOutput
 from armsight.app.requests.calibrate_cameras import NoiseJob
-from armsight.app.schemas.cameras import CameraNoise, MeasuredNoise, NoiseOutput
 from armsight.app.sources.frames import is_recording, open_source, recording_path
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
 from armsight.drivers import is_live, list_images

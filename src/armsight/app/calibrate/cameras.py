@@ -11,9 +11,9 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.app.calibrate.camera_noise import FoundNoise, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
+from armsight.app.calibrate.results import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput, ZoomOutput
 from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
 from armsight.app.requests.calibrate_cameras import CameraJob, NoiseJob, StereoJob
-from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput, ZoomOutput
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera

@@ -16,12 +16,12 @@ from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
-from armsight.app.requests.calibrate_cameras import MirrorsJob
-from armsight.app.schemas.cameras import (
+from armsight.app.calibrate.results import (
     MirrorAlignment,
     MirrorsOutput,
     PlateOutput,
 )
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors

@@ -9,12 +9,12 @@ import numpy as np
 
 from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.mirrors import Pair, board_name, complex_views
-from armsight.app.requests.calibrate_cameras import MirrorsJob
-from armsight.app.schemas.cameras import (
+from armsight.app.calibrate.results import (
     CheckedAlignment,
     MirrorCheckOutput,
     PoseChange,
 )
+from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.mirrors.adjustment import Adjustment, adjust_to_parallel
 from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
 from armsight.drivers import is_live

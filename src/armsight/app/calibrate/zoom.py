@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from armsight.app.calibrate.results import LeftOutSetting, ZoomOutput, ZoomRigOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.requests.calibrate_cameras import ZoomRigJob, ZoomValue
-from armsight.app.schemas.cameras import LeftOutSetting, ZoomOutput, ZoomRigOutput
 from armsight.calibrate.cameras import CameraCalibration
 from armsight.errors import UsageError
 from armsight.optics import INTRINSICS, SIDES, ZoomLens, ZoomSetting, at_zoom, with_zoom

@@ -10,9 +10,9 @@ from pathlib import Path
 from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.mirrors_check import AlignmentWatch, check_output, reference_of
+from armsight.app.calibrate.results import MirrorCheckOutput
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import MirrorsJob
-from armsight.app.schemas.cameras import MirrorCheckOutput
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import APART, STILL
 from armsight.drivers import read_image

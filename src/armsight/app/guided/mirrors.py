@@ -15,12 +15,12 @@ from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, lit_design, run_mi
 from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
 from armsight.app.calibrate.mirrors_lit_target import see_lights
+from armsight.app.calibrate.results import MirrorsOutput
 from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, GOOD_RMS_PX, TILTED, TILTED_SHARE, tilt
 from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
 from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import MirrorsJob
-from armsight.app.schemas.cameras import MirrorsOutput
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, LEAST_LIT, VAGUE, mirrors_from_target

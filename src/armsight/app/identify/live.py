@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import load_arm
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
+from armsight.app.identify.results import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.identify.sweep_files import identified, joint_std
 from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob, LiveJob
-from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify

@@ -13,9 +13,9 @@ from armsight.app.arm_files import load_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
 from armsight.app.identify.left_out import consequence, first_joints, named
+from armsight.app.identify.results import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob
-from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import OperatorCallbacks, identify_observed, in_radians, read_known
+from armsight.app.identify.results import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.cell_poses import rig_pose
@@ -20,7 +21,6 @@ from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.requests.identify import LiveJob
-from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError

@@ -21,10 +21,9 @@ from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.path.check import PathCheckOutput, check
 from armsight.app.play.play_job import load_sight
-from armsight.app.play.play_path import run_play
+from armsight.app.play.play_path import PlayOutput, run_play
 from armsight.app.play.target_monitor import Seen
 from armsight.app.requests.motion import PlayJob
-from armsight.app.schemas.play import PlayOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows

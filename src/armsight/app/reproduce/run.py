@@ -12,7 +12,6 @@ from armsight.app.reproduce.kapucu2005 import reproduce_kapucu
 from armsight.app.reproduce.korayem2018 import reproduce_korayem
 from armsight.app.reproduce.pachidis2005 import reproduce_pachidis
 from armsight.app.reproduce.stage import Stage
-from armsight.app.schemas.reproduce import Values
 from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.records import Progress, Silent
@@ -28,6 +27,9 @@ PAPERS: Mapping[str, Callable[[Stage], Reproduction]] = MappingProxyType(
         "kapucu2005": reproduce_kapucu,
     }
 )
+
+
+Values = dict[str, float | None]
 
 
 @output

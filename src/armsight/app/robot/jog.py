@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from armsight.app.robot.guarding import beside_outside, guard_for, noted, standi
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
-from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Guard, GuardState
@@ -25,7 +25,9 @@ from armsight.control.sources import GoalSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
+from armsight.fields import Doc
 from armsight.records import Progress, Silent
+from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -34,6 +36,18 @@ SETTLE_S = 0.5
 """Time in which the arm comes to rest behind its last command."""
 STUCK_S = 1.0
 """Held for so long, or sent nowhere, the motion is given up."""
+
+
+@output
+class JogOutput(Output):
+    """robot jog: one joint moved by a given way, or the arm moved by hand."""
+
+    asked: Annotated[float | None, Doc("The way asked for, rad or m; null where a hand moved the arm.")]
+    sent: Annotated[list[float], Doc("Where the robot was last told to go, rad or m.")]
+    reached: Annotated[list[float], Doc("What it reads at rest, rad or m.")]
+    limited: Annotated[list[str], Doc("The limits that slowed the motion, in words.")]
+    outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
+    state: Annotated[str, Doc("What the robot can do now: ready, moving or stopped.")]
 
 
 class _Watcher:

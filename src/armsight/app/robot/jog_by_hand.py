@@ -12,10 +12,9 @@ from contextlib import AbstractContextManager, contextmanager
 from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import HandJogJob
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
-from armsight.app.robot.jog import SETTLE_S, recording
+from armsight.app.robot.jog import SETTLE_S, JogOutput, recording
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.with_progress import run_with_progress
-from armsight.app.schemas.robot import JogOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard, GuardState
 from armsight.control.loop import ControlLoop

@@ -4,22 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.with_progress import run_with_progress
-from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
 from armsight.clock import Clock, SystemClock
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
 from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, StaleData, UsageError
+from armsight.fields import Doc
 from armsight.records import JointReading, Progress, Silent
+from armsight.records.output import Output, output
 from armsight.units import MS
 
 FOR_S = 5.0
 GONE_S = 1.0
 GONE_CYCLES = 20.0
 """A link without a new reading for longer than both is not there; what is shorter is told as its longest silence."""
+
+
+@output
+class PeriodOutput(Output):
+    """Times between the beginnings of two cycles."""
+
+    median: Annotated[float, Doc("Their median, ms.")]
+    p99: Annotated[float, Doc("Their 99th percentile, ms.")]
+    max: Annotated[float, Doc("The longest, ms.")]
+
+
+@output
+class RobotTestOutput(Output):
+    """robot test: whether the link to a robot keeps its pace; nothing moves."""
+
+    driver: Annotated[str, Doc("The robot's driver.")]
+    cycle_s: Annotated[float, Doc("Time between two commands that the controller takes, s.")]
+    n_cycles: Annotated[int, Doc("Cycles done, each with a reading.")]
+    late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
+    missed: Annotated[int, Doc("Cycles that never began, because the one before took too long.")]
+    period_ms: Annotated[PeriodOutput, Doc("Times between the beginnings of two cycles, ms.")]
+    silence_ms: Annotated[float, Doc("The longest time without a new reading, ms.")]
+    q: Annotated[list[float], Doc("The last reading, rad or m.")]
+    state: Annotated[str, Doc("What the robot can do: ready, moving or stopped.")]
 
 
 def test_robot(

@@ -8,9 +8,8 @@ from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.guarding import arm_of, guard_for
-from armsight.app.schemas.servo import ServoOutput
 from armsight.app.servo.servo_job import CAMERA, TOOL, ServoDevices
-from armsight.app.servo.session import Confirm, ServoSession, Show
+from armsight.app.servo.session import Confirm, ServoOutput, ServoSession, Show
 from armsight.app.servo.vision import Beside, open_servo
 from armsight.control.servo import Mount, ServoSettings, Turning, on_axis
 from armsight.errors import BadFile, Inconsistent, UsageError

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.records.output import keys
 from armsight.store.verify_files import CommandedFile, MeasuredFile
 from armsight.verify import Align, Measured, Reported, Verification
 from armsight.verify.iso9283 import CommandedPath, evaluate
@@ -31,10 +28,7 @@ def iso_figures(
     band_m: the limit band of arrivals in m; without it the pose repeatability of the same pose.
     """
     test, notes = iso9283_test(measured, file.repeats, command, band_m)
-    told = evaluate(test).as_json()
-    names = [key.attribute for key in keys(IsoFigure)]
-    figures: dict[str, dict[str, Any]] = {key: {name: item[name] for name in names} for key, item in told.items()}
-    return {key: IsoFigure(**item) for key, item in figures.items()}, notes
+    return evaluate(test).results(), notes
 
 
 def by_name(file: MeasuredFile, told: CommandedFile) -> bool:

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 from nicegui import run, ui
 
+from armsight.app.identify.results import IdentifyOutput, JointStd, PlanOutput
 from armsight.app.operator import identify_run as sweeps
 from armsight.app.operator.identify_run import FOLDER, JOB_NAME, Entry, IdentifyRequest, Range, SweepFit
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
 from armsight.console.layout import (
     Working,

@@ -12,7 +12,7 @@ from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayRequest
 from armsight.app.operator.teach_controller import TeachController
 from armsight.app.path.check import PathCheckOutput
-from armsight.app.schemas.play import PlayOutput
+from armsight.app.play.play_path import PlayOutput
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,

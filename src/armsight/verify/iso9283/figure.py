@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import UsageError
+from armsight.verify.results import IsoFigure
 
 UNITS = {"m": "m", "rad": "rad", "m/s": "m_s", "s": "s", "1": "ratio"}
 """Units of figures, and how keys spell them."""
@@ -58,19 +59,18 @@ class Figure:
         """How many repeats there were of how many wanted: '10 of 30'; '30' where there were enough."""
         return f"{self.n} of {self.wanted}" if self.n < self.wanted else f"{self.n}"
 
-    def as_json(self) -> dict[str, float | int | str | None]:
-        """Return value, n, wanted, withheld, std and what goes with them, as the contract spells them."""
-        return {
-            "value": self.value,
-            "n": self.n,
-            "wanted": self.wanted,
-            "withheld": self.withheld,
-            "std": self.std,
-            "corrected": self.corrected,
-            "corrected_std": self.corrected_std,
-            "place": self.place,
-            "note": self.note,
-        }
+    def result(self) -> IsoFigure:
+        """Return it as programs get it."""
+        return IsoFigure(
+            value=self.value,
+            n=self.n,
+            wanted=self.wanted,
+            withheld=self.withheld,
+            std=self.std,
+            corrected=self.corrected,
+            corrected_std=self.corrected_std,
+            note=self.note,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,12 +108,11 @@ class Figures:
             for name, group in groups.items()
         }
 
-    def as_json(self) -> dict[str, dict[str, float | int | str | None]]:
+    def results(self) -> dict[str, IsoFigure]:
         """Return the worst of each figure by name and, where there are several poses, each of them by key."""
-        out = {name: figure.as_json() for name, figure in self.worst().items()}
+        out = {name: figure.result() for name, figure in self.worst().items()}
         several = {name for name in out if sum(figure.name == name for figure in self.figures) > 1}
-        out.update({figure.key: figure.as_json() for figure in self.figures if figure.name in several})
-        return out
+        return out | {figure.key: figure.result() for figure in self.figures if figure.name in several}
 
 
 def withheld(figures: Iterable[tuple[str, str]], why: str, *, n: int, wanted: int, place: str = "") -> list[Figure]:

@@ -1,4 +1,4 @@
-"""calibrate camera, calibrate stereo, calibrate mirrors; the noise of a camera."""
+"""What the calibrations of cameras and mirror rigs come to, and the noise of a camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""calibrate arm, calibrate robot-world, identify."""
+"""What an identification comes to, and a plan of sweeps."""
 
 from __future__ import annotations
 

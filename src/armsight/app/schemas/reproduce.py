@@ -1,5 +1,0 @@
-"""reproduce."""
-
-from __future__ import annotations
-
-Values = dict[str, float | None]
