@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS
 from armsight.optics.rig import RIGHT_POSE, Rig
 from armsight.records import NamedCovariance, frozen_array
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -21,8 +24,8 @@ POSE_STEP = 1e-6
 """... and by T_rig_right, in m and rad."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Parallelism:
+@output
+class Parallelism(Output):
     """Alignment of the right camera against the left one.
 
     convergence_rad: how far the optical axes turn towards each other. vertical_rad: how far the right axis points
@@ -34,12 +37,12 @@ class Parallelism:
     gap_px_std (n,); None where the rig brings no covariance.
     """
 
-    convergence_rad: float
-    vertical_rad: float
-    vertical_px: float
-    roll_rad: float
-    height_m: float
-    advance_m: float
+    convergence_rad: Annotated[float, Doc("How far the optical axes turn towards each other, rad.")]
+    vertical_rad: Annotated[float, Doc("How far the right axis points below the left one, rad.")]
+    vertical_px: Annotated[float, Doc("The same as rows at infinity, right minus left, px.")]
+    roll_rad: Annotated[float, Doc("Turn of the right image about its axis, rad.")]
+    height_m: Annotated[float, Doc("How far the right centre of projection is below the left one, m.")]
+    advance_m: Annotated[float, Doc("How far the right centre of projection is before the left one, m.")]
     gap_depths_m: Array
     gap_px: Array
     std: dict[str, float] | None

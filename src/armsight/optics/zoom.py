@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS, Camera, LensKind
 from armsight.optics.zoom_curves import Curves, curves
 from armsight.records import NamedCovariance
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -81,18 +84,18 @@ class ZoomState:
     pupil_std_m: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LeftOut:
+@output
+class LeftOut(Output):
     """A setting predicted from the others: error (predicted minus calibrated) and what was claimed for it.
 
     focal_error_px: of fx; focal_std_px: claimed, of prediction and calibration together; None where too few others are
     left to claim anything. image_rms_px: how far the pixels of equal rays are apart, over the image.
     """
 
-    zoom: float
-    focal_error_px: float
-    focal_std_px: float | None
-    image_rms_px: float
+    zoom: Annotated[float, Doc("The setting.")]
+    focal_error_px: Annotated[float, Doc("Focal length along x, predicted minus calibrated, px.")]
+    focal_std_px: Annotated[float | None, Doc("What was claimed for it, px; null where two others are left.")]
+    image_rms_px: Annotated[float, Doc("Distance of the pixels of equal rays over the image, RMS, px.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+from armsight.fields import Doc
 from armsight.geometry.lengths import check_spread
 from armsight.records import frozen_array
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -123,15 +126,15 @@ class Repeats:
 # Figures of errors, and how much a series of them is worth where neighbours hang together.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figures:
+@output
+class Figures(Output):
     """Mean, mean absolute, largest absolute, standard deviation and RMS of errors, in their own unit."""
 
-    me: float
-    mae: float
-    max: float
-    sd: float
-    rms: float
+    me: Annotated[float, Doc("Mean.", unit="as named")]
+    mae: Annotated[float, Doc("Mean of the absolute error.", unit="as named")]
+    max: Annotated[float, Doc("Largest absolute error.", unit="as named")]
+    sd: Annotated[float, Doc("Standard deviation about the mean.", unit="as named")]
+    rms: Annotated[float, Doc("Root mean square.", unit="as named")]
 
     @classmethod
     def of(cls, errors: Array) -> Figures:

@@ -9,6 +9,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
+from armsight.verify.records import Figures
+from armsight.verify.verification import Configurations
 
 
 @output
@@ -163,17 +165,6 @@ class PoseError(Output):
 
 
 @output
-class ErrorFigures(Output):
-    """Figures of one component's error, measured minus expected, in the unit of its name."""
-
-    me: Annotated[float, Doc("Mean.", unit="as named")]
-    mae: Annotated[float, Doc("Mean of the absolute error.", unit="as named")]
-    max: Annotated[float, Doc("Largest absolute error.", unit="as named")]
-    sd: Annotated[float, Doc("Standard deviation about the mean.", unit="as named")]
-    rms: Annotated[float, Doc("Root mean square.", unit="as named")]
-
-
-@output
 class VerifyJoint(Output):
     """One joint; rad, of a slide m."""
 
@@ -212,16 +203,6 @@ class Explained(Output):
 
 
 @output
-class ConfigurationPairs(Output):
-    """Commanded poses that two configurations of the arm reached: how far apart the measured places are."""
-
-    n: Annotated[int, Doc("Pairs of rows.")]
-    mean_m: Annotated[float, Doc("Mean distance, m.")]
-    p95_m: Annotated[float, Doc("95 % are closer, m.")]
-    max_m: Annotated[float, Doc("Largest distance, m.")]
-
-
-@output
 class IsoFigure(Output):
     """A figure of ISO 9283."""
 
@@ -256,14 +237,14 @@ class VerifyOutput(Output):
         PoseError | None, Doc("Errors before anything is laid where it fits best; null of repeats alone.")
     ]
     after: Annotated[PoseError | None, Doc("Errors with base and tool as aligned; null of repeats alone.")]
-    task: Annotated[dict[str, ErrorFigures], Doc("Errors in the base's axes: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad.")]
+    task: Annotated[dict[str, Figures], Doc("Errors in the base's axes: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad.")]
     measurement_std: Annotated[dict[str, float | None], Doc("The measurement's own, RMS; null where not known.")]
     joints: Annotated[list[VerifyJoint], Doc("Errors and zeros of the joints; empty without an arm.")]
     cause: Annotated[str, Doc("none, joint N, several joints, model, measurement or undecided.")]
     kind: Annotated[str | None, Doc("What the joint named has wrong; null where none is named.")]
     parameters: Annotated[dict[str, CauseParameter], Doc("... with its values.")]
     explained: Annotated[Explained, Doc("What explains how much.")]
-    configurations: Annotated[ConfigurationPairs | None, Doc("Commanded poses reached by two configurations.")] = None
+    configurations: Annotated[Configurations | None, Doc("Commanded poses reached by two configurations.")] = None
     decide_by: Annotated[
         list[list[float]] | None, Doc("Joint readings to measure at where nothing decides, rad or m.")
     ] = None

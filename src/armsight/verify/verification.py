@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import NotEnoughData
+from armsight.fields import Doc
 from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
+from armsight.records.output import Output, output
 from armsight.units import MM
 from armsight.verify.alignment import Align, Aligned, align, gross, realign, undetermined
 from armsight.verify.cause import Cause, find_cause
@@ -33,14 +36,14 @@ SAME_RAD = 1e-3
 """Joint values (rad or m) rounded to this are the same command."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Configurations:
+@output
+class Configurations(Output):
     """Commanded poses that several configurations of the arm reached: how far apart their measured places are, in m."""
 
-    n: int
-    mean_m: float
-    p95_m: float
-    max_m: float
+    n: Annotated[int, Doc("Pairs of rows.")]
+    mean_m: Annotated[float, Doc("Mean distance, m.")]
+    p95_m: Annotated[float, Doc("95 % are closer, m.")]
+    max_m: Annotated[float, Doc("Largest distance, m.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

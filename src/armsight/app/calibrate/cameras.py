@@ -11,7 +11,7 @@ from armsight.app.calibrate.board_images import Seen, in_parallel, require_count
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.app.calibrate.camera_noise import FoundNoise, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
-from armsight.app.calibrate.results import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput, ZoomOutput
+from armsight.app.calibrate.results import CameraNoise, CameraOutput, StereoOutput, ZoomOutput
 from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
 from armsight.app.requests.calibrate_cameras import CameraJob, NoiseJob, StereoJob
 from armsight.app.sources.frames import open_pairs, open_source
@@ -22,7 +22,6 @@ from armsight.drivers import AUTOMATIC, is_live
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.optics import LensKind
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
-from armsight.records.output import keys
 from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, write_camera, write_rig
 
@@ -181,15 +180,9 @@ def stereo_output(result: StereoCalibration, rejected: Sequence[Rejected], *, n_
         holdout_epipolar_rms_px=result.holdout_epipolar_rms_px,
         metric=cast(dict[Any, float | None], dict(result.metric)),
         metric_is_left_out=result.metric_is_left_out,
-        alignment=alignment_output(result),
+        alignment=result.parallelism,
         advice=list(result.advice),
     )
-
-
-def alignment_output(result: StereoCalibration) -> AlignmentOutput:
-    """Return how parallel the pair stands, as --json gives it."""
-    found = result.parallelism
-    return AlignmentOutput(**{key.attribute: getattr(found, key.attribute) for key in keys(AlignmentOutput)})
 
 
 def report_path(out: Path) -> Path:

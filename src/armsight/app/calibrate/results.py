@@ -8,6 +8,8 @@ from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import Suspect
 from armsight.fields import Doc
 from armsight.optics.mirrors import FormError
+from armsight.optics.parallelism import Parallelism
+from armsight.optics.zoom import LeftOut
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedFile
 
@@ -76,16 +78,6 @@ class NoiseOutput(Output):
 
 
 @output
-class LeftOutSetting(Output):
-    """A setting of a zoom lens predicted from all others."""
-
-    zoom: Annotated[float, Doc("The setting.")]
-    focal_error_px: Annotated[float, Doc("Focal length along x, predicted minus calibrated, px.")]
-    focal_std_px: Annotated[float | None, Doc("What was claimed for it, px; null where two others are left.")]
-    image_rms_px: Annotated[float, Doc("Distance of the pixels of equal rays over the image, RMS, px.")]
-
-
-@output
 class ZoomOutput(Output):
     """The zoom lens whose setting was calibrated."""
 
@@ -93,7 +85,7 @@ class ZoomOutput(Output):
     settings: Annotated[list[float], Doc("All settings in the file, increasing.")]
     focal_lengths_px: Annotated[list[float], Doc("Focal length along x at these, px.")]
     left_out: Annotated[
-        list[LeftOutSetting],
+        list[LeftOut],
         Doc("Each setting but the first and last, predicted from the others; empty with fewer than three."),
     ]
     focal_error_rms: Annotated[float | None, Doc("RMS of the relative errors of these focal lengths.")]
@@ -138,18 +130,6 @@ class ZoomRigOutput(Output):
 
 
 @output
-class AlignmentOutput(Output):
-    """How parallel the two views of a rig stand, the right one against the left one."""
-
-    convergence_rad: Annotated[float, Doc("How far the optical axes turn towards each other, rad.")]
-    vertical_rad: Annotated[float, Doc("How far the right axis points below the left one, rad.")]
-    vertical_px: Annotated[float, Doc("The same as rows at infinity, right minus left, px.")]
-    roll_rad: Annotated[float, Doc("Turn of the right image about its axis, rad.")]
-    height_m: Annotated[float, Doc("How far the right centre of projection is below the left one, m.")]
-    advance_m: Annotated[float, Doc("How far the right centre of projection is before the left one, m.")]
-
-
-@output
 class StereoOutput(Output):
     """armsight calibrate stereo."""
 
@@ -173,7 +153,7 @@ class StereoOutput(Output):
         ),
     ]
     metric_is_left_out: Annotated[bool, Doc("Whether `metric` is of pairs left out of the fit.")]
-    alignment: Annotated[AlignmentOutput, Doc("How parallel the two views stand.")]
+    alignment: Annotated[Parallelism, Doc("How parallel the two views stand.")]
     advice: Annotated[list[str], Doc("What would make the result surer.")]
 
 
@@ -190,7 +170,7 @@ class PlateOutput(Output):
 
 
 @output
-class MirrorAlignment(AlignmentOutput):
+class MirrorAlignment(Parallelism):
     """How parallel the two views of a mirror rig stand, and its plate."""
 
     plate: Annotated[PlateOutput, Doc("The glass plate.")]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.calibrate.results import LeftOutSetting, ZoomOutput, ZoomRigOutput
+from armsight.app.calibrate.results import ZoomOutput, ZoomRigOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.requests.calibrate_cameras import ZoomRigJob, ZoomValue
 from armsight.calibrate.cameras import CameraCalibration
@@ -84,15 +84,7 @@ def zoom_output(lens: ZoomLens, zoom: float) -> ZoomOutput:
         zoom=zoom,
         settings=lens.zooms.tolist(),
         focal_lengths_px=focal,
-        left_out=[
-            LeftOutSetting(
-                zoom=one.zoom,
-                focal_error_px=one.focal_error_px,
-                focal_std_px=one.focal_std_px,
-                image_rms_px=one.image_rms_px,
-            )
-            for one in left_out
-        ],
+        left_out=list(left_out),
         focal_error_rms=float(np.sqrt((relative**2).mean())) if len(relative) else None,
         advice=_advice(lens),
     )

@@ -44,20 +44,10 @@ class PathChangeOutput(Output):
 
 
 @output
-class PathOutlierOutput(Output):
-    """A row that does not belong to the path."""
-
-    row: Annotated[int, Doc("The row of the path read, from 0.")]
-    off_m: Annotated[float, Doc("How far it is from where its neighbours say, m.")]
-    off_rad: Annotated[float, Doc("How far it is turned from what they say, rad.")]
-    text: Annotated[str, Doc("The same in words.")]
-
-
-@output
 class PathSmoothOutput(PathChangeOutput):
     """armsight path smooth."""
 
-    outliers: Annotated[list[PathOutlierOutput], Doc("Rows that do not belong to the path.")]
+    outliers: Annotated[list[PathOutlier], Doc("Rows that do not belong to the path.")]
     dropped: Annotated[bool, Doc("Whether they were left out.")]
     moved_max_m: Annotated[float, Doc("How far the row moved that moved most, m.")]
     moved_rms_m: Annotated[float, Doc("Root mean square of how far rows moved, m.")]
@@ -78,7 +68,7 @@ def smooth(
     way, turn = moved_by(kept, made)
     return PathSmoothOutput(
         **_written(made, out, len(path)).to_dict(),
-        outliers=[PathOutlierOutput(row=o.row, off_m=o.off_m, off_rad=o.off_rad, text=o.text) for o in found],
+        outliers=list(found),
         dropped=kept is not path,
         moved_max_m=float(way.max()),
         moved_rms_m=float(np.sqrt(np.mean(way**2))),

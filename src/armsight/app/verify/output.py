@@ -14,8 +14,6 @@ from armsight.units import DEG, MM
 from armsight.verify import Cause, Figures, JointVerdict, Verification
 from armsight.verify.results import (
     CauseParameter,
-    ConfigurationPairs,
-    ErrorFigures,
     Explained,
     IsoFigure,
     PoseError,
@@ -49,9 +47,7 @@ def verify_output(
         kind=None if cause is None or cause.kind is None else cause.kind.value,
         parameters=_parameters(cause),
         explained=_explained(cause),
-        configurations=None
-        if found is None
-        else ConfigurationPairs(n=found.n, mean_m=found.mean_m, p95_m=found.p95_m, max_m=found.max_m),
+        configurations=found,
         decide_by=None if result.deciding is None or arm is None else arm.readings(result.deciding).tolist(),
         iso9283=iso,
         rejected=[RejectedRow(row=row, why=why) for row, why in rejected],
@@ -122,13 +118,8 @@ def _pose_error(residual: Array) -> PoseError:
     return PoseError(rms_m=float(np.sqrt(np.mean(place**2))), rms_rad=turn, max_m=float(place.max()))
 
 
-def _figures(errors: Array) -> ErrorFigures:
-    found = Figures.of(errors)
-    return ErrorFigures(me=found.me, mae=found.mae, max=found.max, sd=found.sd, rms=found.rms)
-
-
-def _task(task: Array) -> dict[str, ErrorFigures]:
-    return {name: _figures(task[:, k]) for k, name in enumerate(NAMES[: task.shape[1]])}
+def _task(task: Array) -> dict[str, Figures]:
+    return {name: Figures.of(task[:, k]) for k, name in enumerate(NAMES[: task.shape[1]])}
 
 
 def _measurement(result: Verification) -> dict[str, float | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -13,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from armsight.control.paths.along import positive
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fields import Doc
 from armsight.records import TaughtPath
+from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -31,14 +34,14 @@ corner of 288 rasters and saws is an outlier (91 had some without it), also in n
 rows lie 4.5 mm apart or less."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathOutlier:
+@output
+class PathOutlier(Output):
     """A row that is off_m and off_rad from what its neighbours foretell, and the same in words."""
 
-    row: int
-    off_m: float
-    off_rad: float
-    text: str
+    row: Annotated[int, Doc("The row of the path read, from 0.")]
+    off_m: Annotated[float, Doc("How far it is from where its neighbours say, m.")]
+    off_rad: Annotated[float, Doc("How far it is turned from what they say, rad.")]
+    text: Annotated[str, Doc("The same in words.")]
 
 
 def outliers(path: TaughtPath, *, least_m: float = LEAST_M, least_rad: float = LEAST_RAD) -> tuple[PathOutlier, ...]:
