@@ -23,12 +23,16 @@ ROOTS = (HOME / "src" / "armsight", HOME / "sim" / "src" / "armsight_sim")
 MOST_LINES = 40
 MOST_ARGUMENTS = 8
 MOST_FILE_LINES = 400
+SHARED, FEWEST_SHARED = 0.6, 4
+"""Share of fields in common from which two classes are one thing twice, and the fewest fields that tell it."""
 MOST_KERNEL_LINES = 60
 MOST_KERNEL_ARGUMENTS = 10
 LEAST_COMMENTS = 3.0
 """Lines with comments per 100 lines of code in a package of arithmetic: which formula it is, and why, no code says."""
 ARITHMETIC = ("calibrate", "fitting")
 """Packages whose code is arithmetic, beside all kernels."""
+DRIVERS = "settings of drivers, whose keys only the driver knows"
+SCENES = "documents of simulated scenes, whose keys armsight-sim knows"
 FLAGS = "a command: each of its flags is an argument, with a line or more of help"
 
 EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
@@ -46,8 +50,29 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
-    "long kernels": {},
-    "kernels' arguments": {},
+    "dictionaries": {
+        "app/robot/hosting.py": DRIVERS,
+        "app/robot/opening.py": DRIVERS,
+        "app/robot/recorder.py": "a log of orders of every kind, each with its own values",
+        "app/servo/session.py": "a recording of set points of every kind, each with its own values",
+        "app/operator/session_robot.py": "what a remote robot's description holds of its arm",
+        "app/simulate/cells.py": SCENES,
+        "app/simulate/run.py": SCENES,
+        "app/simulate/scenarios.py": SCENES,
+        "app/compare/run.py": "a file of any kind, looked at to say what it lacks",
+        "report/figures.py": "plotly's traces and layouts, under one name for all pages",
+    },
+    "imports by name": {
+        "__init__.py": "public names are loaded when they are asked for",
+        "app/requests/__init__.py": "requests are loaded when a command is called: help begins without them",
+        "cli/command.py": "help is drawn by what only help needs",
+        "fields.py": "defaults of flags that are heavy to import",
+        "kinematics/dynamics.py": "an extra that is not always there",
+        "records/by_value.py": "`record.save(path)` of the public face: records know of no files",
+    },
+    "types of a result": {
+        "*": "reckoned with values that may be missing or infinite, and told as null: decision 0031",
+    },
     "files": {
         "measure/spots/kernels/scan.py": "thresholds and connected components of one pass over an image",
         "armsight_sim/rooms/kernels.py": "rays and light of one scene, which is one tuple of arrays for all of them",
@@ -164,10 +189,55 @@ def figures(*roots: Path, exceptions: Mapping[str, Mapping[str, str]] | None = N
             "comments",
             sparse(comments, LEAST_COMMENTS),
         ),
+        figure("dictionaries of anything in app and report", "dictionaries", list(open_dictionaries(files))),
+        figure("modules imported by name", "imports by name", list(imports_by_name(files))),
+        figure(
+            "pairs of classes that share most fields, one of them a result", "types of a result", list(twice(files))
+        ),
         figure("functions without types, kernels not counted", "types", [(f.place, "") for f in plain if not f.typed]),
         figure("files with lines kept from the formatter", "formatter", unformatted),
         figure(f"files over {MOST_FILE_LINES} lines", "files", long_files),
     ]
+
+
+def open_dictionaries(files: Mapping[Path, str]) -> Iterator[tuple[str, str]]:
+    """Yield the files of app and report that speak of dictionaries with values of any type, and how often."""
+    for path, name in files.items():
+        found = re.findall(r"(?:dict|Mapping)\[str, Any\]", path.read_text(encoding="utf-8"))
+        if found and name.split("/")[0] in ("app", "report"):
+            yield name, f"{len(found)}"
+
+
+def imports_by_name(files: Mapping[Path, str]) -> Iterator[tuple[str, str]]:
+    """Yield the files that import a module by a text, which no tool can follow."""
+    for path, name in files.items():
+        if found := len(re.findall(r"\bimport_module\(", path.read_text(encoding="utf-8"))):
+            yield name, f"{found}"
+
+
+def twice(files: Mapping[Path, str]) -> Iterator[tuple[str, str]]:
+    """Yield pairs of classes with at least SHARED of their fields in common, where one of them is a result."""
+    classes = []
+    for path, name in files.items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                is_result = any(ast.unparse(one) == "output" for one in node.decorator_list)
+                bases = {ast.unparse(one) for one in node.bases}
+                classes.append((f"{name}:{node.name}", node.name, bases, _fields(node), is_result))
+    for k, (a, name_a, bases_a, fields_a, result_a) in enumerate(classes):
+        for b, name_b, bases_b, fields_b, result_b in classes[k + 1 :]:
+            related = name_a in bases_b or name_b in bases_a
+            if (result_a or result_b) and not related and min(len(fields_a), len(fields_b)) >= FEWEST_SHARED:
+                share = len(fields_a & fields_b) / len(fields_a | fields_b)
+                if share >= SHARED:
+                    yield a, f"{b}, {100.0 * share:.0f} %"
+
+
+def _fields(node: ast.ClassDef) -> set[str]:
+    """Return the fields of a class, and its methods that are keys of its result."""
+    named = {one.target.id for one in node.body if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)}
+    methods = [one for one in node.body if isinstance(one, ast.FunctionDef)]
+    return named | {one.name for one in methods if any("figure(" in ast.unparse(d) for d in one.decorator_list)}
 
 
 def place(path: Path, roots: Sequence[Path]) -> str:

@@ -76,14 +76,33 @@ def test_arithmetic_without_reasons_is_seen(structure: ModuleType, tmp_path: Pat
     assert over(structure, tmp_path, {}) == []
 
 
-def test_comments_of_the_other_arithmetic_are_told(structure: ModuleType, tmp_path: Path) -> None:
+def test_results_among_the_arithmetic_declare_and_need_no_reasons(structure: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "calibrate").mkdir()
+    (tmp_path / "calibrate" / "result.py").write_text("X = 1\n" * 50)
+    assert over(structure, tmp_path, {}) == []
     (tmp_path / "calibrate" / "planted.py").write_text("X = 1  # why\n" + "X = 1\n" * 49)
-    (told,) = [figure for figure in structure.figures(tmp_path, {}) if figure.what.endswith("per 100 lines of code")][
-        :1
-    ]
-    assert told.items == [("calibrate", "2.0")]
-    assert told.unlisted() == []
+    assert over(structure, tmp_path, {}) == ["calibrate: 2.0"]
+
+
+FIELDS = "".join(f"    {name}: float\n" for name in ("a_m", "b_m", "c_m", "d_m"))
+SAME = {
+    "report/planted.py": ("def planted(page: dict[str, Any]) -> None:\n    return\n", "report/planted.py: 1"),
+    "store/planted.py": ('x = import_module("armsight.app")\n', "store/planted.py: 1"),
+    "app/planted.py": (
+        f"@output\nclass Told(Output):\n{FIELDS}\n\nclass Found:\n{FIELDS}    e_m: float\n",
+        "app/planted.py:Told: app/planted.py:Found, 80 %",
+    ),
+}
+
+
+@pytest.mark.parametrize("place", SAME)
+def test_open_dictionaries_imports_by_name_and_a_result_of_two_classes_are_seen(
+    structure: ModuleType, tmp_path: Path, place: str
+) -> None:
+    text, told = SAME[place]
+    (tmp_path / place).parent.mkdir()
+    (tmp_path / place).write_text(text)
+    assert over(structure, tmp_path, {}) == [told]
 
 
 def test_an_exception_that_nothing_needs_is_seen(structure: ModuleType, tmp_path: Path) -> None:
