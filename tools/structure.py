@@ -178,11 +178,8 @@ def figures(root: Path, exceptions: Mapping[str, Mapping[str, str]] | None = Non
     def figure(what: str, key: str, items: Sequence[tuple[str, str]]) -> Figure:
         return Figure(what, items, key, exceptions.get(key, {}))
 
-    def sparse(some: Mapping[str, tuple[int, int]], least: float) -> list[tuple[str, str]]:
-        shares = {name: 100.0 * lines / max(code, 1) for name, (lines, code) in some.items()}
-        return [(name, f"{share:.1f}") for name, share in shares.items() if not 0.0 <= least <= share]
-
-    comments = count_comments(root)
+    comments = list(comment_shares(root).items())
+    few = [(name, share) for name, share in comments if name.split("/")[0] in COMMENTED and share < LEAST_COMMENTS]
     unformatted = [(str(path.relative_to(root)), f"{n}") for path in root.rglob("*.py") if (n := count_skips(path))]
     return [
         figure("modules in circles", "circles", [(" <-> ".join(circle), "") for circle in circles(imports)]),
@@ -202,11 +199,14 @@ def figures(root: Path, exceptions: Mapping[str, Mapping[str, str]] | None = Non
             "kernels' arguments",
             wide(kernels, MOST_KERNEL_ARGUMENTS),
         ),
-        Figure("packages of arithmetic, with their comments per 100 lines of code", sparse(comments, -1.0)),
+        Figure(
+            "packages of arithmetic, with their comments per 100 lines of code",
+            [(name, f"{share:.1f}") for name, share in comments],
+        ),
         figure(
             f"packages of arithmetic with fewer comments than {LEAST_COMMENTS:g} per 100 lines of code",
             "comments",
-            sparse({name: n for name, n in comments.items() if name.split("/")[0] in COMMENTED}, LEAST_COMMENTS),
+            [(name, f"{share:.1f}") for name, share in few],
         ),
         figure("functions without types, kernels not counted", "types", [(f.place, "") for f in plain if not f.typed]),
         figure("files with lines kept from the formatter", "formatter", unformatted),
@@ -305,36 +305,27 @@ def functions(root: Path, path: Path) -> Iterator[Function]:
         )
 
 
-def count_comments(root: Path) -> dict[str, tuple[int, int]]:
-    """Return the lines with a comment and the lines of code, docstrings left out, of each package of arithmetic.
+def comment_shares(root: Path) -> dict[str, float]:
+    """Return the lines with a comment per 100 lines of code of each package of arithmetic.
 
     That is the folder of a module of kernels, or a module that is called so by itself, or a folder of ARITHMETIC.
     """
     out: dict[str, tuple[int, int]] = {}
     for path in root.rglob("*.py"):
         place = path.relative_to(root)
-        if place.stem == "kernels":
-            name = str(place)
-        elif "kernels" in place.parts or place.parts[0] in ARITHMETIC:
-            name = str(place.parent)
-        else:
-            continue
-        before, (lines, code) = out.get(name, (0, 0)), comment_lines(path.read_text(encoding="utf-8"))
-        out[name] = before[0] + lines, before[1] + code
-    return out
+        if place.stem == "kernels" or "kernels" in place.parts or place.parts[0] in ARITHMETIC:
+            name = str(place if place.stem == "kernels" else place.parent)
+            before, (lines, code) = out.get(name, (0, 0)), comment_lines(path.read_text(encoding="utf-8"))
+            out[name] = before[0] + lines, before[1] + code
+    return {name: 100.0 * lines / max(code, 1) for name, (lines, code) in out.items()}
 
 
 def comment_lines(text: str) -> tuple[int, int]:
-    """Return how many lines of a source have a comment, and how many hold code: no docstrings of whatever they are."""
+    """Return how many lines of a source have a comment, and how many hold code; strings that only tell are neither."""
     told: set[int] = set()
     for node in ast.walk(ast.parse(text)):
-        for part in getattr(node, "body", None) or () if not isinstance(node, ast.Lambda | ast.IfExp) else ():
-            if (
-                isinstance(part, ast.Expr)
-                and isinstance(part.value, ast.Constant)
-                and isinstance(part.value.value, str)
-            ):
-                told.update(range(part.lineno, (part.end_lineno or part.lineno) + 1))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            told.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     comments: set[int] = set()
     code: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
