@@ -19,7 +19,7 @@ from armsight.geometry.kernels import copy_2, multiply
 from armsight.measure.motion.kernels.state import STATE, N, P, R, state_at
 from armsight.measure.motion.kernels.views import ViewK, innovation_covariance, observe, select
 from armsight.measure.poses.kernels.rig_covariance import PARAMETERS, add_information, light_slopes, place_slopes
-from armsight.optics.kernels.camera import CameraK, RigK
+from armsight.optics.kernels.camera import RigK
 from armsight.optics.kernels.triangulation import invert_2
 
 DELAY = -1  # the delay's column, the last one
@@ -116,7 +116,7 @@ def view_slopes(predicted, filtered, rig, s, view, light, basis, H, A, e):
     predicted, filtered: the states before and after the view of side s; light (m / 2,): its lights' rows of basis.
     False where one of them is behind the camera.
     """
-    camera = CameraK(rig.k[s], rig.R[s], rig.t[s])
+    camera = rig.k[s], rig.R[s], rig.t[s]
     T = np.eye(4)
     x = np.empty(STATE)
     place = np.empty(3)

@@ -19,7 +19,7 @@ from armsight.measure.motion.kernels.views import (
     update,
     update_pose,
 )
-from armsight.optics.kernels.camera import CameraK, RigK
+from armsight.optics.kernels.camera import RigK
 
 IMPOSSIBLE = -1e6
 """Log likelihood of a view that a state cannot explain at all."""
@@ -88,7 +88,7 @@ def step_filters(states, dt, motion, camera, view, log):
     (K,): the view's log likelihood under each level.
     """
     xs, Cs, w = states
-    motion, camera, view = Motion(*motion), CameraK(*camera), ViewK(*view)
+    motion, view = Motion(*motion), ViewK(*view)
     K = motion.jerk.shape[0]
     y = np.empty(STATE)
     D = np.empty((N, N))
@@ -238,7 +238,7 @@ def left_out(xs, Cs, views, spots, rig, X, logs):
         logs[i] = 0.0 if m == 0 else IMPOSSIBLE
         s = side[i]
         seen = m > 0
-        camera = CameraK(rig.k[s], rig.R[s], rig.t[s])
+        camera = (rig.k[s], rig.R[s], rig.t[s])
         for j in range(b - a):
             seen &= observe(xs[i], camera, X[light[a + j]], tau[a + j], here, H[2 * j : 2 * j + 2])
             for c in range(2):

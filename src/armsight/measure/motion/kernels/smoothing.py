@@ -11,7 +11,7 @@ from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.motion.kernels.state import N, difference, move, multiply, multiply_t, predict, transposed
 from armsight.measure.motion.kernels.views import ViewK, innovation_covariance, observe, select, update
-from armsight.optics.kernels.camera import CameraK, RigK
+from armsight.optics.kernels.camera import RigK
 
 MOMENT_S = 1e-5
 """Over which the speed of a spot in the image is taken."""
@@ -74,7 +74,7 @@ def run_filter(views, spots, line, rig, X, motion, start, filtered, predicted, e
             at = np.empty((b - a, 3))
             select(X, light[a:b], at)
             s = side[i]
-            camera, view = CameraK(rig.k[s], rig.R[s], rig.t[s]), ViewK(at, tau[a:b], uv[a:b], cov[a:b])
+            camera, view = (rig.k[s], rig.R[s], rig.t[s]), ViewK(at, tau[a:b], uv[a:b], cov[a:b])
             residual = np.empty((b - a, 2))
             chi2, _ = update(xs[i], Cs[i], camera, view, residual)
             if chi2 >= 0.0 and line.shape[1]:

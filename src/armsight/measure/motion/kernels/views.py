@@ -54,7 +54,7 @@ def select(X, light, out):
 def observe(x, camera, X, tau, uv, H):
     """Fill uv (2,) and H (2, 18): where a light at X of the target is seen tau after the state's time.
 
-    False where it is behind the camera, a CameraK or a plain tuple.
+    False where it is behind the camera, in the order of CameraK: a plain tuple for all callers, one compilation.
     """
     k, Rc, tc = camera
     E = np.empty((3, 3))

@@ -265,7 +265,6 @@ def solve_named(rig, views, slack2, lights, P, S, T, C, residual):
     P (n, 3), S (n, 3, 3), the pose T (4, 4), its covariance C (6, 6) (translation, rotation vector; rig axes), residual
     (n, 2, 2) in px. Arrays are filled, not returned: handing one back costs as much as the algebra.
     """
-    rig = RigK(*rig)
     uv, cov = views
     X, radius, normal = lights
     lights = Lights(X.copy(), radius, normal)  # writable as in the search: one compilation serves both
@@ -275,10 +274,11 @@ def solve_named(rig, views, slack2, lights, P, S, T, C, residual):
     tp = np.empty(3)
     if not weights(cov, 0.0, W):
         return NO_WEIGHT, np.inf, np.inf
+    # with the plain tuple, as Python calls it: one compilation serves both
     if not triangulate_all(rig, uv, cov, P, S):
         return NO_POINT, np.inf, np.inf
     kabsch(lights.X, P, Rp, tp)
-    state, chi2 = refine_pose(rig, lights, Observations(uv, W), Rp, tp, H, residual)
+    state, chi2 = refine_pose(RigK(*rig), lights, Observations(uv, W), Rp, tp, H, residual)
     if state == SOLVED and not invert_spd(H, C):
         state = OPEN
     for i in range(3):
