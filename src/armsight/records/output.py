@@ -10,7 +10,18 @@ from dataclasses import fields as dataclass_fields
 from functools import cache
 from html import escape
 from os import PathLike, fspath
-from typing import Annotated, Any, Generic, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints, overload
+from typing import (
+    Annotated,
+    Any,
+    Generic,
+    TypeVar,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -61,7 +72,7 @@ class Figure(Generic[Value]):
     @overload
     def __get__(self, record: object, kind: type | None = None) -> Value: ...
     def __get__(self, record: object | None, kind: type | None = None) -> Figure[Value] | Value:
-        return self if record is None else self.of(record)
+        return self if record is None else cast(Value, _of_python(self.of(record)))
 
 
 def figure(
@@ -81,6 +92,13 @@ class Output(ByValue):
     """
 
     __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for one in dataclass_fields(self):  # type: ignore[arg-type]  # what `output` makes is a dataclass
+            held = getattr(self, one.name)
+            kept = _of_python(held)
+            if kept is not held:
+                object.__setattr__(self, one.name, kept)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain numbers, texts, lists and dictionaries, keys as in the JSON object."""
@@ -112,6 +130,17 @@ def keys(kind: type) -> tuple[Key, ...]:
     """Return the keys of a class of results: those of fields first, then its figures, each as declared."""
     of: Any = kind  # a class can be hashed
     return _keys(of)
+
+
+def _of_python(value: Any) -> Any:
+    """Return numpy's numbers, also those in a list or dictionary, as Python's: they print as such."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if type(value) in (list, tuple) and any(isinstance(one, np.generic) for one in value):
+        return type(value)(map(_of_python, value))
+    if type(value) is dict and any(isinstance(one, np.generic) for one in value.values()):
+        return {name: _of_python(one) for name, one in value.items()}
+    return value
 
 
 @cache

@@ -83,6 +83,8 @@ def test_numbers_of_any_kind_poses_and_arrays_become_what_json_knows_and_a_metho
         }
     )
     assert found == found.extended(Found) != found.extended(Found, rms_m=3.0)
+    assert repr(found.extended(Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).double_m) == "1.0"
+    assert repr(found.extended(Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).rows) == "(3,)"
 
 
 def test_a_result_that_was_written_is_read_again() -> None:
