@@ -156,8 +156,8 @@ def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, 
     straight = [alignment.look(station) for _ in range(3)][-1]
     assert straight.done and straight.turns == () and 0.0 < straight.std_rad < COARSE_RAD
     assert len(alignment.looks) == 3 and not list(tmp_path.glob("*.png"))
-    told = straight.check.change_std.model_copy(update={"drx_rad": 2.0 * COARSE_RAD})
-    vague = replace(straight, check=straight.check.model_copy(update={"change_std": told}))
+    told = replace(straight.check.change_std, drx_rad=2.0 * COARSE_RAD)
+    vague = replace(straight, check=replace(straight.check, change_std=told))
     assert vague.unsure and not vague.done, "what is not known is not called good"
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
@@ -74,11 +73,12 @@ def _made_with(path: Path) -> MadeWith | None:
     """Return what measure.json keeps of rig and target; None where it, or they in it, are not there."""
     if not path.exists():
         return None
+    data = read_bytes(path, limit=MAX_SUMMARY_BYTES)
     try:
-        held = json.loads(read_bytes(path, limit=MAX_SUMMARY_BYTES))
+        held = json.loads(data)
         told = held.get("made_with") if isinstance(held, dict) else None
-        return None if told is None else read_output(MadeWith, told, str(path))
-    except (ValueError, ValidationError, RecursionError) as error:
+        return None if told is None else read_output(MadeWith, told, path.name)
+    except (ValueError, BadFile, RecursionError) as error:
         raise BadFile(
             f"{path}: not the summary of a measurement ({str(error).splitlines()[0]})",
             consequence="Whether both runs had one rig and target cannot be told",

@@ -197,9 +197,10 @@ def shared_in_world(repeats: Repeats, world: World) -> Repeats:
 def read_run(folder: Path) -> VerifyOutput:
     """Return what an earlier run found. Raises BadFile where the folder holds none."""
     path = folder / SUMMARY
+    held = read_bytes(path, limit=MAX_SUMMARY_BYTES)
     try:
-        return read_output(VerifyOutput, json.loads(read_bytes(path, limit=MAX_SUMMARY_BYTES)), str(path))
-    except ValueError as error:
+        return read_output(VerifyOutput, json.loads(held), path.name)
+    except (ValueError, BadFile) as error:
         first = str(error).splitlines()[0]
         raise BadFile(
             f"{path}: not the summary of a verification ({first})",
