@@ -127,7 +127,7 @@ def jacobian(at, e, predicted, J):
         J[5, column] = c + 0.5 * cc + k * (wx * cb - wy * ca)
 
 
-@kernel
+@inner_kernel
 def derivatives(unknowns, pairs, e, J):
     """Fill e (n, 6) and J (n, 6, 13), in the camera's axes."""
     at, predicted = named(unknowns), prediction()
