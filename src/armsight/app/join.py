@@ -18,10 +18,9 @@ from armsight.kinematics import Arm
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
 from armsight.store import write_text
-from armsight.store.covariances import POSITION_COVARIANCE
+from armsight.store.covariances import POSITION, POSITION_COVARIANCE, QUATERNION
 from armsight.store.handeye_file import write_pairs
 from armsight.store.tables import cells, word
-from armsight.store.tracks import POSITION, QUATERNION
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
 from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts

@@ -15,7 +15,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is imported
     try:
         _open_streams()
-        from armsight.cli.commands import app
+        from armsight.cli.command import app
 
         app(prog_name="armsight")
     except KeyboardInterrupt:

@@ -15,10 +15,17 @@ from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
 from armsight.records import PoseStatus
 from armsight.store.codec import named
-from armsight.store.covariances import DEVIATIONS, POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
+from armsight.store.covariances import (
+    DEVIATIONS,
+    POSITION,
+    POSITION_COVARIANCE,
+    QUATERNION,
+    UNCORRELATED,
+    covariances,
+    has_correlations,
+)
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import Table, parse_table
-from armsight.store.tracks import POSITION, QUATERNION
 from armsight.store.verify_files import KNOWN
 
 SLIP = 0.8

@@ -1,4 +1,4 @@
-"""Covariances as columns of a table: the standard deviations, and beside them the upper triangle of the matrix."""
+"""The columns of poses and of covariances: standard deviations, and beside them the upper triangle of the matrix."""
 
 from __future__ import annotations
 
@@ -22,6 +22,13 @@ LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
 """Of a pose, row by row above the diagonal; m and rad, in the axes of sx_m .. srz_rad."""
 SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
+POSITION = ("x_m", "y_m", "z_m")
+QUATERNION = ("qx", "qy", "qz", "qw")
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
+VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
+POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
+"""Of every poses.csv; behind them those of POSE_EXTRAS that the poses have."""
+POSE_EXTRAS = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
 POINT_COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES[:3], 2))
 """Of a position."""
 

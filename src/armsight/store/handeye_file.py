@@ -32,6 +32,8 @@ from armsight.store.codec import (
 from armsight.store.covariances import (
     CAMERA_COVARIANCE,
     DEVIATIONS,
+    POSITION,
+    QUATERNION,
     UNCORRELATED,
     above_diagonal,
     covariances,
@@ -40,7 +42,6 @@ from armsight.store.covariances import (
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.tables import Table, cells, parse_table
-from armsight.store.tracks import POSITION, QUATERNION
 
 HANDEYE_FORMAT = "armsight/handeye"
 TIP_FORMAT = "armsight/tip"

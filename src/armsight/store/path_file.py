@@ -12,8 +12,8 @@ from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.store.atomic import read_bytes, write_text
 from armsight.store.codec import named
+from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.tables import MAX_BYTES, cells, number, parse_table, word
-from armsight.store.tracks import POSITION, QUATERNION
 
 COLUMNS = ("index", "t_s", *POSITION, *QUATERNION, "speed_m_s", "tag")
 SWITCHES = (WELD_ON, WELD_OFF)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Sweeps
 from armsight.errors import BadFile
 from armsight.store.atomic import write_text
+from armsight.store.covariances import POSITION
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import cells, parse_table
-from armsight.store.tracks import POSITION
 
 STD = "std_px"
 """Column of the pixels' standard deviation, where it is known."""

@@ -21,25 +21,21 @@ from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
 from armsight.store.codec import LARGEST, named
 from armsight.store.covariances import (
-    COVARIANCE,
-    DEVIATIONS,
     LIGHTS,
-    LIGHTS_STD,
     POINT_COVARIANCE,
-    SYSTEMATIC,
-    SYSTEMATIC_COVARIANCE,
+    POSE_COLUMNS,
+    POSE_EXTRAS,
+    POSITION,
+    QUATERNION,
+    VELOCITY,
+    VELOCITY_STD,
     above_diagonal,
     pose_covariances,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, word
 
-POSITION = ("x_m", "y_m", "z_m")
-QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
-VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
 POINT_COLUMNS = ("t_s", "spot", "x_m", "y_m", "z_m", "sx_m", "sy_m", "sz_m")
 LATEST_S = 1e11
 """No time of a frame is later: clocks of today count 1.8e9 s since 1970, which are 1.8e12 ms and 1.8e18 ns."""
@@ -82,7 +78,7 @@ class _Writer:
 class PosesWriter(_Writer):
     """poses.csv, row by row: an interrupted run leaves what was measured."""
 
-    columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
+    columns = (*POSE_COLUMNS, *(name for name in POSE_EXTRAS if name not in (*VELOCITY, *VELOCITY_STD)))
 
     def write(self, pose: TargetPose) -> None:
         """Add one pose."""
@@ -95,8 +91,7 @@ class MovingPosesWriter(_Writer):
     Of the target's origin in m/s, and angular in rad/s, both in the axes of the poses' frame.
     """
 
-    columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
-    columns = (*columns, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
+    columns = (*POSE_COLUMNS, *POSE_EXTRAS)
 
     def write(self, pose: TargetPose, velocity: Array | None, std: Array | None) -> None:
         """Add one pose with velocity (6,) and its standard deviations (6,); None where they are not known."""
@@ -207,14 +202,13 @@ def parse_poses(
     position_only row has the mean of its lights in lights_...; in files of earlier versions, which lack these columns,
     in x_m to z_m. tell: given where the rows are a stream, see in_time. Raises BadFile, naming file, line and column.
     """
-    further = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
     table = parse_table(
         data,
         where,
         POSE_COLUMNS[:8],
-        optional=(*POSE_COLUMNS[8:], *further),
+        optional=(*POSE_COLUMNS[8:], *POSE_EXTRAS),
         text=("status", "spots"),
-        blank=(*POSE_COLUMNS[1:14], *further),
+        blank=(*POSE_COLUMNS[1:14], *POSE_EXTRAS),
     )
     table = table if tell is None else in_time(table, tell)
     statuses = [_status(table, row) for row in range(len(table))]

@@ -23,21 +23,19 @@ from armsight.store.covariances import (
     DEVIATIONS,
     LIGHTS,
     LIGHTS_STD,
+    POSITION,
+    QUATERNION,
     SYSTEMATIC,
     SYSTEMATIC_COVARIANCE,
     UNCORRELATED,
+    VELOCITY,
+    VELOCITY_STD,
     covariances,
     has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import MAX_BYTES, Table, parse_table
-from armsight.store.tracks import (
-    POSITION,
-    QUATERNION,
-    VELOCITY,
-    VELOCITY_STD,
-    parse_tum,
-)
+from armsight.store.tracks import parse_tum
 from armsight.verify import Measured, Repeats, Reported
 
 Array = NDArray[np.float64]

@@ -20,9 +20,16 @@ from armsight.measure.results import MeasureOutput
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance, PoseStatus, spot_target
 from armsight.store import Table, read_poses, read_table, write_rig, write_target
-from armsight.store.covariances import COVARIANCE, LIGHTS_STD, SYSTEMATIC, SYSTEMATIC_COVARIANCE
+from armsight.store.covariances import (
+    COVARIANCE,
+    LIGHTS_STD,
+    POSE_COLUMNS,
+    SYSTEMATIC,
+    SYSTEMATIC_COVARIANCE,
+    VELOCITY,
+    VELOCITY_STD,
+)
 from armsight.store.tracks import LIGHTS as MEAN
-from armsight.store.tracks import POSE_COLUMNS, VELOCITY, VELOCITY_STD
 
 Array = NDArray[np.float64]
 WIDTH, HEIGHT, F, BASE = 640, 480, 700.0, 0.1

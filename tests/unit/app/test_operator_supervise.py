@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.operator.supervise import StationSupervisor, limits_of
 from armsight.errors import NotEnoughData, UsageError
-from armsight.records import JointReading
+from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
@@ -54,21 +54,18 @@ class Cell:
             self.number += 1
             n = supervisor.state.n
             T = RigidTransform.from_translation(off_m) * self.T_rig_target
-            self.station.shown = SimpleNamespace(
-                view=SimpleNamespace(
-                    t_s=self.t_s,
-                    sequence=self.number,
-                    status=status,
-                    why="a hand is before it",
-                    parent="rig",
-                    xyz_m=tuple(T.translation),
-                    quat_xyzw=tuple(T.rotation.as_quat()),
-                    std=STD,
-                    covariance=None,
-                    systematic_covariance=None,
-                    covariance_m2=None,
-                )
+            pose = TargetPose(
+                t_s=self.t_s,
+                status=PoseStatus(status),
+                parent="rig",
+                why="a hand is before it",
+                **(
+                    {}
+                    if status == "lost"
+                    else {"T_parent_target": T.as_matrix(), "covariance": np.diag(np.square(STD))}
+                ),
             )
+            self.station.shown = SimpleNamespace(pose=pose, view=SimpleNamespace(t_s=self.t_s, sequence=self.number))
             pause = threading.Event()
             for _ in range(2000):
                 if supervisor.state.n > n:

@@ -14,7 +14,7 @@ from armsight.app.operator import path_editor as watched_module
 from armsight.app.operator.path_editor import watcher_of
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
-from armsight.records import PoseStatus
+from armsight.records import PoseStatus, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
@@ -31,20 +31,15 @@ def folder(tmp_path_factory):
 
 
 def view(T: RigidTransform, t_s: float, status: str = "ok", covariance=None) -> SimpleNamespace:
-    return SimpleNamespace(
-        view=SimpleNamespace(
-            t_s=t_s,
-            status=status,
-            why="a hand is before it",
-            parent="rig",
-            xyz_m=tuple(T.translation),
-            quat_xyzw=tuple(T.rotation.as_quat()),
-            std=(1e-4,) * 6,
-            covariance=None if covariance is None else covariance.tolist(),
-            systematic_covariance=None,
-            covariance_m2=None,
-        )
+    known = {"T_parent_target": T.as_matrix(), "covariance": 1e-8 * np.eye(6) if covariance is None else covariance}
+    pose = TargetPose(
+        t_s=t_s,
+        status=PoseStatus(status),
+        parent="rig",
+        why="a hand is before it",
+        **({} if status == "lost" else known),
     )
+    return SimpleNamespace(pose=pose, view=SimpleNamespace(t_s=t_s))
 
 
 def watched(folder, station, act, cell=None):

@@ -10,12 +10,11 @@ from armsight import store
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry import is_close
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
-from armsight.store.covariances import COVARIANCE, POINT_COVARIANCE
+from armsight.store.covariances import COVARIANCE, POINT_COVARIANCE, POSE_COLUMNS
 from armsight.store.interpret import TableFormat
 from armsight.store.tables import Table, parse_table, read_table
 from armsight.store.tracks import (
     POINT_COLUMNS,
-    POSE_COLUMNS,
     SPOT_COLUMNS,
     parse_joints,
     parse_poses,

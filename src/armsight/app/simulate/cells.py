@@ -15,8 +15,8 @@ from armsight.drivers import CELLS, Skew, load
 from armsight.errors import DeviceFailed, UsageError
 from armsight.records import Frame
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
+from armsight.store.covariances import POSE_COLUMNS
 from armsight.store.tables import cells, number
-from armsight.store.tracks import POSE_COLUMNS
 from armsight.store.yamls import dump_yaml
 
 SIDES = ("left", "right")

@@ -18,12 +18,13 @@ from armsight.records import Frame, Motion, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
 from armsight.store.arm_file import ARM_FORMAT, arm_from_mapping, write_arm
+from armsight.store.covariances import POSE_COLUMNS
 from armsight.store.handeye_file import write_handeye_poses
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.schema import write_document
 from armsight.store.tables import cells, number
 from armsight.store.targets import TARGET_FORMAT
-from armsight.store.tracks import POSE_COLUMNS, write_joints
+from armsight.store.tracks import write_joints
 from armsight.store.worlds import World, write_world
 from armsight.store.yamls import dump_yaml
 from armsight.store.zoom import CAMERA_FORMAT

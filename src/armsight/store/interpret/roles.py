@@ -5,28 +5,19 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from armsight.store.covariances import CAMERA_COVARIANCE, COVARIANCE, POSITION_COVARIANCE, SYSTEMATIC_COVARIANCE
+from armsight.store.covariances import (
+    CAMERA_COVARIANCE,
+    POSE_COLUMNS,
+    POSE_EXTRAS,
+    POSITION,
+    POSITION_COVARIANCE,
+    QUATERNION,
+)
 
-POSITION = ("x_m", "y_m", "z_m")
-QUATERNION = ("qx", "qy", "qz", "qw")
 POSE = (*POSITION, *QUATERNION)
+POSE_FURTHER = (*POSE_COLUMNS[8:], *POSE_EXTRAS)
 PAIR_FRAMES = ("base_flange", "camera_target")
 PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")
-
-_DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
-_VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
-_LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m", "slights_x_m", "slights_y_m", "slights_z_m")
-POSE_EXTRAS = (
-    *_DEVIATIONS,
-    *(f"sys_{name}" for name in _DEVIATIONS),
-    *_VELOCITY,
-    *(f"s{name}" for name in _VELOCITY),
-    *_LIGHTS,
-    *COVARIANCE,
-    *SYSTEMATIC_COVARIANCE,
-    "status",
-    "spots",
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +63,8 @@ ROLES: Mapping[str, Role] = {
     for role in (
         Role(name="joints", frames=(), joints="wanted", time="wanted"),
         Role(name="untimed-joints", frames=(), joints="wanted", time="maybe"),
-        Role(name="poses", time="wanted", extras=POSE_EXTRAS),
-        Role(name="untimed-poses", time="maybe", extras=POSE_EXTRAS),
+        Role(name="poses", time="wanted", extras=POSE_FURTHER),
+        Role(name="untimed-poses", time="maybe", extras=POSE_FURTHER),
         Role(name="robot_poses", words={"file": IMAGES}),
         Role(name="pairs", frames=PAIR_FRAMES, extras=CAMERA_COVARIANCE),
         Role(
@@ -82,7 +73,7 @@ ROLES: Mapping[str, Role] = {
             joints="wanted",
             time="maybe",
             words={"point": ("reflector", "smr", "prism")},
-            extras=tuple(dict.fromkeys((*POSE_EXTRAS, *POSITION_COVARIANCE))),
+            extras=tuple(dict.fromkeys((*POSE_FURTHER, *POSITION_COVARIANCE))),
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
         Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),

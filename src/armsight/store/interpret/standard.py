@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Ambiguous, BadFile
+from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
 from armsight.store.interpret.names import Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
-from armsight.store.interpret.roles import PAIR_FRAMES, POSITION, QUATERNION, Role
+from armsight.store.interpret.roles import PAIR_FRAMES, Role
 from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
 from armsight.store.tables import bare, number, number_column, word
 
