@@ -52,7 +52,7 @@ class Result:
 @pytest.fixture(scope="session")
 def armsight() -> Callable[..., Result]:
     """Run a command with --json in this process; stdout must hold exactly one object."""
-    from armsight.cli.command import app
+    from armsight.cli.commands import app
 
     def run(*words: object) -> Result:
         done = CliRunner().invoke(app, [*(str(word) for word in words), "--json"])

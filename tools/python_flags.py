@@ -19,7 +19,7 @@ import typer
 
 import armsight
 from armsight.api.commands import COMMANDS, parameter
-from armsight.cli.command import app
+from armsight.cli.commands import app
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "python.md"
 BEGIN, END = "<!-- flags -->", "<!-- end of flags -->"

@@ -20,7 +20,7 @@ from pathlib import Path
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 from typer.testing import CliRunner
 
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from report_kinds import KINDS
 
 CHROMIUM = "/usr/bin/chromium"

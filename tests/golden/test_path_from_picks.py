@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.store.path_file import read_path
 
 STEREO = Path(__file__).resolve().parents[3] / "shared" / "data" / "opencv_stereo"

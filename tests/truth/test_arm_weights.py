@@ -21,7 +21,7 @@ from armsight.calibrate.arm import ArmPoints, Tolerance, calibrate_world
 from armsight.calibrate.arm.fit import fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
 

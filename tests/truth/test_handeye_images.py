@@ -15,7 +15,7 @@ from armsight.calibrate.handeye import Basis, ImageHandEye, Setup, calibrate_eye
 from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.store import write_camera
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -15,7 +15,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is imported
     try:
         _open_streams()
-        from armsight.cli.command import app
+        from armsight.cli.commands import app  # imported here so that `import armsight.cli` costs nothing
 
         app(prog_name="armsight")
     except KeyboardInterrupt:

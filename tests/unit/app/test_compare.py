@@ -14,7 +14,7 @@ from armsight.app.measure.outputs import made_with
 from armsight.app.requests.files import CompareJob
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.run import run_verify
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
 from armsight.optics import Camera, Rig, RigKind

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.operator.identify_run import FOLDER, IdentifyRequest, Range, entries, fits
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets
 from armsight.records import JointReading

@@ -316,7 +316,7 @@ def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Pat
     from typer.testing import CliRunner
 
     from armsight.app.simulate.run import write_world_files
-    from armsight.cli.command import app
+    from armsight.cli.commands import app
 
     model = load_scenario("kapucu2005-rrp")[0]
     write_world_files(build_world(model, frames=1), tmp_path)

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.app.arm_files import load_arm
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close
 from armsight.kinematics import Coupling, fk, pose, preset

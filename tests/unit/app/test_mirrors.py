@@ -20,7 +20,7 @@ from armsight.app.measure.run import measure
 from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.frames import complex_pairs, open_source
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.results import MeasureOutput

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from armsight.app.print_report import BROWSERS, print_report
 from armsight.app.sources.frames import recordings_in
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight.report.figures import Figure, layout, points_in_space
 from armsight.report.html import Page, Verdict, add_recordings

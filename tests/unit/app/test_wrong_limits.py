@@ -18,7 +18,7 @@ from armsight.app.robot.guarding import guard_for
 from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.opening import open_robot
 from armsight.app.servo.run_servo import run_servo
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import ArmsightError, BadFile, Cancelled, Inconsistent, UsageError

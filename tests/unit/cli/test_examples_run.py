@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from armsight.app.print_report import BROWSERS
 from armsight.app.simulate.run import simulate
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.cli.examples import EXAMPLES
 from armsight.kinematics import presets
 from armsight.records import TaughtPath

@@ -19,7 +19,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.cli.command_ui import Bar, CommandUI, time_left
 from armsight.cli.flags import Quantity
 from armsight.cli.tables import parameter, pose_rows

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from armsight.app.requests.motion import HandJogJob
 from armsight.app.robot.jog_by_hand import jog_by_hand
 from armsight.app.robot.opening import open_robot
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import GamepadInput, JogAxes, KeyboardInput, open_jog_input
 from armsight.errors import Cancelled, DeviceFailed, DeviceNotFound, UsageError

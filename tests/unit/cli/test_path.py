@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.kinematics import pose, preset
 from armsight.records import TaughtPath
 from armsight.store.path_file import read_path, write_path

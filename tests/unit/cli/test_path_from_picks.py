@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.store.path_file import read_path
 
 RIG = """\

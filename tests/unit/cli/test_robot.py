@@ -13,7 +13,7 @@ from armsight.app.requests.motion import JogJob
 from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.link_test import test_robot as read_link
 from armsight.app.robot.opening import open_robot
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.store import read_rig
 from armsight.store.arm_file import read_arm
 from armsight.store.handeye_file import read_handeye, read_tip

@@ -23,7 +23,7 @@ from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.teach import TaughtBeside, teach_following
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.play import PathSource
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError

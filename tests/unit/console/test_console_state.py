@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from armsight.app.live.measurement import LiveJob
 from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import Counts, LiveView, SideView
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.console.layout import level_of
 from armsight.console.state import Console

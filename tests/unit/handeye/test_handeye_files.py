@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from armsight.app.calibrate.handeye import calibrate_tip
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip import calibrate_tooltip
-from armsight.cli.command import app
+from armsight.cli.commands import app
 from armsight.errors import BadFile
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses

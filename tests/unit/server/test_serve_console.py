@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.cli.command import app
+from armsight.cli.commands import app
 
 START = [sys.executable, "-c", "from armsight.cli import main; main()", "serve", "--robot", "sim:webcam-cell"]
 
