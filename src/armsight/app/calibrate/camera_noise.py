@@ -21,7 +21,7 @@ from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import NoiseModel, Progress, Silent
 from armsight.store import add_noise, is_zoom_camera, read_camera_file, read_zoom_camera, read_zoom_rig
 from armsight.store.bags import bag_topic, is_bag
-from armsight.store.codec import mapping
+from armsight.store.codec import mapping, read_output
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml
 from armsight.store.zoom import CAMERA_FORMAT
@@ -126,7 +126,8 @@ def input_files(text: str) -> Sequence[Path]:
 
 def _as_in_files(noise: NoiseModel) -> CameraNoise:
     """Return what files hold of a noise, the line always there, and the widening of wide lights."""
-    return CameraNoise(**{"linear": None, **mapping(noise)}, widening=noise.widening().tolist())
+    held = {"linear": None, **mapping(noise), "widening": noise.widening().tolist()}
+    return read_output(CameraNoise, held, "noise")
 
 
 def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
