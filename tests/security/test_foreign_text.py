@@ -26,8 +26,8 @@ from typer.testing import CliRunner
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.tables import convert_table
 from armsight.app.verify.run import run_verify
-from armsight.cli.commands import app as commands
 from armsight.cli.command_ui import CommandUI, visible
+from armsight.cli.commands import app as commands
 from armsight.control.guard import Box, Limits
 from armsight.control.paths import check_path
 from armsight.errors import BadFile

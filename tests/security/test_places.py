@@ -17,8 +17,8 @@ from typer.main import get_command
 from armsight import _files
 from armsight.app.operator.robot_cell import one_console
 from armsight.cli import command_ui
-from armsight.cli.commands import app as commands
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.commands import app as commands
 from armsight.clock import ManualClock
 from armsight.drivers import list_images, read_image
 from armsight.drivers.lock import DeviceLock

@@ -19,8 +19,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
-from armsight.cli.commands import app
 from armsight.cli.command_ui import Bar, CommandUI, time_left
+from armsight.cli.commands import app
 from armsight.cli.flags import Quantity
 from armsight.cli.tables import parameter, pose_rows
 from armsight.fields import Doc

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -56,7 +57,7 @@ def test_three_curves_are_sent_each_from_its_own_source(page: Page) -> None:
     for xyz in seen:
         page.q = page.q + 0.01
         tool.append(page.arm.fk(page.arm.values(page.q))[:3, 3])
-        page.scene.show(view(30.0).model_copy(update={"xyz_m": tuple(xyz)}))
+        page.scene.show(replace(view(30.0), xyz_m=tuple(xyz)))
     page.scene.show_track()
     taught = np.array([[0.4, 0.0, 0.2], [0.4, 0.1, 0.2], [0.4, 0.1, 0.3]])
     page.scene.show_path(taught)
