@@ -71,6 +71,8 @@ def reference_page() -> str:
         "angles in radians, pixels count from the centre of the top-left one, `T_a_b` is the pose of b in a.",
     ]
     for module, names in public_names().items():
+        if module.startswith("armsight._"):
+            continue  # the version
         parts += ["", f"## {HEADINGS[module]}"]
         parts += [line for name in names for line in ("", f"::: {module}.{name}")]
     return "\n".join(parts) + "\n"

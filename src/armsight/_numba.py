@@ -21,6 +21,9 @@ from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined
 from numba.core.registry import CPUDispatcher
 
 RULES: Any = {"nogil": True, "error_model": "numpy"}
+EXACT: Any = {"fastmath": False}
+"""Said and not left out: numba lets a function inherit the rules of the one that it is first compiled for, so that the
+last digits would hang on which kernel comes first."""
 FUSED: Any = {"contract"}
 REORDERED: Any = {"contract", "reassoc", "nsz"}
 DEFAULTS: dict[str, Any] = compiler.Flags().values()
@@ -95,7 +98,7 @@ class InnerKernel(CPUDispatcher):
         """Call it from Python."""
         if self._from_python is None:
             inner = self
-            self._from_python = njit(lambda *args: inner(*args), **RULES)
+            self._from_python = njit(lambda *args: inner(*args), **EXACT, **RULES)
         return self._from_python(*args)
 
 
@@ -122,10 +125,10 @@ event.register("numba:compile", _NoGarbageCollection())  # called with the compi
 
 
 def _inner(**options: Any) -> Callable[[Callable[..., Any]], InnerKernel]:
-    return lambda function: InnerKernel(function, {"nopython": True, **RULES, **options})
+    return lambda function: InnerKernel(function, {"nopython": True, **EXACT, **RULES, **options})
 
 
-kernel = njit(cache=True, **RULES)
+kernel = njit(cache=True, **EXACT, **RULES)
 """For everything: results are the same on every machine with the same numba."""
 
 fast_kernel = njit(cache=True, fastmath=FUSED, **RULES)
@@ -154,7 +157,7 @@ borrowing_kernel = _inner(forceinline=True, _nrt=False)
 Counting is an atomic step for each array taken out, half the time of a cast ray. It may allocate and return no array.
 """
 
-parallel_kernel = njit(cache=True, parallel=True, **RULES)
+parallel_kernel = njit(cache=True, parallel=True, **EXACT, **RULES)
 """Runs on all cores, with prange."""
 
 __all__ = [

@@ -15,7 +15,7 @@ import numpy as np
 
 import armsight
 import armsight_sim
-from armsight._numba import InnerKernel, borrowing_kernel, inner_kernel, kernel
+from armsight._numba import InnerKernel, borrowing_kernel, fast_kernel, inner_kernel, kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = re.compile(r"\b(njit|numba\.jit|guvectorize)\b")
@@ -100,3 +100,24 @@ def test_a_borrowing_kernel_leaves_the_arrays_of_its_tuples_to_their_owners() ->
     assert sum_of_firsts(a, b, 1000) == 2500.0
     assert (sys.getrefcount(a), sys.getrefcount(b)) == held
     assert a.tolist() == [1.5, 2.0] and b.sum() == 6.0
+
+
+@inner_kernel
+def product_and_sum(a, b, c):
+    """Return a b + c."""
+    return a * b + c
+
+
+@fast_kernel
+def every_product_and_sum(a, b, c, out):
+    """Fill out (n,) with a b + c."""
+    for i in range(len(out)):
+        out[i] = product_and_sum(a[i], b[i], c[i])
+
+
+def test_a_plain_kernel_reckons_alike_whichever_kernel_is_compiled_first() -> None:
+    """Fused, three in four of these sums would have another last digit."""
+    a, b, c = np.random.default_rng(1).normal(size=(3, 1000))
+    out = np.empty(1000)
+    every_product_and_sum(a, b, c, out)
+    np.testing.assert_array_equal(out, a * b + c)

@@ -22,6 +22,7 @@ def test_the_pages_build_and_hold_every_public_name(tmp_path: Path) -> None:
     missing = [
         name
         for module, names in armsight._MODULES.items()
+        if not module.startswith("armsight._")
         for name in names
         if f'id="{module}.{name}"' not in page and f">{name}<" not in page
     ]
