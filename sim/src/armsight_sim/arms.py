@@ -93,9 +93,9 @@ class Servo:
 
     def at(self, t_s: ArrayLike) -> Array:
         """Return the true joint values (m, n) at times (m,) up to the moment known; before the start they rest."""
-        place = np.clip((np.atleast_1d(t_s) - self._start_s) / self._dt_s, 0.0, len(self._q) - 1.0)
-        low = np.minimum(place.astype(int), max(len(self._q) - 2, 0))
-        share = (place - low)[:, None]
+        sample = np.clip((np.atleast_1d(t_s) - self._start_s) / self._dt_s, 0.0, len(self._q) - 1.0)
+        low = np.minimum(sample.astype(int), max(len(self._q) - 2, 0))
+        share = (sample - low)[:, None]
         first = np.array([self._q[i] for i in low])
         second = np.array([self._q[min(i + 1, len(self._q) - 1)] for i in low])
         return np.asarray(first + share * (second - first))

@@ -81,8 +81,8 @@ def board_light_at(places_m: Array, board: Board) -> LightImage:
 def _cast(rays: Array, H: Array, board: Board) -> LightImage:
     """Return the blurred light (h, w, 1) of a board whose plane H (3, 3) gives in squares for each ray."""
     n, step = SAMPLES
-    place = np.arange(n)
-    lattice = np.stack([(place + 0.5) / n, ((place * step) % n + 0.5) / n], axis=1)  # (n, 2) in the unit square
+    index = np.arange(n)
+    lattice = np.stack([(index + 0.5) / n, ((index * step) % n + 0.5) / n], axis=1)  # (n, 2) in the unit square
     sharp = np.empty((rays.shape[0] - 1, rays.shape[1] - 1), np.float32)
     shades = np.array([board.black, board.white, board.room])
     cast_board(np.ascontiguousarray(rays), np.ascontiguousarray(H), board.columns, board.rows, shades, lattice, sharp)

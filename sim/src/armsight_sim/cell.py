@@ -125,7 +125,7 @@ class Cell:
         camera = self.cameras[side]
         covered = hidden_lights(self.events, index, side) | camera.covered(self.lights, self.path, index / self.fps)
         uv = camera.centres_px(self.lights, self.path, index / self.fps)
-        return {light.name: place for light, place in zip(self.lights, uv, strict=True) if light.name not in covered}
+        return {light.name: spot for light, spot in zip(self.lights, uv, strict=True) if light.name not in covered}
 
     def _frame(self, index: int, side: str) -> Frame:
         camera, t_s = self.cameras[side], index / self.fps

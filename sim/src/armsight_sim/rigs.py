@@ -114,20 +114,20 @@ class Mirrors:
         xy = np.atleast_2d(np.asarray(uv, dtype=float))
         ray = np.column_stack([xy, np.ones(len(xy))])
         ray /= np.linalg.norm(ray, axis=1)[:, None]
-        place = np.zeros_like(ray)
+        origin = np.zeros_like(ray)
         if side == "left":
-            place, ray = self._glass(place, ray)
+            origin, ray = self._glass(origin, ray)
         for point, normal in self._mirrors(side):
-            place, ray = _reflect(_meet(place, ray, point, normal), ray, normal)
-        return place, ray
+            origin, ray = _reflect(_meet(origin, ray, point, normal), ray, normal)
+        return origin, ray
 
-    def _glass(self, place: Array, ray: Array) -> tuple[Array, Array]:
+    def _glass(self, origin: Array, ray: Array) -> tuple[Array, Array]:
         """Return where rays leave the plate, and their directions."""
         front, through = np.array([0.0, 0.0, self.near_m]), -self.normals()[0]
-        place = _meet(place, ray, front, through)
+        origin = _meet(origin, ray, front, through)
         ray = _refract(ray, through, 1.0 / self.index)
-        place = _meet(place, ray, front + self.plate_m * through, through)
-        return place, _refract(ray, through, self.index)
+        origin = _meet(origin, ray, front + self.plate_m * through, through)
+        return origin, _refract(ray, through, self.index)
 
     def _mirrors(self, side: str) -> list[tuple[Array, Array]]:
         """Return a point and the normal of the two mirrors on a side's way out."""
@@ -159,8 +159,8 @@ class Mirrors:
             mirror[:3, 3] = 2.0 * (point @ normal) * normal
             T = mirror @ T
         if side == "left":
-            place, _ = self._glass(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
-            T[:3, 3] += T[:3, :3] @ np.array([place[0, 0], 0.0, -place[0, 0]])
+            origin, _ = self._glass(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+            T[:3, 3] += T[:3, :3] @ np.array([origin[0, 0], 0.0, -origin[0, 0]])
         return RigidTransform.from_matrix(T)
 
     def image(self, side: str, points_m: ArrayLike) -> Array:
@@ -173,8 +173,8 @@ class Mirrors:
         towards = half if side == "right" else -half
         uv = np.column_stack([(X[:, 0] - towards) / depth, X[:, 1] / depth])
         for _ in range(MIRROR_ROUNDS):
-            place, ray = self.trace(side, np.where(seen[:, None], uv, 0.0))
-            at = place + ((X[:, 2] - place[:, 2]) / ray[:, 2])[:, None] * ray
+            origin, ray = self.trace(side, np.where(seen[:, None], uv, 0.0))
+            at = origin + ((X[:, 2] - origin[:, 2]) / ray[:, 2])[:, None] * ray
             miss = (at[:, :2] - X[:, :2]) / depth[:, None]
             uv = uv - miss
             if not np.abs(miss[seen]).max(initial=0.0) > 1e-15:
@@ -238,14 +238,14 @@ def _plain(view: MirrorLens) -> Lens:
     )
 
 
-def _meet(place: Array, ray: Array, point: Array, normal: Array) -> Array:
+def _meet(origin: Array, ray: Array, point: Array, normal: Array) -> Array:
     """Return where rays (n, 3) from places (n, 3) meet a plane."""
-    along = ((point - place) @ normal) / (ray @ normal)
-    return np.asarray(place + along[:, None] * ray)
+    along = ((point - origin) @ normal) / (ray @ normal)
+    return np.asarray(origin + along[:, None] * ray)
 
 
-def _reflect(place: Array, ray: Array, normal: Array) -> tuple[Array, Array]:
-    return place, ray - 2.0 * (ray @ normal)[:, None] * normal
+def _reflect(origin: Array, ray: Array, normal: Array) -> tuple[Array, Array]:
+    return origin, ray - 2.0 * (ray @ normal)[:, None] * normal
 
 
 def _refract(ray: Array, normal: Array, ratio: float) -> Array:

@@ -118,10 +118,10 @@ def with_hot_pixels(light: LightImage, count: int, level: tuple[float, float], r
     """Return light (h, w, c) with count pixels, each in one channel, that glow by a level from the given range."""
     height, width, channels = light.shape
     hot = light.copy()
-    place = rng.choice(height * width, size=count, replace=False)
+    index = rng.choice(height * width, size=count, replace=False)
     np.add.at(
         hot.reshape(-1, channels),
-        (place, rng.integers(0, channels, count)),
+        (index, rng.integers(0, channels, count)),
         rng.uniform(*level, count).astype(np.float32),
     )
     return hot

@@ -51,7 +51,7 @@ class _Saveable(Protocol):
         """Write the record's file."""
 
 
-PlaceLike = ArrayLike | RigidTransform | _Saveable | PathText
+PoseLike = ArrayLike | RigidTransform | _Saveable | PathText
 """Where something is: a pose (4, 4), a result that holds it, or a file."""
 
 J = TypeVar("J")

@@ -188,9 +188,9 @@ def _identified(
     require_kind("name", name, str)
     if sigma is not None:
         require_number("sigma", sigma)
-    place = None if T_base_rig is None else as_poses(T_base_rig, "T_base_rig")[0]
-    base = None if place is None else place.inv().as_matrix()
+    T_base = None if T_base_rig is None else as_poses(T_base_rig, "T_base_rig")[0]
+    base = None if T_base is None else T_base.inv().as_matrix()
     found = identify(sweeps, rig=rig, sigma=sigma, base=base, name=name, **how)
-    if place is not None:  # found in the rig's axes
-        found = replace(found, arm=replace(found.arm, T_world_base=place * found.arm.T_world_base))
+    if T_base is not None:  # found in the rig's axes
+        found = replace(found, arm=replace(found.arm, T_world_base=T_base * found.arm.T_world_base))
     return ArmIdentification(detail=found)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from armsight.api.arrays import as_path
 from armsight.api.checks import speaks_python
-from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Source, TableLike
+from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, Source, TableLike
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.path.check import check as run_check
 from armsight.app.path.export import PathExportOutput, export_path
@@ -97,7 +97,7 @@ def check(
     path: TaughtPath | PathText,
     arm: ArmLike,
     *,
-    tip: PlaceLike | None = None,
+    tip: PoseLike | None = None,
     limits: Limits | PathText | None = None,
     frame: Literal["world", "base"] = "world",
     speed_m_s: float | None = None,
@@ -132,7 +132,7 @@ def export(
     *,
     to: str | None = None,
     arm: ArmLike | None = None,
-    tip: PlaceLike | None = None,
+    tip: PoseLike | None = None,
     limits: Limits | PathText | None = None,
     frame: Literal["world", "base"] = "world",
     start: ArrayLike | None = None,
@@ -164,7 +164,7 @@ def from_picks(
     picks: TableLike,
     *,
     view: Literal["left", "right"] = "left",
-    world: PlaceLike | None = None,
+    world: PoseLike | None = None,
     step_px: float = 10.0,
     tool_axis: str | None = None,
     skip: bool = False,

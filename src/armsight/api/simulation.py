@@ -89,12 +89,12 @@ class Simulation:
     @property
     def T_base_rig(self) -> Array | None:
         """Where a rig that stands truly is."""
-        return self._place("T_base_rig")
+        return self._placement("T_base_rig")
 
     @property
     def T_flange_rig(self) -> Array | None:
         """Where a rig on the arm truly is."""
-        return self._place("T_flange_rig")
+        return self._placement("T_flange_rig")
 
     def _arm(self, which: str) -> Arm | None:
         arm = getattr(self._world, which, None)
@@ -103,7 +103,7 @@ class Simulation:
         content = {"format": "armsight/arm", "version": 1, **arm.mapping(self._world.T_flange_tool)}
         return arm_from_mapping(content, f"{self.name}'s arm")
 
-    def _place(self, which: str) -> Array | None:
+    def _placement(self, which: str) -> Array | None:
         T = getattr(self._world, which, None)
         return None if T is None else np.asarray(T.as_matrix())
 

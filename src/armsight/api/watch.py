@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.api.checks import speaks_python
-from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
+from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
 from armsight.app.identify.live import OperatorCallbacks, in_radians, read_limits, run_identify_live
 from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
@@ -45,7 +45,7 @@ def identify_arm_live(
     limits: ArrayLike | PathText,
     *,
     confirm: Confirm = False,
-    world: PlaceLike | None = None,
+    world: PoseLike | None = None,
     model: ArmLike | None = None,
     readings: int = 10,
     speed: float = 0.1,
@@ -113,7 +113,7 @@ def supervise(
     left: str,
     right: str,
     arm: ArmLike,
-    world: PlaceLike,
+    world: PoseLike,
     *,
     warn_m: float | None = None,
     stop_m: float | None = None,
@@ -170,7 +170,7 @@ def propose_mastering_poses(
     *,
     span_rad: float = float(np.deg2rad(30.0)),
     tool: Literal["fixed", "free"] | None = None,
-    world: PlaceLike | None = None,
+    world: PoseLike | None = None,
     rig: RigLike | None = None,
     target: TargetLike | None = None,
     out: PathText | None = None,
@@ -197,7 +197,7 @@ def check_mastering(
     arm: ArmLike,
     *,
     tool: Literal["fixed", "free"] | None = None,
-    world: PlaceLike | None = None,
+    world: PoseLike | None = None,
     out: PathText | None = None,
 ) -> MasteringOutput:
     """Return which joint's zero moved in a crash, from poses measured at joint positions.

@@ -154,10 +154,10 @@ class Arm(Saveable):
     @property
     def gearing(self) -> Array:
         """Return (n, n): how the joints' values follow the controller's readings; the identity without couplings."""
-        place = {joint.name: i for i, joint in enumerate(self.joints)}
+        index = {joint.name: i for i, joint in enumerate(self.joints)}
         gearing = np.eye(self.n)
         for coupling in self.couplings:
-            gearing[place[coupling.joint], place[coupling.by]] += coupling.share
+            gearing[index[coupling.joint], index[coupling.by]] += coupling.share
         return gearing
 
     @property

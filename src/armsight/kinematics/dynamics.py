@@ -108,13 +108,13 @@ def inverse_dynamics(arm: Arm, urdf: str, q: Array, speed: Array, acceleration: 
         full_q = pin.neutral(model)
         v, a = np.zeros(model.nv), np.zeros(model.nv)
         for k, i in enumerate(ids):
-            _place(model.joints[i], full_q, q[row, k])
+            _set_joint(model.joints[i], full_q, q[row, k])
         v[at], a[at] = speed[row], acceleration[row]
         effort[row] = np.asarray(pin.rnea(model, data, full_q, v, a))[at]
     return effort
 
 
-def _place(joint: Any, full_q: Array, value: float) -> None:
+def _set_joint(joint: Any, full_q: Array, value: float) -> None:
     """Set one joint's value in Pinocchio's configuration; joints without limits are stored as cosine and sine."""
     if joint.nq == 2:
         full_q[joint.idx_q : joint.idx_q + 2] = np.cos(value), np.sin(value)

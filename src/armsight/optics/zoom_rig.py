@@ -151,8 +151,8 @@ def _covariance(known: NamedCovariance | None, moved: dict[str, ZoomState], pupi
     if known is not None:
         here = [i for i, name in enumerate(kept) if name in names]
         matrix[np.ix_(here, here)] = known.block(tuple(kept[i] for i in here))
-    place = [kept.index(name) for name in RIGHT_POSE[:3]]
-    matrix[np.ix_(place, place)] += pupils_m2
+    rows = [kept.index(name) for name in RIGHT_POSE[:3]]
+    matrix[np.ix_(rows, rows)] += pupils_m2
     for i, state in enumerate(moved.values()):
         at = slice(len(kept) + i * len(INTRINSICS), len(kept) + (i + 1) * len(INTRINSICS))
         matrix[at, at] = state.covariance.matrix

@@ -120,7 +120,7 @@ def spot_target(
     covariance: NDArray[np.float64] | None = None,
 ) -> Target:
     """Return a lit target from the named positions of its spots in m; covariance (3 n, 3 n) of these, m^2."""
-    places = [frozen_array(f"the place of light {name}", place, (3,)) for name, place in spots_m.items()]
+    places = [frozen_array(f"the place of light {name}", position, (3,)) for name, position in spots_m.items()]
     return Target(
         kind=TargetKind.SPOTS,
         names=tuple(spots_m),

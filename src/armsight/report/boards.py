@@ -78,8 +78,8 @@ def boards_figure(views: BoardViews) -> Figure:
     data = []
     closed = np.concatenate([views.outline_m, views.outline_m[:1]])
     for name, rms, colour, T in zip(short_names(views.names), views.rms_px, shade, views.T_parent_board, strict=True):
-        told = {"hovertemplate": f"{name}<br>{figure_of(rms, 'px')} RMS<extra></extra>", "showlegend": False}
-        data.append(line(np.asarray(T.apply(closed)) / MM, name, {"color": colour, "width": 4}, **told))
+        hover = {"hovertemplate": f"{name}<br>{figure_of(rms, 'px')} RMS<extra></extra>", "showlegend": False}
+        data.append(line(np.asarray(T.apply(closed)) / MM, name, {"color": colour, "width": 4}, **hover))
     stroke = {"color": INK, "width": 2}
     for name, camera, T in views.cameras:
         data.append(line(pyramid(camera, T, CAMERA_SHARE * away), text(name), stroke, hoverinfo="name"))
@@ -102,7 +102,7 @@ def _shades(rms: Array) -> list[str]:
     if high <= 0.0 or high - low < 1e-9 * high:
         return [BLUE] * len(rms)
     at = (rms - low) / (high - low)
-    knots = [place for place, _ in SCALE]
+    knots = [value for value, _ in SCALE]
     parts = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for _, colour in SCALE])
     mixed = np.stack([np.interp(at, knots, parts[:, k]) for k in range(3)], axis=1).round().astype(int)
     return [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in mixed.tolist()]
@@ -117,11 +117,11 @@ def _picture(picture: BoardPicture) -> str:
         for (u, v), residual in zip(picture.uv_px.tolist(), picture.residual_px.tolist(), strict=True)
     )
     source = "data:image/webp;base64," + base64.b64encode(picture.webp).decode("ascii")
-    told = f"{short_names([picture.name])[0]}: {figure_of(rms, 'px')} RMS, {len(picture.uv_px)} points"
+    caption = f"{short_names([picture.name])[0]}: {figure_of(rms, 'px')} RMS, {len(picture.uv_px)} points"
     return (
-        f'<figure><svg viewBox="-0.5 -0.5 {size}" role="img" aria-label="{told}"><image href="{source}" x="-0.5" '
+        f'<figure><svg viewBox="-0.5 -0.5 {size}" role="img" aria-label="{caption}"><image href="{source}" x="-0.5" '
         f'y="-0.5" width="{picture.width}" height="{picture.height}" preserveAspectRatio="none"/>'
-        f'<g fill="none" stroke-width="{0.35 * unit:.3g}">{marks}</g></svg><figcaption>{told}</figcaption></figure>'
+        f'<g fill="none" stroke-width="{0.35 * unit:.3g}">{marks}</g></svg><figcaption>{caption}</figcaption></figure>'
     )
 
 

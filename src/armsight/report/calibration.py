@@ -169,8 +169,8 @@ def _add_images(page: Page, run: CalibrationRun) -> None:
     data = []
     for k, (fit, colour) in enumerate(zip(shown, (BLUE, ORANGE), strict=False)):
         at = np.arange(1.0, len(fit.sources) + 1.0) + (k - 0.5 * (len(shown) - 1)) * width
-        told = {"text": short_names(fit.sources), "hovertemplate": "%{text}<br>%{y:.3f} px<extra></extra>"}
-        data.append(bars(at, fit.view_rms_px, 0.9 * width, colour, name=text(fit.name), **told))
+        hover = {"text": short_names(fit.sources), "hovertemplate": "%{text}<br>%{y:.3f} px<extra></extra>"}
+        data.append(bars(at, fit.view_rms_px, 0.9 * width, colour, name=text(fit.name), **hover))
     shape = layout(
         showlegend=len(data) > 1,
         xaxis=axis("", **named_ticks(short_names(shown[0].sources))),

@@ -123,9 +123,12 @@ def _sigmas(rows: Sequence[Row]) -> Figure:
     at = np.arange(1.0, len(known) + 1.0)
     data = []
     for chosen, colour in ((np.abs(size) <= BEYOND, BLUE), (np.abs(size) > BEYOND, RED)):
-        told = {"text": [names[i] for i in np.flatnonzero(chosen)], "hovertemplate": "%{text}: %{y:.2f}<extra></extra>"}
+        hover = {
+            "text": [names[i] for i in np.flatnonzero(chosen)],
+            "hovertemplate": "%{text}: %{y:.2f}<extra></extra>",
+        }
         if chosen.any():
-            data.append(bars(at[chosen], size[chosen], 0.7, colour, name="", showlegend=False, **told))
+            data.append(bars(at[chosen], size[chosen], 0.7, colour, name="", showlegend=False, **hover))
     shape = layout(xaxis=axis("", **named_ticks(names)), yaxis=axis("B less A, sigma"))
     return Figure(data=data, layout=shape, height_px=320)
 

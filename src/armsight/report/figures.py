@@ -88,7 +88,7 @@ def axis(title: str = "", **more: Any) -> Plot:
     }
 
 
-def place(k: int, over: int | None = None) -> dict[str, str]:
+def subplot(k: int, over: int | None = None) -> dict[str, str]:
     """Return the axes of subplot k >= 1, its y axis number over where given: plotly calls the first ones x and y."""
     return {"xaxis": f"x{k if k > 1 else ''}", "yaxis": f"y{(over or k) if (over or k) > 1 else ''}"}
 
@@ -208,10 +208,10 @@ def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> Pl
     xs = np.stack([x - half, x - half, x + half, x + half, np.full(len(x), np.nan)], axis=1).ravel()
     zero = np.zeros(len(x))
     ys = np.stack([zero, heights, heights, zero, np.full(len(x), np.nan)], axis=1).ravel()
-    told = {"text": [word for word in more.pop("text") for _ in range(5)]} if "text" in more else {}
+    hover = {"text": [word for word in more.pop("text") for _ in range(5)]} if "text" in more else {}
     shape = {"mode": "lines", "line": {"width": 0, "color": colour}, "fill": "toself", "fillcolor": colour}
     shape["hoveron"] = "points"
-    return {"type": "scatter", "x": xs, "y": ys, **shape, **told, **more}
+    return {"type": "scatter", "x": xs, "y": ys, **shape, **hover, **more}
 
 
 def points_in_space(name: str, xyz: Array, marker: Plot, mode: str = "markers") -> Plot:

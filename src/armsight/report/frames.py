@@ -71,12 +71,12 @@ def sample_figure(sample: Sample, number: int) -> str:
         f'<image id="{name}" href="{data_uri(sample.image)}" x="-0.5" y="-0.5" width="{width}" height="{height}" '
         'style="image-rendering:pixelated"/>'
     )
-    told = f"frame {sample.frame}, {sample.side}" + (f", {sample.source}" if sample.source else "")
+    title = f"frame {sample.frame}, {sample.side}" + (f", {sample.source}" if sample.source else "")
     seen = len(sample.seen) + len(sample.seen.rejected)
     counts = f"{len(sample.names)} matched of {len(sample.seen)} measured, {seen} bright things in all"
-    caption = f"{told}: {counts}" + (f". {sample.why}" if sample.why else "")
+    caption = f"{title}: {counts}" + (f". {sample.why}" if sample.why else "")
     return (
-        f'<figure><svg viewBox="-0.5 -0.5 {width} {height}" role="img" aria-label="{text(told)}">{image}'
+        f'<figure><svg viewBox="-0.5 -0.5 {width} {height}" role="img" aria-label="{text(title)}">{image}'
         f"{''.join(marks)}</svg>{_zooms(sample, name)}<figcaption>{text(caption)}</figcaption></figure>"
     )
 
@@ -97,10 +97,10 @@ def _circle(u: float, v: float, radius: float, label: str, colour: str, unit: fl
         if label
         else ""
     )
-    place = f'<circle cx="{u:.3f}" cy="{v:.3f}" r="{radius:.3f}" fill="none"'
+    circle = f'<circle cx="{u:.3f}" cy="{v:.3f}" r="{radius:.3f}" fill="none"'
     return (
-        f'{place} stroke="#000" stroke-opacity=".6" stroke-width="{0.9 * unit:.3g}"/>'
-        f'{place} stroke="{colour}" stroke-width="{0.45 * unit:.3g}"/>{shown}'
+        f'{circle} stroke="#000" stroke-opacity=".6" stroke-width="{0.9 * unit:.3g}"/>'
+        f'{circle} stroke="{colour}" stroke-width="{0.45 * unit:.3g}"/>{shown}'
     )
 
 

@@ -24,8 +24,8 @@ from armsight.report.figures import (
     bars,
     layout,
     named_ticks,
-    place,
     short_names,
+    subplot,
 )
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
 from armsight.report.run import BoardViews
@@ -67,7 +67,7 @@ def handeye_report(
     )
     page.add(
         "Poses in space",
-        f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_told()}",
+        f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_note()}",
         page.plot(scene_figure(result)),
     )
     if boards is not None:
@@ -78,8 +78,8 @@ def handeye_report(
         "A single bar that stands out is a wrong pose or image; all alike is noise.",
         page.plot(residual_figure(result)),
     )
-    told = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
-    page.add("Turns of the hand", told, page.plot(turning_figure(result)))
+    lead = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
+    page.add("Turns of the hand", lead, page.plot(turning_figure(result)))
     _add_background(page, result, inputs)
     return page.html(created=created or datetime.now())
 
@@ -157,16 +157,16 @@ def _poses(result: HandEye) -> list[str]:
 def _comparison(comparison: ImageComparison) -> str:
     """Return the errors at images left out of every calibration from these images."""
 
-    def told(value: float | None, factor: float) -> str:
+    def figure(value: float | None, factor: float) -> str:
         return "no prediction" if value is None else figure_of(value / factor)
 
     rows = [
         [
-            f"{basis.told}{', kept' * (basis is comparison.kept)}",
-            told(errors.position_m, MM),
-            told(errors.points_m, MM),
-            told(errors.orientation_rad, DEG),
-            told(errors.reprojection_px, 1.0),
+            f"{basis.phrase}{', kept' * (basis is comparison.kept)}",
+            figure(errors.position_m, MM),
+            figure(errors.points_m, MM),
+            figure(errors.orientation_rad, DEG),
+            figure(errors.reprojection_px, 1.0),
         ]
         for basis, errors in comparison.errors.items()
     ]
@@ -221,10 +221,10 @@ def residual_figure(result: HandEye) -> Figure:
         ):
             size = np.linalg.norm(values[:, part], axis=1) / factor
             for chosen, opacity, what in ((result.used, 1.0, title), (~result.used, 0.35, f"{title}, rejected")):
-                style = {"name": what, "opacity": opacity, "showlegend": k == 1, **place(k)}
-                told = {"text": [names[i] for i in np.flatnonzero(chosen)], "hovertemplate": "%{text}: %{y:.3g}"}
+                style = {"name": what, "opacity": opacity, "showlegend": k == 1, **subplot(k)}
+                hover = {"text": [names[i] for i in np.flatnonzero(chosen)], "hovertemplate": "%{text}: %{y:.3g}"}
                 if chosen.any():
-                    data.append(bars(at[chosen] + side, size[chosen], 0.4, colour, **style, **told))
+                    data.append(bars(at[chosen] + side, size[chosen], 0.4, colour, **style, **hover))
     named = named_ticks(names)
     shape = layout(
         grid={"rows": 2, "columns": 1, "pattern": "independent", "ygap": 0.4},
@@ -270,7 +270,7 @@ def turning_figure(result: HandEye) -> Figure:
     return Figure(data=data, layout=layout(scene=scene), height_px=460)
 
 
-def _axes_told() -> str:
+def _axes_note() -> str:
     return "Axes are x red, y green, z blue."
 
 

@@ -163,8 +163,8 @@ class Page:
 
     def add(self, heading: str, explanation: str, *parts: str) -> None:
         """Add a section: heading and explanation are plain text, parts are HTML."""
-        told = f"<p>{text(explanation)}</p>" if explanation else ""
-        self._sections.append(f"<section><h2>{text(heading)}</h2>{told}{''.join(parts)}</section>")
+        lead = f"<p>{text(explanation)}</p>" if explanation else ""
+        self._sections.append(f"<section><h2>{text(heading)}</h2>{lead}{''.join(parts)}</section>")
 
     def plot(self, figure: Figure) -> str:
         """Take a figure; return its place in the page."""

@@ -10,7 +10,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, ORANGE, RED, Figure, Plot, axis, layout, place, thinned
+from armsight.report.figures import BLUE, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
 from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, in_degrees, table
 from armsight.report.to_do import after_watching
 from armsight.units import DEG, MM
@@ -139,5 +139,5 @@ def live_course(series: LiveSeries, summary: VerifyLiveOutput) -> Figure:
 
 def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot:
     line = {"color": colour, "width": 1.5, "dash": dash}
-    told = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line}
-    return {**told, "showlegend": k == 1, **place(k)}
+    shape = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line}
+    return {**shape, "showlegend": k == 1, **subplot(k)}

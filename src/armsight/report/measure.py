@@ -218,7 +218,7 @@ def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | Non
             f"Position and rotation {by}",
             f"The {band} holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
             "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose; "
-            "orange dots are the mean of the spots seen where not all were." + _thinned_told(len(series.t_s)),
+            "orange dots are the mean of the spots seen where not all were." + _thinning_note(len(series.t_s)),
             page.plot(time_figure(series)),
         )
         _add_deviation(page, series, errors)
@@ -255,7 +255,7 @@ def _add_deviation(page: Page, series: Series, errors: Errors | None) -> None:
     )
 
 
-def _thinned_told(n: int) -> str:
+def _thinning_note(n: int) -> str:
     """Return the sentence on what a plot of n frames leaves out."""
     return (
         ""

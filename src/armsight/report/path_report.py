@@ -157,14 +157,14 @@ def _close(xyz: Array) -> Plot:
 
 def _path_traces(xyz: Array, issues: Sequence[PathIssue]) -> list[Plot]:
     """Return the path (n, 3) in green, and the ways to rows in trouble over it."""
-    told: dict[int, list[PathIssue]] = {}
+    issues_of: dict[int, list[PathIssue]] = {}
     for issue in issues:
-        told.setdefault(issue.row, []).append(issue)
+        issues_of.setdefault(issue.row, []).append(issue)
     data = [_line3d(xyz, GREEN, "no trouble", 6)]
     for kind in COLOURS:
-        rows = sorted(row for row, there in told.items() if _first_kind(there) is kind)
+        rows = sorted(row for row, there in issues_of.items() if _first_kind(there) is kind)
         if rows:
-            data += _trouble(xyz, rows, kind, told)
+            data += _trouble(xyz, rows, kind, issues_of)
     return data
 
 
@@ -179,13 +179,15 @@ def _line3d(xyz_m: Array, colour: str, name: str, width: int, **more: Any) -> Pl
     return {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "line": line, "name": name, **more}
 
 
-def _trouble(xyz: Array, rows: Sequence[int], kind: PathTrouble, told: Mapping[int, Sequence[PathIssue]]) -> list[Plot]:
+def _trouble(
+    xyz: Array, rows: Sequence[int], kind: PathTrouble, issues_of: Mapping[int, Sequence[PathIssue]]
+) -> list[Plot]:
     """Return the stretches to rows in trouble, and the rows themselves with what is wrong there."""
     colour, word = COLOURS[kind]
     gap = np.full((1, 3), np.nan)
     ways = np.concatenate([np.concatenate([xyz[[max(row - 1, 0), row]], gap]) for row in rows])
     points = xyz[list(rows)]
-    texts = ["<br>".join(text(issue.text) for issue in told[row]) for row in rows]
+    texts = ["<br>".join(text(issue.text) for issue in issues_of[row]) for row in rows]
     marks = _line3d(points, colour, word, 1, mode="markers", marker={"size": 3, "color": colour})
     return [
         _line3d(ways, colour, word, 9, legendgroup=word, hoverinfo="skip"),
@@ -221,10 +223,10 @@ def _joints(path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck) -> lis
     bounds = joint_bounds(arm, limits)
     s = path.length_m[: len(found.q)] / MM
     middle, half = 0.5 * (bounds.lower + bounds.upper), 0.5 * (bounds.upper - bounds.lower)
-    place = np.where(np.isfinite(half), (found.q - middle) / np.where(np.isfinite(half), half, 1.0), np.nan)
+    share = np.where(np.isfinite(half), (found.q - middle) / np.where(np.isfinite(half), half, 1.0), np.nan)
     speed = found.joint_speed / bounds.speed
     return [
-        _shares(arm, s, place, "share of its range", (-1.0, 1.0)),
+        _shares(arm, s, share, "share of its range", (-1.0, 1.0)),
         _shares(arm, s[1:], speed, "share of its speed", (0.0, 1.0)),
     ]
 

@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, place
+from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, subplot
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.units import DEG, MM
 
@@ -237,8 +237,8 @@ def _table(item: ComparisonTable) -> str:
         of_method = "–" if row.share_of_method is None else f"{row.share_of_method:.3f}"
         rows.append([f"{row.label}, {unit}" if unit else row.label, *shown, share, of_method])
     kept = [k for k in range(len(head)) if any(row[k] != "–" for row in rows)]
-    told = [[row[k] for k in kept] for row in rows]
-    return table([head[k] for k in kept], told, numbers=tuple(range(1, len(kept))))
+    cells = [[row[k] for k in kept] for row in rows]
+    return table([head[k] for k in kept], cells, numbers=tuple(range(1, len(kept))))
 
 
 def _notes(item: ComparisonTable) -> str:
@@ -255,27 +255,27 @@ def panels_figure(panels: Sequence[Panel]) -> Figure:
     n_rows = math.ceil(len(panels) / columns)
     traces: list[Plot] = []
     axes: Plot = {}
-    told: set[str] = set()
+    shown: set[str] = set()
     for k, panel in enumerate(panels, 1):
         row, column = divmod(k - 1, columns)
         width, height = 1.0 / columns, 1.0 / n_rows
         across = [(column + (0.2 if column else 0.0)) * width, (column + 0.98) * width]
         up = [1.0 - (row + 1) * height + (0.16 if n_rows > 1 else 0.02) * height, 1.0 - row * height - 0.03 * height]
-        where = place(k)
+        where = subplot(k)
         mark = "" if k == 1 else str(k)
         same = {"scaleanchor": f"x{mark}", "scaleratio": 1} if panel.equal else {}
         down = {"autorange": "reversed"} if panel.downward else {}
         axes[f"xaxis{mark}"] = axis(panel.x_title, domain=across, anchor=where["yaxis"])
         axes[f"yaxis{mark}"] = axis(panel.y_title, domain=up, anchor=where["xaxis"], **same, **down)
-        traces += [_trace(curve, told) | where for curve in panel.curves]
+        traces += [_trace(curve, shown) | where for curve in panel.curves]
     return Figure(data=traces, layout=layout(**axes), height_px=40 + PANEL_PX * n_rows)
 
 
-def _trace(curve: Curve, told: set[str]) -> Plot:
+def _trace(curve: Curve, shown: set[str]) -> Plot:
     colour = {"truth": TRUTH, "method": METHOD, "ours": OURS}.get(curve.who, INK)
     symbol = {"method": "x", "ours": "circle-open"}.get(curve.who, "circle")
-    new = curve.name not in told
-    told.add(curve.name)
+    new = curve.name not in shown
+    shown.add(curve.name)
     return {
         "type": "scatter",
         "mode": curve.mode,

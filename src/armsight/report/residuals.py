@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, bars, layout, place, spread
+from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, bars, layout, spread, subplot
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def residual_figure(residuals: Mapping[str, Array]) -> Figure:
         height = (1.0 - GAP * (n - 1)) / n
         top = 1.0 - i * (height + GAP)
         domain = [max(0.0, top - height), top]
-        cloud, shares = place(2 * i + 1), place(2 * i + 2)
+        cloud, shares = subplot(2 * i + 1), subplot(2 * i + 2)
         side: Plot = {"range": [-limit, limit], "constrain": "domain"}
         shape["xaxis" + cloud["xaxis"][1:]] = axis("Δu, px", domain=[0.0, 0.36], anchor=cloud["yaxis"], **side)
         shape["yaxis" + cloud["yaxis"][1:]] = axis(

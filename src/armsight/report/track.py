@@ -21,8 +21,8 @@ from armsight.report.figures import (
     axis,
     band,
     layout,
-    place,
     runs,
+    subplot,
     thinned,
 )
 from armsight.report.run import MeasureRun
@@ -107,7 +107,7 @@ def deviation_figure(series: Series, values: Array | None, std: Array) -> Figure
     shape = _six(titles, series.time_label)
     if values is None:
         for k in range(6):
-            shape["yaxis" + place(k + 1)["yaxis"][1:]]["rangemode"] = "tozero"
+            shape["yaxis" + subplot(k + 1)["yaxis"][1:]]["rangemode"] = "tozero"
     return Figure(data=data, layout=shape, height_px=640)
 
 
@@ -116,7 +116,7 @@ def _banded(series: Series, values: Array, low: Array, high: Array, k: int) -> l
 
     Of single shots it is bars and marks: no line leads from one to the next.
     """
-    where: Plot = {**place(k + 1), "showlegend": False}
+    where: Plot = {**subplot(k + 1), "showlegend": False}
     keep = thinned(np.where(np.isfinite(high), high, values))
     known = np.isfinite(values)
     gaps = np.flatnonzero(~known[1:] & known[:-1]) + 1  # the first frame of each gap, so that lines do not cross it
@@ -170,7 +170,7 @@ def _marks_below(t_s: Array, k: int) -> list[Plot]:
             "type": "scatter",
             "x": some,
             "y": np.zeros(len(some)),
-            **place(k + 1, k + 7),
+            **subplot(k + 1, k + 7),
             "mode": "markers",
             "marker": {"symbol": "line-ns", "size": 7, "line": {"color": RED, "width": 1}},
             "hoverinfo": "skip",
@@ -183,7 +183,7 @@ def _dots(t_s: Array, values: Array, k: int) -> Plot:
     """Return orange dots in plot k."""
     keep = thinned(values)
     marks = {"mode": "markers", "marker": {"size": 3.5, "color": ORANGE}, "hovertemplate": "%{y:.3f}<extra></extra>"}
-    return {"type": "scatter", "x": t_s[keep], "y": values[keep], **marks, **place(k + 1), "showlegend": False}
+    return {"type": "scatter", "x": t_s[keep], "y": values[keep], **marks, **subplot(k + 1), "showlegend": False}
 
 
 def _six(titles: Any, time_label: str) -> Plot:
@@ -193,7 +193,7 @@ def _six(titles: Any, time_label: str) -> Plot:
     for k, title in enumerate(titles):
         column, row = divmod(k, 3)
         top = 1.0 - row * (height + gap)
-        own, last = place(k + 1), row == 2
+        own, last = subplot(k + 1), row == 2
         out["xaxis" + own["xaxis"][1:]] = axis(
             time_label if last else "",
             domain=[0.0, 0.455] if column == 0 else [0.545, 1.0],

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
-from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis, bars, layout, place, spread, thinned
+from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis, bars, layout, spread, subplot, thinned
 from armsight.report.html import (
     Card,
     Page,
@@ -285,7 +285,7 @@ def course(result: Verification) -> Figure:
                 "y": result.task[shown, k] / (DEG if turn else MM),
                 "line": {"color": (BLUE, ORANGE, GREY)[k % 3], "width": 1.5},
                 "marker": {"color": (BLUE, ORANGE, GREY)[k % 3], "size": 4},
-                **place(2 if turn else 1),
+                **subplot(2 if turn else 1),
             }
         )
     title = "t, s" if at is not None else "row"
@@ -360,7 +360,7 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
                 "x": q[result.kept[rows], i] / unit,
                 "y": size[rows] / MM,
                 "marker": {"color": BLUE, "size": 3},
-                **place(k),
+                **subplot(k),
             }
         )
     return Figure(data=data, layout=layout(showlegend=False, **more), height_px=260 * lines)

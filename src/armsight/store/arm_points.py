@@ -41,8 +41,8 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     of writing, and refused. Raises BadFile that names line and column, Inconsistent where units
     contradict the numbers.
     """
-    whole = standard_bytes(path, "points", format_)
-    data = _without_lost(whole)
+    content = standard_bytes(path, "points", format_)
+    data = _without_lost(content)
     own = (*QUATERNION, "point", "t_s", *POSITION_COVARIANCE)
     further = _further(data, (*POSITION, *own))
     table = parse_table(
@@ -61,7 +61,7 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     rotation = _rotation(table, path)
     t_s = table.numbers.get("t_s")
     covariance, note = _covariance(table, path)
-    lines = [i for i, line in enumerate(whole.splitlines(), 1) if line.strip()]
+    lines = [i for i, line in enumerate(content.splitlines(), 1) if line.strip()]
     return ArmPoints(
         q=table.stacked(readings),
         xyz_m=table.stacked(POSITION),
@@ -110,9 +110,9 @@ def _without_lost(data: bytes) -> bytes:
     header = _cells(lines[0]) if lines else []
     if header.count("status") != 1:
         return data
-    place = header.index("status")
+    column = header.index("status")
     good = (PoseStatus.OK.value, "status", "")
-    return b"".join(line if len(row := _cells(line)) != len(header) or row[place] in good else b"\n" for line in lines)
+    return b"".join(line if len(row := _cells(line)) != len(header) or row[column] in good else b"\n" for line in lines)
 
 
 def _cells(line: bytes) -> list[str]:

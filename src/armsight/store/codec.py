@@ -282,7 +282,7 @@ def validated(model: type[Model], content: Mapping[str, Any], where: str) -> Mod
         return model.model_validate(plain(content))
     except ValidationError as error:
         details = error.errors(include_url=False)
-        told = [_told(model, detail) for detail in details[:MAX_SHOWN]]
+        told = [_message(model, detail) for detail in details[:MAX_SHOWN]]
         more = f" (and {len(details) - MAX_SHOWN} more)" if len(details) > MAX_SHOWN else ""
         raise BadFile(
             f"{where}: " + "; ".join(told) + more, consequence="The file is not used", cure="Correct it there"
@@ -291,7 +291,7 @@ def validated(model: type[Model], content: Mapping[str, Any], where: str) -> Mod
         raise BadFile(f"{where}: nested too deeply", consequence="The file is not used") from error
 
 
-def _told(model: type[BaseModel], detail: Any) -> str:
+def _message(model: type[BaseModel], detail: Any) -> str:
     key = _path(detail["loc"])
     kind, value = detail["type"], detail["input"]
     if kind == "extra_forbidden":

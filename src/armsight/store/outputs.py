@@ -43,10 +43,10 @@ def refuse_place(out: Path) -> None:
 
 
 def _written_once(out: Path) -> DeviceLock:
-    place = os.fsencode(real_path(out))
+    path_bytes = os.fsencode(real_path(out))
     return DeviceLock(
         str(out),
-        key=f"results-{hashlib.sha256(place).hexdigest()[:32]}",
+        key=f"results-{hashlib.sha256(path_bytes).hexdigest()[:32]}",
         consequence="Another command is writing its results there; nothing was done",
         cure="Wait for its end, or give another place (-o)",
     )

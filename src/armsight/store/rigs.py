@@ -43,8 +43,8 @@ def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[P
     """
     content = read_yaml(path)
     for side, one in noise.items():
-        place = content["cameras"][side] if side else content
-        place["noise"] = mapping(one)
+        camera = content["cameras"][side] if side else content
+        camera["noise"] = mapping(one)
     origin = {name: content.pop(name, None) for name in ("format", "version", *Origin.model_fields)}
     write_document(path, str(origin["format"]), content, inputs, earlier=origin["inputs"] or ())
 

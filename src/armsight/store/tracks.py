@@ -371,7 +371,7 @@ def parse_tum(data: bytes, where: str) -> PoseTrack:
     for i, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        place = f"{where}, line {i}"
+        location = f"{where}, line {i}"
         parts = line.replace(",", " ").split()
         try:
             values = [float(part) for part in parts]
@@ -379,12 +379,12 @@ def parse_tum(data: bytes, where: str) -> PoseTrack:
             values = []
         if len(values) != 8 or not np.isfinite(values).all():
             raise BadFile(
-                f"{place}: not eight finite numbers t x y z qx qy qz qw",
+                f"{location}: not eight finite numbers t x y z qx qy qz qw",
                 consequence="The file is not used",
                 cure="Correct the line or remove it",
             )
         rows.append(values)
-        places.append(place)
+        places.append(location)
     if not rows:
         raise BadFile(f"{where}: holds no pose", consequence="There is nothing to do", cure="Check the file")
     table = np.array(rows)

@@ -193,10 +193,13 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
     )
     if not len(table):
         raise NotEnoughData(f"{where}: no row below the header that can be read", consequence="There is nothing to do")
-    place = {line: k + 1 for k, line in enumerate(sorted({*table.lines, *torn}))}
-    row = np.array([place[line] for line in table.lines], dtype=np.intp)
+    row_of_line = {line: k + 1 for k, line in enumerate(sorted({*table.lines, *torn}))}
+    row = np.array([row_of_line[line] for line in table.lines], dtype=np.intp)
     return _Rows(
-        table=table, row=row, torn=tuple((place[line], f"line {line} holds NUL bytes") for line in torn), unused=unused
+        table=table,
+        row=row,
+        torn=tuple((row_of_line[line], f"line {line} holds NUL bytes") for line in torn),
+        unused=unused,
     )
 
 

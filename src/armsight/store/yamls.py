@@ -228,8 +228,8 @@ def _refuse_explosion(root: yaml.Node) -> None:
     size(root)
 
 
-def _not_yaml(place: str, reason: str) -> BadFile:
-    return BadFile(f"{place}: {reason}", consequence="The file cannot be read", cure="Correct it there")
+def _not_yaml(position: str, reason: str) -> BadFile:
+    return BadFile(f"{position}: {reason}", consequence="The file cannot be read", cure="Correct it there")
 
 
 def parse_yaml_documents(data: bytes, where: str) -> list[Any]:
@@ -252,8 +252,8 @@ def _guarded(text: str, where: str) -> Any:
         return _load(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise _not_yaml(where + place, error.problem or "not valid YAML") from error
+        position = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise _not_yaml(where + position, error.problem or "not valid YAML") from error
     except RecursionError as error:
         raise _not_yaml(where, "nested too deeply") from error
     except (yaml.YAMLError, ValueError, OverflowError, LookupError, TypeError, AttributeError) as error:

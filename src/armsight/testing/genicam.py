@@ -96,9 +96,9 @@ def show(pictures: Sequence[NDArray[np.uint8]]) -> None:
 
     def fill(buffer: int, _data: Any, _exposure_us: int, _gain: int, _format: int) -> None:
         size = ctypes.c_size_t()  # stays 0 until the buffer is sent; it holds an image of the registers' size
-        place = library.arv_buffer_get_data(ctypes.c_void_p(buffer), ctypes.byref(size))
+        buffer_data = library.arv_buffer_get_data(ctypes.c_void_p(buffer), ctypes.byref(size))
         picture = next(following)
-        ctypes.memmove(place, picture, len(picture))
+        ctypes.memmove(buffer_data, picture, len(picture))
 
     kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
     callback = kind(fill)

@@ -247,9 +247,9 @@ def _check_sense(
 ) -> None:
     """Raise Inconsistent where the best fit misses by much of what the tool moved: mirrored, inverted, foreign."""
     part, G = measured.take(kept), F[kept]
-    place = np.linalg.norm(fitted.residual[:, :3], axis=1)
+    position = np.linalg.norm(fitted.residual[:, :3], axis=1)
     spread = float(np.median(np.linalg.norm(part.xyz_m - np.median(part.xyz_m, axis=0), axis=1)))
-    error = float(np.quantile(place, 0.5))
+    error = float(np.quantile(position, 0.5))
     if error > 0.01 * spread:
         _check_mirrored(G, part, nominal, error, how)
     if error > SENSELESS * spread:

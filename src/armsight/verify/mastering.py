@@ -153,11 +153,11 @@ def check_mastering(arm: Arm, q: Array, measured: Measured, how: Align) -> Maste
 
 def _require_fit(found: Mastering) -> None:
     """Raise Inconsistent where the cause that is named leaves errors that are no noise: then it is none."""
-    place, turn = (float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in np.split(found.after, 2, axis=1))
-    if found.cause != "several" and (place > LEFT_M or turn > LEFT_RAD):
+    position, turn = (float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in np.split(found.after, 2, axis=1))
+    if found.cause != "several" and (position > LEFT_M or turn > LEFT_RAD):
         raise Inconsistent(
-            f"no joint's zero and no bent tool explains the poses: {place / MM:.3g} mm and {turn / DEG:.3g} deg (RMS) "
-            "are left",
+            f"no joint's zero and no bent tool explains the poses: {position / MM:.3g} mm and {turn / DEG:.3g} deg "
+            "(RMS) are left",
             consequence="Nothing is said about the crash",
             cure="Check that the rows are in the order of the joint values, that the arm's file is this arm's, and the "
             "frame: with world.yaml, poses are in the rig's axes",
@@ -165,8 +165,8 @@ def _require_fit(found: Mastering) -> None:
 
 
 def _missed(error: Array) -> str:
-    place, turn = np.linalg.norm(error[:3]) / MM, np.linalg.norm(error[3:]) / DEG
-    return f"misses what the other poses agree on by {place:.3g} mm and {turn:.3g} deg"
+    position, turn = np.linalg.norm(error[:3]) / MM, np.linalg.norm(error[3:]) / DEG
+    return f"misses what the other poses agree on by {position:.3g} mm and {turn:.3g} deg"
 
 
 def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:

@@ -354,7 +354,7 @@ class PoseStream:
     T: Array
 
     @cached_property
-    def _place(self) -> Akima1DInterpolator:
+    def _position(self) -> Akima1DInterpolator:
         return Akima1DInterpolator(self.t_s, self.T[:, :3, 3])
 
     @cached_property
@@ -365,10 +365,10 @@ class PoseStream:
         """Return the commanded poses (m, 4, 4) and their velocity (m, 6) in their frame's axes."""
         t = np.clip(at_s, self.t_s[0] + STEP_S, self.t_s[-1] - STEP_S)
         F = np.tile(np.eye(4), (len(t), 1, 1))
-        F[:, :3, 3] = self._place(t)
+        F[:, :3, 3] = self._position(t)
         F[:, :3, :3] = self._turn(t).as_matrix()
         turn = (self._turn(t + STEP_S) * self._turn(t - STEP_S).inv()).as_rotvec() / (2.0 * STEP_S)
-        return F, np.concatenate([self._place.derivative()(t), turn], axis=1)
+        return F, np.concatenate([self._position.derivative()(t), turn], axis=1)
 
 
 Stream = JointStream | PoseStream

@@ -223,7 +223,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "ArmLike": {"a number": 3, "an array": np.eye(3), "nowhere": "no-such-arm"},
     "Source": {"a number": 3, "a dict": {}, "nowhere": "no-such-folder", "floats": [np.ones((4, 4))]},
     "TableLike": {"ragged": {"a": [1.0], "b": [1.0, 2.0]}, "a set": {1.0}, "nowhere": "no-such-file.csv", "none": {}},
-    "PlaceLike": {"a number": 3, "scaled": 2.0 * np.eye(4), "nowhere": "no-such-file.yaml"},
+    "PoseLike": {"a number": 3, "scaled": 2.0 * np.eye(4), "nowhere": "no-such-file.yaml"},
     "Poses": {"a number": 3, "scaled": 2.0 * np.eye(4)},
     "PathText": {"a number": 3, "a list": [1]},
     "CameraSettings": {"a dict": {"gain": 1.0}, "a text": "auto"},

@@ -13,7 +13,7 @@ from armsight_sim.rooms.scene import Panel, Texture
 from armsight_sim.scene import Light
 
 Array = NDArray[np.float64]
-Place = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 AHEAD, LEFT, RIGHT, DOWN, UP, BACK = (
     np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
@@ -40,7 +40,7 @@ class Furnisher:
     panels: list[Panel] = field(default_factory=list)
     lights: list[Light] = field(default_factory=list)
 
-    def panel(self, xyz_m: Place, turn: Array, size_m: tuple[float, float], texture: Texture, **look: object) -> Panel:
+    def panel(self, xyz_m: Vector, turn: Array, size_m: tuple[float, float], texture: Texture, **look: object) -> Panel:
         """Add a panel by its middle, a rotation of T_room_panel and a size; look: what else Panel takes."""
         made = Panel(
             T_room_panel=RigidTransform.from_components(list(xyz_m), Rotation.from_matrix(turn)),
@@ -53,8 +53,8 @@ class Furnisher:
 
     def box(
         self,
-        xyz_m: Place,
-        size_m: Place,
+        xyz_m: Vector,
+        size_m: Vector,
         texture: Texture,
         *,
         yaw_deg: float = 0.0,
@@ -78,7 +78,7 @@ class Furnisher:
             tile = None if tile_m is None or face is front else (tile_m, tile_m)
             self.panel((x, y, z), R @ turn, size, face, gloss=gloss, exponent=exponent, tile_m=tile)
 
-    def pipe(self, xyz_m: Place, radius_m: float, length_m: float, texture: Texture, *, sides: int = 12) -> None:
+    def pipe(self, xyz_m: Vector, radius_m: float, length_m: float, texture: Texture, *, sides: int = 12) -> None:
         """Add an upright shiny pipe by its middle, as a prism."""
         across = 2.0 * radius_m * np.tan(np.pi / sides)
         for n in range(sides):
@@ -101,13 +101,13 @@ class Furnisher:
         tall, long = floor_m - top_m, depth_m + behind_m
         middle_y, middle_z = 0.5 * (floor_m + top_m), 0.5 * (depth_m - behind_m)
         wall, wall_m = walls
-        for turn, place, size in (
+        for turn, position, size in (
             (AHEAD, (0.0, middle_y, depth_m), (2.0 * half_width_m, tall)),
             (BACK, (0.0, middle_y, -behind_m), (2.0 * half_width_m, tall)),
             (LEFT, (-half_width_m, middle_y, middle_z), (long, tall)),
             (RIGHT, (half_width_m, middle_y, middle_z), (long, tall)),
         ):
-            self.panel(place, turn, size, wall, tile_m=(wall_m, wall_m))
+            self.panel(position, turn, size, wall, tile_m=(wall_m, wall_m))
         for turn, y, (texture, tile_m) in ((DOWN, floor_m, floor), (UP, top_m, ceiling)):
             self.panel((0.0, y, middle_z), turn, (2.0 * half_width_m, long), texture, tile_m=(tile_m, tile_m))
 
@@ -119,7 +119,7 @@ class Furnisher:
         self.panel((0.012 - half_width_m, y, 0.5 * depth_m), LEFT, (depth_m, 0.1), strip)
         self.panel((half_width_m - 0.012, y, 0.5 * depth_m), RIGHT, (depth_m, 0.1), strip)
 
-    def window(self, xyz_m: Place, turn: Array, size_m: tuple[float, float], glow: float) -> None:
+    def window(self, xyz_m: Vector, turn: Array, size_m: tuple[float, float], glow: float) -> None:
         """Add an over-exposed window in a wall, with its frame, bars and sill, by its middle."""
         w, h = size_m
         frame = tx.paint(self.rng, (0.62, 0.64, 0.65), 48)
@@ -133,7 +133,7 @@ class Furnisher:
 
     def _flush(
         self,
-        xyz_m: Place,
+        xyz_m: Vector,
         turn: Array,
         at_m: tuple[float, float],
         size_m: tuple[float, float],
@@ -145,7 +145,7 @@ class Furnisher:
         x, y, z = np.asarray(xyz_m) + turn[:, 0] * at_m[0] + turn[:, 1] * at_m[1] + lift_m
         self.panel((x, y, z), turn, size_m, texture, **look)
 
-    def tube(self, xyz_m: Place, length_m: float, glow: float, *, across: bool = True) -> None:
+    def tube(self, xyz_m: Vector, length_m: float, glow: float, *, across: bool = True) -> None:
         """Add a ceiling lamp: a bright tray that shines down, with a rim that is seen from the side."""
         size = (length_m, 0.16) if across else (0.16, length_m)
         white = tx.stored(np.ones((8, 8, 3)) * np.array([0.92, 0.97, 1.0]))
@@ -154,7 +154,7 @@ class Furnisher:
         rim = tx.stored(np.ones((8, 8, 3)) * np.array([0.92, 0.97, 1.0]))
         self.panel((x, y - 0.02, z - 0.5 * size[1]), AHEAD, (size[0], 0.05), rim, glow=0.6 * glow)
 
-    def shelf(self, xyz_m: Place, size_m: Place, boards: int) -> None:
+    def shelf(self, xyz_m: Vector, size_m: Vector, boards: int) -> None:
         """Add a shelf, open to the front, full of boxes; xyz_m: the middle of its foot."""
         x, y, z = xyz_m
         w, h, d = size_m
@@ -182,7 +182,7 @@ class Furnisher:
                 self.any_box((at + 0.5 * wide, top_m - 0.5 * tall, z_m), (0.92 * wide, tall, 0.8 * depth_m), yaw)
             at += wide + self.rng.uniform(0.005, 0.05)
 
-    def any_box(self, xyz_m: Place, size_m: Place, yaw_deg: float) -> None:
+    def any_box(self, xyz_m: Vector, size_m: Vector, yaw_deg: float) -> None:
         """Add a box of cardboard or of coloured plastic, whichever is drawn."""
         if self.rng.uniform() < 0.45:
             self.box(xyz_m, size_m, tx.cardboard(self.rng, 160), yaw_deg=yaw_deg)
@@ -192,7 +192,7 @@ class Furnisher:
         b, g, r = (shade * c for c in colour)
         self.box(xyz_m, size_m, tx.paint(self.rng, (b, g, r), 96), yaw_deg=yaw_deg, gloss=0.12, exponent=25.0)
 
-    def bench(self, xyz_m: Place, size_m: Place) -> None:
+    def bench(self, xyz_m: Vector, size_m: Vector) -> None:
         """Add a workbench by the middle of its foot: a wooden top on steel legs, a drawer unit below."""
         x, y, z = xyz_m
         w, h, d = size_m
@@ -208,7 +208,7 @@ class Furnisher:
             self.box((x + 0.3 * w, middle, z), (0.3 * w, 0.94 * tall, 0.8 * d), drawers, gloss=0.1)
             self.box((x + 0.3 * w, middle - 0.2 * tall, z - 0.42 * d), (0.1, 0.015, 0.02), steel, gloss=1.0)
 
-    def instrument(self, xyz_m: Place, size_m: Place, leds: int, yaw_deg: float = 0.0) -> None:
+    def instrument(self, xyz_m: Vector, size_m: Vector, leds: int, yaw_deg: float = 0.0) -> None:
         """Add an instrument by its middle, with indicators on its front."""
         case = tx.paint(self.rng, (0.22, 0.22, 0.22), 64)
         self.box(xyz_m, size_m, case, front=tx.devices(self.rng), yaw_deg=yaw_deg, gloss=0.05)
@@ -218,7 +218,7 @@ class Furnisher:
             x, y, z = np.asarray(xyz_m) + R @ at
             self.indicator((x, y, z), facing=(float(-R[0, 2]), 0.0, float(-R[2, 2])))
 
-    def indicator(self, xyz_m: Place, facing: Place = (0.0, 0.0, -1.0)) -> None:
+    def indicator(self, xyz_m: Vector, facing: Vector = (0.0, 0.0, -1.0)) -> None:
         """Add a small light of a drawn colour and brightness, as machines carry them."""
         colour = LED_COLOURS[int(self.rng.integers(len(LED_COLOURS)))]
         level = float(self.rng.choice([60.0, 120.0, 200.0, 400.0]))
@@ -233,7 +233,7 @@ class Furnisher:
             )
         )
 
-    def monitor(self, xyz_m: Place, width_m: float, glow: float, yaw_deg: float = 0.0) -> None:
+    def monitor(self, xyz_m: Vector, width_m: float, glow: float, yaw_deg: float = 0.0) -> None:
         """Add a monitor by the middle of its screen, on a foot."""
         tall = 0.5625 * width_m
         black = tx.paint(self.rng, (0.02, 0.02, 0.02), 32)

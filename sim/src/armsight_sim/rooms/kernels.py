@@ -44,7 +44,7 @@ class Panels(NamedTuple):
     texture: Any
     density: Any
     look: Any
-    place: Any
+    pose: Any
     texels: Any
     levels: Any
     light: Any
@@ -172,7 +172,7 @@ def _reflectance(panels, hit, footprint_m, out):
 def _fallen(panels, hit, out):
     """Fill out (3,) with the light that falls on a rectangle at a hit."""
     size, light = panels.size, panels.light
-    first, columns, rows = panels.place[hit.k, 0], panels.place[hit.k, 1], panels.place[hit.k, 2]
+    first, columns, rows = panels.pose[hit.k, 0], panels.pose[hit.k, 1], panels.pose[hit.k, 2]
     # unlike a texture, the light does not repeat: beyond the outermost entries' middles it stays as it is there
     s = min(max(hit.a / size[hit.k, 0] * columns - 0.5, 0.0), columns - 1.0)
     t = min(max(hit.b / size[hit.k, 1] * rows - 0.5, 0.0), rows - 1.0)
@@ -427,12 +427,12 @@ def light_scene(scene, mean, emitters, directions, ambient, large, out):
     about z, weighted by its cosine; entries take one turn after the other. large: numbers of what throws shadows.
     """
     panels = Panels(*scene)
-    size, place = panels.size, panels.place
+    size, pose = panels.size, panels.pose
     shading = Candidates(large, np.zeros(large.size))
     total, turn = np.empty(3), 0
     for k in range(panels.geometry.shape[0]):
         g = panels.geometry[k]
-        first, columns, rows = place[k, 0], place[k, 1], place[k, 2]
+        first, columns, rows = pose[k, 0], pose[k, 1], pose[k, 2]
         for j in range(rows):
             for i in range(columns):
                 a, b = (i + 0.5) / columns * size[k, 0], (j + 0.5) / rows * size[k, 1]

@@ -145,8 +145,8 @@ def _enclose(made: Furnisher, layout: Layout, walls: tuple[Texture, float], floo
     made.skirting(layout.half_width_m, layout.floor_m, layout.depth_m)
     for z in (0.15, 0.72):
         for x in (-0.5, 0.5):
-            place = (x * layout.half_width_m, layout.top_m + 0.12, z * layout.depth_m)
-            made.tube(place, 1.2, float(made.rng.uniform(14.0, 20.0)))
+            position = (x * layout.half_width_m, layout.top_m + 0.12, z * layout.depth_m)
+            made.tube(position, 1.2, float(made.rng.uniform(14.0, 20.0)))
 
 
 def _on_bench(made: Furnisher, x: float, top: float, z: float) -> None:
@@ -200,8 +200,8 @@ def _cables(made: Furnisher, layout: Layout, count: int) -> None:
 def _tape(made: Furnisher, layout: Layout) -> None:
     """Stick warning tape on the floor."""
     yellow = tx.paint(made.rng, (0.03, 0.50, 0.62), 64)
-    place = (0.0, layout.floor_m - 0.002, layout.depth_m - 1.0)
-    made.panel(place, DOWN, (1.8 * layout.half_width_m, 0.06), yellow)
+    position = (0.0, layout.floor_m - 0.002, layout.depth_m - 1.0)
+    made.panel(position, DOWN, (1.8 * layout.half_width_m, 0.06), yellow)
 
 
 def _near_things(made: Furnisher, layout: Layout, count: int) -> None:
@@ -222,20 +222,20 @@ def _litter(made: Furnisher, layout: Layout, count: int) -> None:
     rng = made.rng
     for _ in range(count):
         z = float(rng.uniform(-0.2, layout.clear_m + 0.3))
-        place = (float(rng.uniform(-0.7, 0.7)) * max(z, 0.5), layout.floor_m - float(rng.uniform(0.002, 0.006)), z)
+        position = (float(rng.uniform(-0.7, 0.7)) * max(z, 0.5), layout.floor_m - float(rng.uniform(0.002, 0.006)), z)
         turn = DOWN @ Rotation.from_euler("z", float(rng.uniform(0.0, 360.0)), degrees=True).as_matrix()
         kind = int(rng.integers(5))
         tall = float(rng.uniform(0.15, 0.3))
         if kind == 0:
-            made.panel(place, turn, (tall / 3.0, tall), tx.tool(rng, "spanner"), gloss=0.9)
+            made.panel(position, turn, (tall / 3.0, tall), tx.tool(rng, "spanner"), gloss=0.9)
         elif kind == 1:
-            made.panel(place, turn, (tall / 3.0, tall), tx.tool(rng, "driver"), gloss=0.5)
+            made.panel(position, turn, (tall / 3.0, tall), tx.tool(rng, "driver"), gloss=0.5)
         elif kind == 2:
-            made.panel(place, turn, (1.5 * tall, 3.0 * tall), tx.cable(rng, (0.02, 0.02, 0.02), thick=5))
+            made.panel(position, turn, (1.5 * tall, 3.0 * tall), tx.cable(rng, (0.02, 0.02, 0.02), thick=5))
         elif kind == 3:
-            made.panel(place, turn, (0.21, 0.297), tx.poster(rng))
+            made.panel(position, turn, (0.21, 0.297), tx.poster(rng))
         else:
-            made.panel(place, turn, (0.8 * tall, tall), tx.metal(rng, (0.45, 0.46, 0.46)), gloss=1.5, exponent=60.0)
+            made.panel(position, turn, (0.8 * tall, tall), tx.metal(rng, (0.45, 0.46, 0.46)), gloss=1.5, exponent=60.0)
 
 
 Array = NDArray[np.float64]

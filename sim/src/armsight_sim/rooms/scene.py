@@ -150,8 +150,8 @@ def _highlights(lamps: Sequence[Panel], level: float) -> Array:
         axis, count = g[3 + 3 * longer : 6 + 3 * longer], 4 if max(lamp.size_m) > 0.5 else 1
         power = lamp.glow * lamp.texture.mean * lamp.size_m[0] * lamp.size_m[1] / (np.pi * level * count)
         for s in (np.arange(count) + 0.5) / count - 0.5:
-            place = np.asarray(lamp.T_room_panel.translation) + s * lamp.size_m[longer] * axis
-            rows.append(np.concatenate([place, power]))
+            position = np.asarray(lamp.T_room_panel.translation) + s * lamp.size_m[longer] * axis
+            rows.append(np.concatenate([position, power]))
     return np.array(rows).reshape(-1, 6)
 
 
@@ -238,10 +238,10 @@ class View:
         v, u = np.mgrid[0 : rows + 1, 0 : columns + 1] * float(self.step) - 0.5
         xy = self.lens.rays(np.stack([u, v], axis=-1))
         if isinstance(self.lens, MirrorLens):
-            place, ray = self.lens.mirrors.trace(self.lens.side, xy.reshape(-1, 2))
+            origin, ray = self.lens.mirrors.trace(self.lens.side, xy.reshape(-1, 2))
             eye = np.asarray(self.lens.mirrors.pose(self.lens.side).translation)
-            place = place + ((eye - place) * ray).sum(axis=1)[:, None] * ray  # back to where all rays seem to start
-            rays, origins = ray.reshape(*xy.shape[:2], 3), place.reshape(*xy.shape[:2], 3)
+            origin = origin + ((eye - origin) * ray).sum(axis=1)[:, None] * ray  # back to where all rays seem to start
+            rays, origins = ray.reshape(*xy.shape[:2], 3), origin.reshape(*xy.shape[:2], 3)
         else:
             rays, origins = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=-1), np.zeros((1, 1, 3))
         object.__setattr__(self, "rays", np.ascontiguousarray(rays, dtype=np.float32))

@@ -55,10 +55,10 @@ def plaster(rng: Rng, colour: Colour, size: int = 768) -> Texture:
     broad = noise((size, size), 3, 4, rng)
     image = tinted(0.035 * fine + 0.05 * broad, colour, 1.0)
     for _ in range(14):
-        place = rng.uniform(0, size, 2)
-        end = place + rng.normal(0, 30, 2)
+        position = rng.uniform(0, size, 2)
+        end = position + rng.normal(0, 30, 2)
         scuff = np.zeros((size, size), np.float32)
-        cv2.line(scuff, place.astype(int).tolist(), end.astype(int).tolist(), 1.0, int(rng.integers(1, 3)))
+        cv2.line(scuff, position.astype(int).tolist(), end.astype(int).tolist(), 1.0, int(rng.integers(1, 3)))
         image *= (1.0 - rng.uniform(0.1, 0.4) * cv2.GaussianBlur(scuff, (0, 0), 1.2))[:, :, None]
     return stored(image)
 
@@ -89,10 +89,10 @@ def concrete(rng: Rng, colour: Colour, size: int = 1024) -> Texture:
     image = tinted(0.13 * broad + 0.06 * fine - 0.5 * stains, colour, 1.0)
     crack = np.zeros((size, size), np.float32)
     for _ in range(3):
-        place = np.cumsum(
+        position = np.cumsum(
             np.vstack([rng.uniform(0, size, 2), rng.normal(0, 14, (50, 2)) + rng.normal(0, 9, 2)]), axis=0
         )
-        cv2.polylines(crack, [np.round(place).astype(np.int32)], False, 1.0, 1, cv2.LINE_AA)
+        cv2.polylines(crack, [np.round(position).astype(np.int32)], False, 1.0, 1, cv2.LINE_AA)
     return stored(image * (1.0 - 0.55 * crack)[:, :, None])
 
 
@@ -113,8 +113,8 @@ def metal(rng: Rng, colour: Colour, size: tuple[int, int] = (256, 256)) -> Textu
     grain = noise(size, 6, 3, rng, stretch=40.0)
     image = tinted(0.10 * grain + 0.05 * noise(size, 4, 3, rng), colour, 1.0)
     for _ in range(10):
-        place, end = rng.integers(0, size[0], 2), rng.integers(0, size[0], 2)
-        cv2.line(image, place.tolist(), end.tolist(), [1.3 * c for c in colour], 1, cv2.LINE_AA)
+        position, end = rng.integers(0, size[0], 2), rng.integers(0, size[0], 2)
+        cv2.line(image, position.tolist(), end.tolist(), [1.3 * c for c in colour], 1, cv2.LINE_AA)
     return stored(image)
 
 
@@ -205,10 +205,12 @@ def devices(rng: Rng, size: tuple[int, int] = (128, 384)) -> Texture:
     image = tinted(0.03 * noise(size, 20, 3, rng), (0.30, 0.31, 0.31), 1.0)
     cv2.rectangle(image, (14, 20), (int(0.38 * width), int(0.62 * height)), (0.03, 0.05, 0.03), -1)
     for n in range(6):
-        place = (int(0.47 * width + n * 0.085 * width), int((0.35 if n % 2 else 0.65) * height))
-        cv2.circle(image, place, 9, (0.05, 0.05, 0.05), -1, cv2.LINE_AA)
-        cv2.line(image, place, (place[0] + 5, place[1] - 6), (0.7, 0.7, 0.7), 1, cv2.LINE_AA)
-        cv2.rectangle(image, (place[0] - 8, place[1] + 14), (place[0] + 8, place[1] + 16), (0.7, 0.7, 0.7), -1)
+        position = (int(0.47 * width + n * 0.085 * width), int((0.35 if n % 2 else 0.65) * height))
+        cv2.circle(image, position, 9, (0.05, 0.05, 0.05), -1, cv2.LINE_AA)
+        cv2.line(image, position, (position[0] + 5, position[1] - 6), (0.7, 0.7, 0.7), 1, cv2.LINE_AA)
+        cv2.rectangle(
+            image, (position[0] - 8, position[1] + 14), (position[0] + 8, position[1] + 16), (0.7, 0.7, 0.7), -1
+        )
     return stored(image)
 
 

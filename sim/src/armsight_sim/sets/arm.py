@@ -63,7 +63,7 @@ def arm_set(seed: int, size: int | None = None) -> Dataset:
             "places_true.yaml": {
                 "T_tracker_base": pose_mapping(T_TRACKER_BASE),
                 "T_base_rig": pose_mapping(T_BASE_RIG),
-                "points_m": {name: place.tolist() for name, place in TOOL_M.items()},
+                "points_m": {name: position.tolist() for name, position in TOOL_M.items()},
             }
         },
         commands=(
@@ -91,7 +91,7 @@ def _measured(
     for index in range(n):
         q = HOME + rng.uniform(-REACH, REACH)
         name = points[index % len(points)]
-        place = T_tracker_base.apply(arm.flange(q).apply(TOOL_M[name])) + rng.normal(0.0, noise_m, 3)
-        rows.append([*q.tolist(), *place.tolist(), name])
+        position = T_tracker_base.apply(arm.flange(q).apply(TOOL_M[name])) + rng.normal(0.0, noise_m, 3)
+        rows.append([*q.tolist(), *position.tolist(), name])
     columns = (*(f"q{i + 1}" for i in range(arm.n)), "x_m", "y_m", "z_m", "point")
     return columns, rows

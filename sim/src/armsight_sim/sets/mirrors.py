@@ -97,8 +97,8 @@ def _outgoing(view: MirrorLens) -> tuple[Array, Array]:
     """Return where the rays through the pixels' corners leave the mirrors (h+1, w+1, 3), and their directions."""
     v, u = np.mgrid[0 : view.height + 1, 0 : view.width + 1] - 0.5
     rays = view.rays(np.stack([u, v], axis=-1))
-    place, ray = view.mirrors.trace(view.side, rays.reshape(-1, 2))
-    return place.reshape(*rays.shape[:2], 3), ray.reshape(*rays.shape[:2], 3)
+    origin, ray = view.mirrors.trace(view.side, rays.reshape(-1, 2))
+    return origin.reshape(*rays.shape[:2], 3), ray.reshape(*rays.shape[:2], 3)
 
 
 def _board_image(places: dict[str, tuple[Array, Array]], pose: RigidTransform, noise: tuple[int, int, int]) -> Frame:
@@ -107,9 +107,9 @@ def _board_image(places: dict[str, tuple[Array, Array]], pose: RigidTransform, n
     noise: seed, stream and the image's number.
     """
     light: LightImage = ambient(LENS.width, LENS.height, 0.0)
-    for place, ray in places.values():
+    for origin, ray in places.values():
         R, t = pose.rotation.inv().as_matrix(), np.asarray(pose.translation)
-        start, way = (place - t) @ R.T, ray @ R.T
+        start, way = (origin - t) @ R.T, ray @ R.T
         along = -start[..., 2] / way[..., 2]
         light = light + 0.5 * board_light_at((start + along[..., None] * way)[..., :2], BOARD)
     index, rng = noise[-1], np.random.default_rng(noise)
@@ -152,14 +152,14 @@ def _board_poses(views: dict[str, MirrorLens], n: int, rng: np.random.Generator)
         turn = Rotation.from_rotvec([*lean, 0.0]) * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-0.3, 0.3)])
         centre = rng.uniform([-0.12, -0.12, 0.42], [0.12, 0.12, 0.75])
         pose = RigidTransform.from_components(centre - turn.apply(0.5 * size), turn)
-        if np.linalg.norm(lean) < 0.6 and all(_whole(view.project(pose.apply(edge))) for view in views.values()):
+        if np.linalg.norm(lean) < 0.6 and all(_complete(view.project(pose.apply(edge))) for view in views.values()):
             poses.append(pose)
         if len(poses) == n:
             return poses
     raise UsageError(f"only {len(poses)} places of the board lie whole in both views", cure="Ask for fewer images")
 
 
-def _whole(uv_px: Array) -> bool:
+def _complete(uv_px: Array) -> bool:
     high = np.array([LENS.width, LENS.height]) - 1.0 - EDGE_PX
     return bool(((uv_px >= EDGE_PX) & (uv_px <= high)).all())
 

@@ -327,16 +327,16 @@ def _joints(q: Array) -> bytes:
 def _flange(arm: SimArm, q: Array) -> bytes:
     pose = arm.flange(q)
     x, y, z, w = pose.rotation.as_quat()
-    place = (real(i, 1000.0 * value) for i, value in enumerate(pose.translation, 1))
+    position = (real(i, 1000.0 * value) for i, value in enumerate(pose.translation, 1))
     turn = (real(i, value) for i, value in enumerate((w, x, y, z), 1))
-    return message(2, message(1, *place), message(2, *turn))
+    return message(2, message(1, *position), message(2, *turn))
 
 
 def _pose(value: int | float | bytes) -> Array:
     """Return the pose (4, 4) of an EgmPose message; Euler angles go before quaternions, as the definition says."""
     parts = fields(_bytes(value))
-    place = fields(_bytes(parts[1][-1]))
-    xyz_m = np.array([_real(place[i][-1]) for i in (1, 2, 3)]) / 1000.0
+    position = fields(_bytes(parts[1][-1]))
+    xyz_m = np.array([_real(position[i][-1]) for i in (1, 2, 3)]) / 1000.0
     if 3 in parts:
         euler = fields(_bytes(parts[3][-1]))
         turn = Rotation.from_euler("xyz", [_real(euler[i][-1]) for i in (1, 2, 3)], degrees=True)

@@ -43,20 +43,20 @@ def message(number: int, *parts: bytes) -> bytes:
 def fields(data: bytes) -> dict[int, list[int | float | bytes]]:
     """Return the values of a message by field number: whole numbers, doubles, or bytes. Raises BadWire."""
     found: dict[int, list[int | float | bytes]] = {}
-    place = 0
-    while place < len(data):
-        key, place = _varint(data, place)
+    offset = 0
+    while offset < len(data):
+        key, offset = _varint(data, offset)
         kind = key & 7
         value: int | float | bytes
         if kind == VARINT:
-            value, place = _varint(data, place)
+            value, offset = _varint(data, offset)
         elif kind == EIGHT:
-            value, place = struct.unpack("<d", _cut(data, place, 8))[0], place + 8
+            value, offset = struct.unpack("<d", _cut(data, offset, 8))[0], offset + 8
         elif kind == BYTES:
-            length, place = _varint(data, place)
-            value, place = _cut(data, place, length), place + length
+            length, offset = _varint(data, offset)
+            value, offset = _cut(data, offset, length), offset + length
         elif kind == FOUR:
-            value, place = _cut(data, place, 4), place + 4
+            value, offset = _cut(data, offset, 4), offset + 4
         else:
             raise BadWire(f"wire type {kind}")
         found.setdefault(key >> 3, []).append(value)
@@ -76,18 +76,18 @@ def doubles(values: list[int | float | bytes]) -> list[float]:
     return numbers
 
 
-def _varint(data: bytes, place: int) -> tuple[int, int]:
+def _varint(data: bytes, offset: int) -> tuple[int, int]:
     value = 0
     for i in range(10):
-        if place + i >= len(data):
+        if offset + i >= len(data):
             break
-        value |= (data[place + i] & 0x7F) << (7 * i)
-        if data[place + i] < 0x80:
-            return value, place + i + 1
+        value |= (data[offset + i] & 0x7F) << (7 * i)
+        if data[offset + i] < 0x80:
+            return value, offset + i + 1
     raise BadWire("a number does not end")
 
 
-def _cut(data: bytes, place: int, length: int) -> bytes:
-    if place + length > len(data):
+def _cut(data: bytes, offset: int, length: int) -> bytes:
+    if offset + length > len(data):
         raise BadWire("a field is longer than its message")
-    return data[place : place + length]
+    return data[offset : offset + length]

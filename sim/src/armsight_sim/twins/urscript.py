@@ -164,11 +164,11 @@ class Program:
 def _plain(line: str) -> str:
     """Return a line without comment and blanks."""
     if "#" in line:
-        place, text = 0, False
-        while place < len(line) and (text or line[place] != "#"):
-            text ^= line[place] == '"'
-            place += 1
-        line = line[:place]
+        offset, text = 0, False
+        while offset < len(line) and (text or line[offset] != "#"):
+            text ^= line[offset] == '"'
+            offset += 1
+        line = line[:offset]
     return line.strip()
 
 

@@ -64,7 +64,7 @@ def propose(
     J = plain.evaluate(fitted.p, there, *noise).shared[0][:, index].reshape(len(there.q), 3, -1) * scale
     seen_J = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad).shared[0][:, index] * scale
     H = seen_J.T @ seen_J + np.diag([1.0 if name in names else 1e-6 for name in wanted])
-    order, H_then = _most_telling(J, H, n)
+    order, H_then = _by_information(J, H, n)
     expected = _std(H_then, wanted, scale)
     return Proposal(q=there.q[order], expected_std=expected, std_now=_std(H, wanted, scale))
 
@@ -89,7 +89,7 @@ def _candidates(model: ArmModel, fitted: ArmFit, points: ArmPoints, visible: Vis
     return there.take(seen)
 
 
-def _most_telling(J: Array, H: Array, n: int) -> tuple[list[int], Array]:
+def _by_information(J: Array, H: Array, n: int) -> tuple[list[int], Array]:
     """Return the candidates, J (m, 3, P), in the order of what they add to H (P, P), and H with all of them."""
     order: list[int] = []
     for _ in range(min(n, len(J))):

@@ -38,7 +38,7 @@ class Basis(StrEnum):
     CORNERS_AND_CAMERA = "corners and camera"
 
     @property
-    def told(self) -> str:
+    def phrase(self) -> str:
         """The name in a sentence."""
         return "corners with the camera freed" if self is Basis.CORNERS_AND_CAMERA else str(self)
 
@@ -136,7 +136,7 @@ class ImageComparison(Output):
                 "The result from the poses is kept: a fit to the corners is judged by images left out, and here other "
                 f"images predict {self.n_judged}, of which {FEWEST_JUDGED} are the fewest."
             )
-        told = "; ".join(f"{basis.told}: {errors.text()}" for basis, errors in self.errors.items())
+        errors_text = "; ".join(f"{basis.phrase}: {errors.text()}" for basis, errors in self.errors.items())
         freed = Basis.CORNERS_AND_CAMERA in self.errors
         why = {
             Basis.POSES: f"by cross-validation a fit to the corners is not {'proved ' * self.few}better",
@@ -145,8 +145,8 @@ class ImageComparison(Output):
         }[self.kept]
         if freed and self.kept is not Basis.CORNERS_AND_CAMERA:
             why += ", and a freed camera is not proved better: the camera stays as given"
-        missed = f"{self.n_judged} images left out miss by, RMS, {told}"
-        return f"The result from the {self.kept.told} is kept: {why} ({missed})."
+        missed = f"{self.n_judged} images left out miss by, RMS, {errors_text}"
+        return f"The result from the {self.kept.phrase} is kept: {why} ({missed})."
 
 
 def compare(errors: Mapping[Basis, ImageErrors]) -> ImageComparison:

@@ -203,12 +203,12 @@ class HandEye(Output):
     @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
         std = self.std()
-        place = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
+        position = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
         turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
         worth = "" if self.n_effective is None else f", worth {self.n_effective:.0f} independent ones"
         text = (
-            f"The camera's place in the {self.camera_parent} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) "
-            f"from {self.n_used} of {len(self.pairs)} poses{worth}; a pose left out is predicted to "
+            f"The camera's place in the {self.camera_parent} is known to {position:.2g} mm and {turn:.2g} degrees "
+            f"(95 %) from {self.n_used} of {len(self.pairs)} poses{worth}; a pose left out is predicted to "
             f"{self.loo_rms_m / MM:.2g} mm "
             f"and {self.loo_rms_rad / DEG:.2g} degrees"
         )

@@ -13,6 +13,7 @@ from armsight.calibrate.light_target.adjustment import LightBundle, LightObserva
 from armsight.calibrate.light_target.advice import advise
 from armsight.calibrate.light_target.checks import (
     MIN_FRAMES,
+    distinguishable_frames,
     few_frames,
     not_rigid,
     on_line,
@@ -22,7 +23,6 @@ from armsight.calibrate.light_target.checks import (
     require_rigid,
     require_side,
     require_turned,
-    told_apart,
 )
 from armsight.calibrate.light_target.frames import (
     LETTERS,
@@ -136,7 +136,7 @@ def _name(rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool) -> 
 def _clear(labelled: _LabelledFrames) -> Flags:
     """Return the frames whose lights can be named, and say of the others why not."""
     named = labelled.named
-    told, other = told_apart(named)
+    told, other = distinguishable_frames(named)
     require_names(named, told, other)
     require_side(named)
     minority = named.behind if named.behind.mean() <= 0.5 else ~named.behind

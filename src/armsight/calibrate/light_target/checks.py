@@ -106,7 +106,7 @@ def on_line(lengths: Mapping[str, LightDistance]) -> Degenerate:
     )
 
 
-def told_apart(named: Named) -> tuple[Flags, NDArray[np.intp] | None]:
+def distinguishable_frames(named: Named) -> tuple[Flags, NDArray[np.intp] | None]:
     """Return the frames whose names another naming could not take, and the naming that is nearest to the true one.
 
     Judged without noise: the shape, renumbered, is laid onto its own true positions with each frame's information.

@@ -39,27 +39,27 @@ def camera_from_kalibr(path: Path, *, name: str = "cam0") -> Camera:
 def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
     """Return one camera of a camchain's content; see camera_from_kalibr."""
     block = _block(content, name, where)
-    place = f"{where}, {name}"
+    block_name = f"{where}, {name}"
     for key, known in (("camera_model", ("pinhole",)), ("distortion_model", ("radtan", "equidistant", "none"))):
-        model = value_at(block, key, place)
+        model = value_at(block, key, block_name)
         if model not in known:
             raise BadFile(
-                f"{place}: {key} is {str(model)[:40]!r}",
+                f"{block_name}: {key} is {str(model)[:40]!r}",
                 consequence=f"Only {' or '.join(known)} can be used",
                 cure="Calibrate with pinhole-radtan, a wide or fisheye lens with pinhole-equi",
             )
     fisheye = block["distortion_model"] == "equidistant"
-    fu, fv, pu, pv = matrix_at(block, "intrinsics", (1, 4), place).ravel().tolist()
+    fu, fv, pu, pv = matrix_at(block, "intrinsics", (1, 4), block_name).ravel().tolist()
     distortion = np.zeros(4 if fisheye else 5)
     if fisheye:
-        values = array_of(value_at(block, "distortion_coeffs", place), "distortion_coeffs", place)
-        distortion = fisheye_coefficients(values, "distortion_coeffs", place)
+        values = array_of(value_at(block, "distortion_coeffs", block_name), "distortion_coeffs", block_name)
+        distortion = fisheye_coefficients(values, "distortion_coeffs", block_name)
     elif block["distortion_model"] == "radtan":
-        distortion[:4] = matrix_at(block, "distortion_coeffs", (1, 4), place).ravel()
-    size = array_of(value_at(block, "resolution", place), "resolution", place).ravel()
+        distortion[:4] = matrix_at(block, "distortion_coeffs", (1, 4), block_name).ravel()
+    size = array_of(value_at(block, "resolution", block_name), "resolution", block_name).ravel()
     if size.size != 2 or not all(float(value).is_integer() and 1 <= value <= 1e6 for value in size):
-        raise BadFile(f"{place}: resolution is not [width, height] in px", consequence="The file is not used")
-    with named(place):
+        raise BadFile(f"{block_name}: resolution is not [width, height] in px", consequence="The file is not used")
+    with named(block_name):
         make = Camera.fisheye if fisheye else Camera.pinhole
         return make(int(size[0]), int(size[1]), fu, fv, pu, pv, distortion=distortion)
 
@@ -81,16 +81,18 @@ def kalibr_rig(content: Mapping[str, Any], where: str) -> Rig:
             consequence="A rig has two cameras, cam0 and cam1",
             cure="Cut the chain down to the pair that is meant",
         )
-    place = f"{where}, cam1"
-    T = matrix_at(_block(content, "cam1", where), "T_cn_cnm1", (4, 4), place)
+    block_name = f"{where}, cam1"
+    T = matrix_at(_block(content, "cam1", where), "T_cn_cnm1", (4, 4), block_name)
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 0.0:
-        raise BadFile(f"{place}: T_cn_cnm1 does not end with the row 0, 0, 0, 1", consequence="The file is not used")
+        raise BadFile(
+            f"{block_name}: T_cn_cnm1 does not end with the row 0, 0, 0, 1", consequence="The file is not used"
+        )
     return Rig(
         kind=RigKind.STEREO,
         left=kalibr_camera(content, "cam0", where),
         right=kalibr_camera(content, "cam1", where),
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(rotation_of(T[:3, :3], "T_cn_cnm1", place), T[:3, 3], place),
+        T_rig_right=placed(rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name),
     )
 
 

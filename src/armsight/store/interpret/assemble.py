@@ -50,7 +50,7 @@ class Found:
     format: TableFormat
     notes: list[str] = field(default_factory=list)
 
-    def whole(self, kind: str, keys: Sequence[str]) -> list[Column] | None:
+    def complete_columns(self, kind: str, keys: Sequence[str]) -> list[Column] | None:
         """Return the columns of a kind in the order of the keys, None where one is missing."""
         have = self.kinds.get(kind, {})
         return [have[key] for key in keys] if all(key in have for key in keys) else None
@@ -58,8 +58,8 @@ class Found:
 
 def position_m(found: Found) -> Array | None:
     """Return positions (n, 3) in m, None where the columns give none. Raises Inconsistent for the wrong unit."""
-    tcp = found.whole("tcp", "012")
-    columns = found.whole("position", "xyz") or tcp
+    tcp = found.complete_columns("tcp", "012")
+    columns = found.complete_columns("position", "xyz") or tcp
     if columns is None:
         return None
     return lengths_m(found, columns, 1.0 if tcp is columns else found.format.length_m)
@@ -156,13 +156,13 @@ def rotations(found: Found) -> tuple[Rotation, Array | None] | None:
         euler = _euler(found)
         if euler is not None:
             return euler, None
-    quaternion = found.whole("quaternion", "xyzw")
+    quaternion = found.complete_columns("quaternion", "xyzw")
     if quaternion is not None:
         return _quaternions(found, quaternion), None
     if "cell" in found.kinds and len(found.kinds["cell"]) >= 9:
         return _matrices(found)
     for kind, keys in (("rotvec", "xyz"), ("tcp", "345")):
-        columns = found.whole(kind, keys)
+        columns = found.complete_columns(kind, keys)
         if columns is not None:
             return _rotvecs(found, columns), None
     turned = _euler(found)
@@ -207,13 +207,13 @@ def _rotvecs(found: Found, columns: Sequence[Column]) -> Rotation:
 
 def _euler(found: Found) -> Rotation | None:
     """Return the rotations of Euler angles, None without columns of them. Raises Ambiguous without an order."""
-    columns = found.whole("sequence", "123")
+    columns = found.complete_columns("sequence", "123")
     about: Sequence[str] = ("", "", "")
     if columns is None:
-        columns, about = found.whole("euler", "xyz"), "xyz"
+        columns, about = found.complete_columns("euler", "xyz"), "xyz"
     if columns is None and found.format.euler:  # rotation_x, rotation_y, rotation_z without a w, and an order
-        columns = None if found.whole("quaternion", "w") else found.whole("quaternion", "xyz")
-        columns = columns or found.whole("rotvec", "xyz")
+        columns = None if found.complete_columns("quaternion", "w") else found.complete_columns("quaternion", "xyz")
+        columns = columns or found.complete_columns("rotvec", "xyz")
     if columns is None:
         return None
     names = [column.meaning.name for column in columns]
@@ -292,10 +292,10 @@ def _grid(found: Found, cells: Mapping[str, Column]) -> tuple[Array, bool]:
     base = 0 if "00" in cells else 1
     M = np.tile(np.eye(4), (n, 1, 1))
     for key, column in cells.items():
-        row, place = int(key[0]) - base, int(key[-1]) - base
-        if len(key) != 2 or not (0 <= row <= 3 and 0 <= place <= 3):
+        row, column_index = int(key[0]) - base, int(key[-1]) - base
+        if len(key) != 2 or not (0 <= row <= 3 and 0 <= column_index <= 3):
             raise BadFile(f"{found.where}: the column {column.meaning.name!r} is no cell of a matrix of 4 x 4")
-        M[:, row, place] = column.values
+        M[:, row, column_index] = column.values
     finite = M[np.isfinite(M).all(axis=(1, 2))]
     if np.abs(finite[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(initial=0.0) > 1e-9:
         raise Inconsistent(

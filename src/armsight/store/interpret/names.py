@@ -210,8 +210,8 @@ def _kind(text: str, format_: TableFormat, joints: bool) -> tuple[str, str] | No
     if maker is not None and text in maker.angles:
         if len(maker.angles) == 4:
             return _matched(text, joints) if joints else ("quaternion", "wxyz"[maker.angles.index(text)])
-        place = str(maker.angles.index(text) + 1)
-        return ("sequence", place) if maker.euler is not None else ("rotvec", "xyz"[int(place) - 1])
+        number = str(maker.angles.index(text) + 1)
+        return ("sequence", number) if maker.euler is not None else ("rotvec", "xyz"[int(number) - 1])
     return _matched(text, joints)
 
 

@@ -212,7 +212,7 @@ def _time(out: Standard, found: Found, role: Role) -> None:
     """Add t_s: in the stated unit, in s, or as a count since 1970 that can be nothing else."""
     if role.time == "no":
         return
-    columns = found.whole("t", [next(iter(found.kinds.get("t", {"": None})))])
+    columns = found.complete_columns("t", [next(iter(found.kinds.get("t", {"": None})))])
     if columns is None:
         if role.counts_rows:
             out.columns["t_s"] = np.arange(float(len(out.lines)))

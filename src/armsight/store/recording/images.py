@@ -75,7 +75,7 @@ def decode(schema: str, data: memoryview, where: str) -> Image:
 
 
 def _raw(content: dict[int, int | memoryview], where: str) -> Image:
-    width, height, step = (_whole(content.get(number)) for number in (2, 3, 5))
+    width, height, step = (_natural(content.get(number)) for number in (2, 3, 5))
     encoding = str(_bytes(content.get(4)), "utf-8", "replace")
     data = _bytes(content.get(6))
     if encoding not in _CODES:
@@ -110,7 +110,7 @@ def _compressed(content: dict[int, int | memoryview], where: str) -> Image:
     return np.asarray(image, dtype=np.uint8)
 
 
-def _whole(value: int | memoryview | None) -> int:
+def _natural(value: int | memoryview | None) -> int:
     return value if isinstance(value, int) else 0
 
 

@@ -80,7 +80,7 @@ class _Content:
     blocks: list[record_reader.ChunkSpan | record_reader.Span] = field(default_factory=list)
     attachments: dict[str, record_reader.Span] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    whole: int = len(MAGIC)
+    readable_bytes: int = len(MAGIC)
     finished: bool = False
 
 
@@ -115,7 +115,7 @@ class Recording:
     @property
     def lost_bytes(self) -> int:
         """Bytes at the end of a file cut off that belong to no whole record."""
-        return 0 if self._content.finished else self._size - self._content.whole
+        return 0 if self._content.finished else self._size - self._content.readable_bytes
 
     @property
     def topics(self) -> dict[str, str]:
@@ -290,7 +290,7 @@ def _look_through(file: BinaryIO, size: int, path: Path) -> _Content:
     """Return what the file holds, up to its end or to the first record that is cut off."""
     content = _Content()
     for span in record_reader.spans(file, len(MAGIC), size):
-        content.whole = span.end
+        content.readable_bytes = span.end
         try:
             if span.opcode == Opcode.DATA_END:
                 content.finished = (

@@ -194,10 +194,10 @@ def _parsed(kind: type[T], body: bytes) -> T:
         raise ValueError(f"a {kind.__name__.lower()} record cannot be read ({error})") from error
 
 
-def damaged(path: Path, place: Span | ChunkSpan, reason: str) -> BadFile:
+def damaged(path: Path, span: Span | ChunkSpan, reason: str) -> BadFile:
     """Return the error for a damaged record."""
     return BadFile(
-        f"{path}: damaged at byte {place.start} ({reason})",
+        f"{path}: damaged at byte {span.start} ({reason})",
         consequence="What follows there is not read",
         cure="`armsight record --repair` makes a readable file of what is whole",
     )

@@ -97,18 +97,18 @@ class _Copy:
     def all_of(self, file: BinaryIO, path: Path) -> None:
         """Copy every whole record."""
         size = file.seek(0, 2)
-        whole = len(MAGIC)
+        readable_bytes = len(MAGIC)
         for span in record_reader.spans(file, len(MAGIC), size):
-            whole = span.end
+            readable_bytes = span.end
             if span.opcode == Opcode.DATA_END:
-                whole = size
+                readable_bytes = size
                 break
             try:
                 self._span(file, span, path)
             except (BadFile, ValueError):
                 self.damaged += 1
                 self.lost_bytes += span.length
-        self.lost_bytes += size - whole
+        self.lost_bytes += size - readable_bytes
 
     def _span(self, file: BinaryIO, span: record_reader.Span, path: Path) -> None:
         if span.opcode == Opcode.CHUNK:
