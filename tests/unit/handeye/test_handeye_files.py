@@ -93,7 +93,7 @@ def test_a_tip_from_a_file_is_that_of_the_poses_in_memory(tmp_path: Path) -> Non
     done = calibrate_tip(tmp_path / "poses.csv", tmp_path / "tip.yaml")
     memory = calibrate_tooltip([pose.pose for pose in poses], C)
     assert np.abs(np.array(done.tip_m) - memory.tip_m).max() < 1e-12 and not done.notes
-    assert done.std.x_m == pytest.approx(memory.std()["x_m"], rel=1e-9)
+    assert done.std_tip.x_m == pytest.approx(memory.std()["x_m"], rel=1e-9)
     rows = (tmp_path / "poses.csv").read_text().splitlines()
     keep = rows[0].split(",").index("cov_x_y")
     (tmp_path / "old.csv").write_text("\n".join(",".join(row.split(",")[:keep]) for row in rows) + "\n")
