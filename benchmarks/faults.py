@@ -26,8 +26,7 @@ from armsight.geometry import pose_difference
 from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.from_spots import measure_spots
-from armsight.measure.poses.pipeline import warm_up
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import BoardView, PoseStatus, Spots, TargetKind, board_target, spot_target

@@ -30,8 +30,7 @@ from scipy.stats import chi2
 from armsight.errors import ArmsightError
 from armsight.measure.poses import solving
 from armsight.measure.poses.outcome import Track
-from armsight.measure.poses.pipeline import measure_pair, warm_up
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.optics import Rig
 from armsight.records import Frame, PoseStatus, Target
 from armsight.store import rig_from_mapping, target_from_mapping

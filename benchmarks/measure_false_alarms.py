@@ -29,8 +29,7 @@ from armsight.errors import Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.from_spots import measure_spots
-from armsight.measure.poses.pipeline import warm_up
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, warm_up
 from armsight.measure.results import ConsistencyOutput
 from armsight.optics import Rig
 from armsight.records import Silent, Spots, spot_target

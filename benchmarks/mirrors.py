@@ -22,8 +22,7 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_
 from armsight.calibrate.mirrors.diagnosis import check_alignment
 from armsight.geometry import align_points
 from armsight.measure.poses.from_spots import measure_spots
-from armsight.measure.poses.pipeline import measure_pair, warm_up
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Plate, triangulate
 from armsight.optics.mirrors import Mirrors as Design

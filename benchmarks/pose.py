@@ -19,9 +19,7 @@ from scipy.stats import chi2
 from armsight.geometry import pose_difference, pose_from_quat
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.pipeline import measure_pair, warm_up
-from armsight.measure.poses.pipeline import Measured
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Measured, Setup, measure_pair, warm_up
 from armsight.optics import SIDES, Camera, PackedRig, Rig, converged_rig
 from armsight.records import PoseStatus, Spots, Target, spot_target, unmeasured_target
 from armsight.store import rig_from_mapping

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.measure.poses.pipeline import measure_pair
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.optics import Rig
 from armsight.records import Frame
 from armsight.store import read_rig, read_target

@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from armsight.measure.poses.pipeline import warm_up
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, warm_up
 from bad_pictures import bad_pictures
 from bench import machine, table
 from composites import Composite, composite

@@ -27,8 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pipeline import measure_pair, warm_up
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.records import CameraTiming, Frame, PoseStatus, unmeasured_target
 from armsight.store import read_poses, read_rig, rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight_sim import LedCellOptions, beacon_cell, led_cell

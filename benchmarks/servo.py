@@ -29,9 +29,7 @@ from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
 from armsight.control.status import RobotStatus
-from armsight.measure.poses.pipeline import measure_pair
-from armsight.measure.poses.pipeline import Setup
-from armsight.measure.poses.pipeline import Track
+from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.records import PoseStatus, Silent, TargetPose
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping

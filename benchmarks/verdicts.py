@@ -16,9 +16,7 @@ from scipy.stats import chi2
 
 from armsight.errors import ArmsightError
 from armsight.measure.poses.outcome import Track
-from armsight.measure.poses.pipeline import measure_pair
-from armsight.measure.poses.pipeline import Measured
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.records import Frame, PoseStatus, Spots
 
 Array = NDArray[np.float64]

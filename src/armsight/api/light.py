@@ -18,7 +18,7 @@ from armsight.calibrate.timing import TimingCalibration
 from armsight.drivers import CameraSettings
 from armsight.optics import Camera, Rig
 from armsight.records import NoiseModel, Progress, Target
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store import read_rig
 
 
@@ -81,7 +81,7 @@ def calibrate_target(
     """
     with Given(out, name="target.yaml") as given:
         done = calibrate_lit_target(given.job(TargetJob, locals(), limit=frames, out=given.out), progress)
-        return done.extended(TargetResult)
+        return extended(done, TargetResult)
 
 
 @speaks_python
@@ -119,7 +119,7 @@ def calibrate_timing(
     """
     with Given(out, name="rig.yaml") as given:
         done = calibrate_cameras_timing(given.job(TimingJob, locals(), limit=frames, out=given.out), progress)
-        return done.extended(TimingResult, rig=read_rig(given.out))
+        return extended(done, TimingResult, rig=read_rig(given.out))
 
 
 @speaks_python
@@ -169,7 +169,7 @@ def calibrate_zoom_rig(
     with Given(out, name="rig.yaml") as given:
         values = {"rig": rig, "zoom_left": zoom_left, "zoom_right": zoom_right}
         done = zoom_rig(given.job(ZoomRigJob, values, left=left, right=right, out=given.out))
-        return done.extended(ZoomRigResult, rig=read_rig(given.out))
+        return extended(done, ZoomRigResult, rig=read_rig(given.out))
 
 
 @speaks_python

@@ -32,7 +32,7 @@ from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot
 from armsight.errors import UsageError
 from armsight.records import Progress, TaughtPath
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store import read_rig
 from armsight.store.path_file import read_path
 from armsight.units import DEG
@@ -200,7 +200,7 @@ def teach(
             following, devices = _servo_job(given, values)
             done = teach_following(job, following, as_question(confirm), progress=progress, devices=devices)
         parent = done.parent if done.parent in ("world", "base") else "world"
-        return done.extended(TeachResult, taught=read_path(given.out / PATH, parent=parent))
+        return extended(done, TeachResult, taught=read_path(given.out / PATH, parent=parent))
 
 
 @speaks_python

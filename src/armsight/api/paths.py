@@ -18,7 +18,7 @@ from armsight.app.requests.files import ExportJob, PicksJob
 from armsight.control import paths as tools
 from armsight.control.guard import Limits
 from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind, require_number
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store.path_file import read_path
 from armsight.units import DEG
 
@@ -181,7 +181,7 @@ def from_picks(
         pictures = {"left": given.picture("left", left), "right": given.picture("right", right)}
         job = given.job(PicksJob, {**locals(), **pictures}, side=view, out=given.out)
         done = path_from_picks(job, progress or Silent())
-        return done.extended(PicksResult, taught=read_path(given.out))
+        return extended(done, PicksResult, taught=read_path(given.out))
 
 
 def _check(path: object, **numbers: float) -> None:

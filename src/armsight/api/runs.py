@@ -41,7 +41,7 @@ from armsight.drivers import CameraSettings, PairSettings
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.measure.results import MeasureOutput
 from armsight.records import Progress, one_of, require_number
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
@@ -158,7 +158,7 @@ def measure(
         job = given.job(MeasureJob, locals(), limit=frames, zoom=(zoom_left, zoom_right), out=given.out)
         done = run_measure(job, progress)
         poses = PoseTrack(poses=read_poses(given.out / POSES))
-        return done.extended(MeasureResult, poses=poses)
+        return extended(done, MeasureResult, poses=poses)
 
 
 @speaks_python
@@ -283,7 +283,7 @@ def verify(
     """
     with Given(out) as given:
         done = run_verify(given.job(VerifyJob, locals(), out=given.out))
-        return done.extended(VerifyResult, errors=read_columns((given.out / ERRORS).read_bytes()))
+        return extended(done, VerifyResult, errors=read_columns((given.out / ERRORS).read_bytes()))
 
 
 @speaks_python
@@ -331,7 +331,7 @@ def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | 
             require_number("distance_m", distance_m)
         job = CompareJob(**files, out=None if out is None else as_path(out, "out"), distance_m=distance_m)
         done = run_compare(job)
-        return done.extended(CompareOutput, **{n: n for n, p in files.items() if p.is_relative_to(given.folder)})
+        return extended(done, CompareOutput, **{n: n for n, p in files.items() if p.is_relative_to(given.folder)})
 
 
 @speaks_python
@@ -383,7 +383,7 @@ def join(
         job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
         done = run_join(job)
         done = replace(done, file=None) if out is None else done
-        return done.extended(JoinResult, table=read_columns(read_bytes(given.out, limit=10**9)))
+        return extended(done, JoinResult, table=read_columns(read_bytes(given.out, limit=10**9)))
 
 
 def read_columns(data: bytes) -> Columns:

@@ -22,7 +22,7 @@ from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
 from armsight.records import Progress, checked_array, require_count, require_kind, require_number
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store.arm_file import read_arm
 from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
 from armsight.verify.supervision import Limits
@@ -93,9 +93,9 @@ def identify_arm_live(
         pace, left_out = Pace(speed=speed), tuple(as_numbers("leave_out", leave_out))
         job = given.job(LiveJob, locals(), out=given.out)
         done = run_identify_live(job, OperatorCallbacks(confirm=as_question(confirm)), progress)
-        return (
-            done if isinstance(done, ProposedPlanOutput) else done.extended(LiveIdentification, arm=read_arm(given.out))
-        )
+        if isinstance(done, ProposedPlanOutput):
+            return done
+        return extended(done, LiveIdentification, arm=read_arm(given.out))
 
 
 def _limits(limits: ArrayLike | PathText) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.measure.results import MeasureOutput
 from armsight.measure.settings import SpotSettings
 from armsight.records import Progress, Silent
-from armsight.records.output import Output, output
+from armsight.records.output import Output, extended, output
 from armsight.report.measure import INSIDE_95
 from armsight.report.series import SCALE, errors_of
 from armsight.store import rig_from_mapping, target_from_mapping
@@ -139,14 +139,14 @@ def demo(
     summary, poses = run(setup, pairs, out, progress=progress, about=about)
     errors = errors_of(poses, truth)
     compared = np.isfinite(errors.distance2)
-    real = measure_pictures(out / FOLDER, progress) if pictures else None
-    result = summary.extended(
+    result = extended(
+        summary,
         DemoOutput,
         truth=_pose_errors(errors.values[compared] * SCALE, errors.std[compared] * SCALE),
         inside_95=float(np.mean(errors.distance2[compared] <= INSIDE_95)) if compared.any() else None,
         seconds_s=time.perf_counter() - start_s,
         assumptions=list(made.assumptions),
-        pictures=real,
+        pictures=measure_pictures(out / FOLDER, progress) if pictures else None,
     )
     write_json(out / "demo.json", result.to_dict())
     return result

@@ -109,11 +109,6 @@ class Output(ByValue):
         """Return it as strict JSON text in one line; a number that is not finite (no data) becomes null."""
         return json.dumps(_finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
 
-    def extended(self, kind: type[More], **fields: Any) -> More:
-        """Return a result of a kind that has further fields, or other values of some."""
-        of = {one.name: getattr(self, one.name) for one in dataclass_fields(self)}  # type: ignore[arg-type]  # a dataclass
-        return kind(**(of | fields))
-
     def _shown(self) -> tuple[str, list[Row]]:
         return type(self).__name__, list(flat_rows(self.to_dict()))
 
@@ -124,6 +119,12 @@ class Output(ByValue):
 
     def _repr_html_(self) -> str:
         return as_html(*self._shown())
+
+
+def extended(result: Output, kind: type[More], **fields: Any) -> More:
+    """Return a result of a kind that has further fields, or other values of some."""
+    of = {one.name: getattr(result, one.name) for one in dataclass_fields(result)}  # type: ignore[arg-type]  # a dataclass
+    return kind(**(of | fields))
 
 
 def keys(kind: type) -> tuple[Key, ...]:

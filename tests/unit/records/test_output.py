@@ -18,7 +18,7 @@ from armsight.app.record.export import ExportOutput
 from armsight.calibrate.handeye import Part, RejectedPair
 from armsight.errors import BadFile
 from armsight.fields import Doc
-from armsight.records.output import Output, figure, output
+from armsight.records.output import Output, extended, figure, output
 from armsight.records.result_parts import PointStd
 from armsight.store.atomic import write_json
 from armsight.store.codec import read_output
@@ -82,9 +82,9 @@ def test_numbers_of_any_kind_poses_and_arrays_become_what_json_knows_and_a_metho
             "double_m": 4.0,
         }
     )
-    assert found == found.extended(Found) != found.extended(Found, rms_m=3.0)
-    assert repr(found.extended(Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).double_m) == "1.0"
-    assert repr(found.extended(Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).rows) == "(3,)"
+    assert found == extended(found, Found) != extended(found, Found, rms_m=3.0)
+    assert repr(extended(found, Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).double_m) == "1.0"
+    assert repr(extended(found, Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).rows) == "(3,)"
 
 
 def test_a_result_that_was_written_is_read_again() -> None:

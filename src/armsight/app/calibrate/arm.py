@@ -28,7 +28,7 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
 from armsight.optics import Rig
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
@@ -84,7 +84,8 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     urdf = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
-    return result.extended(
+    return extended(
+        result,
         ArmOutput,
         proposals=None if proposal is None else nominal.readings(proposal.q).tolist(),
         expected_std=None if proposal is None else proposal.expected_std,

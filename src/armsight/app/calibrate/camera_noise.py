@@ -19,6 +19,7 @@ from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import NoiseModel, Progress, Silent
+from armsight.records.output import extended
 from armsight.store import add_noise, is_zoom_camera, read_camera_file, read_zoom_camera, read_zoom_rig
 from armsight.store.bags import bag_topic, is_bag
 from armsight.store.codec import mapping, read_output
@@ -86,7 +87,8 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
 
 def noise_output(found: NoiseCalibration) -> MeasuredNoise:
     """Return a camera's noise and how it was found as --json gives it."""
-    return _as_in_files(found.noise).extended(
+    return extended(
+        _as_in_files(found.noise),
         MeasuredNoise,
         n_given=found.n_frames,
         n_copies=found.n_copies,

@@ -30,6 +30,7 @@ from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, Usag
 from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
+from armsight.records.output import extended
 from armsight.store import parse_board, read_camera, read_target, write_rig
 
 TITLE = "Calibration of a mirror rig"
@@ -116,7 +117,8 @@ def mirrors_output(
     """Return a mirror rig's calibration as --json gives it."""
     pair = stereo_output(done.pair, rejected, n_pairs=n_pairs)
     plate = done.rig.left.plate
-    alignment = pair.alignment.extended(
+    alignment = extended(
+        pair.alignment,
         MirrorAlignment,
         plate=PlateOutput(
             m_m=done.shift_m,
@@ -127,7 +129,8 @@ def mirrors_output(
             seen_thickness_std_m=done.seen_std_m,
         ),
     )
-    return pair.extended(
+    return extended(
+        pair,
         MirrorsOutput,
         alignment=alignment,
         metric=pair.metric or dict.fromkeys(("expected_m", "mean_m", "rms_m")),

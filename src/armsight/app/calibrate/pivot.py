@@ -21,7 +21,7 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.records import PoseStatus, Progress, Silent, TargetPose
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store import read_rig, write_poses
 from armsight.store.handeye_file import write_tip
 
@@ -46,7 +46,7 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     recording, tip, taken = find_tip(job, progress)
     write_poses(job.out.with_suffix(".poses.csv"), taken)
     write_tip(job.out, tip, inputs=[job.rig])
-    return tip.extended(PivotOutput, goal_m=job.goal_m, reached=recording.good_enough)
+    return extended(tip, PivotOutput, goal_m=job.goal_m, reached=recording.good_enough)
 
 
 def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecording, TipCalibration, list[TargetPose]]:
