@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 import armsight as library
-from armsight.cli.command import WRITTEN, Command, app
+from armsight.cli.command import WRITTEN, Command
+from armsight.cli.commands import app
 from armsight.cli.examples import every_command
 from armsight.errors import DeviceFailed, UsageError
 from armsight.store.outputs import held_outputs, refuse_place
