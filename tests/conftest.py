@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy; for processes that tests begin too: see cli.main
 if "PYTHONPATH" in os.environ:  # a process that a test begins in another folder has to find this source too
     os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, os.environ["PYTHONPATH"].split(os.pathsep)))
+sys.path.insert(0, str(Path(__file__).parent))  # tests/refusals.py
 
 import cv2
 import numpy as np

@@ -22,6 +22,7 @@ from armsight.kinematics import (
     solve_numeric,
     track_path,
 )
+from refusals import refuses
 
 ARM = preset("korayem6r")
 HOME = np.array([0.1, -0.4, 0.6, 0.2, 0.7, 0.3])
@@ -41,41 +42,41 @@ def test_wrong_number_of_joints(q: object) -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf, 2e4])
 def test_joint_values_that_are_none(value: float) -> None:
     for q in ([value, 0, 0, 0, 0, 0], [[0] * 6, [0, 0, value, 0, 0, 0]]):
-        with pytest.raises(Inconsistent, match="joint value"):
+        with refuses(Inconsistent, "joint value"):
             jacobian(ARM, q)
 
 
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"type": "ball"}, "ball.*revolute, prismatic"),
-        ({"a_m": np.nan}, "a_m of joint j.*not finite"),
+        ({"type": "ball"}, ("ball", "revolute, prismatic")),
+        ({"a_m": np.nan}, ("a_m", "joint j", "finite")),
         ({"sign": 0.0}, "sign"),
         ({"sign": 57.3}, "sign"),
         ({"lower": 1.0, "upper": -1.0}, "swapped"),
-        ({"lower": 1.0, "upper": 1.0}, "swapped or equal"),
+        ({"lower": 1.0, "upper": 1.0}, "equal"),
         ({"lower": np.nan}, "swapped"),
         ({"max_speed": -1.0}, "max_speed"),
     ],
 )
 def test_joints_that_cannot_be(fields: dict[str, object], words: str) -> None:
-    with pytest.raises(Inconsistent, match=words):
+    with refuses(Inconsistent, words):
         Joint(name="j", **fields)  # type: ignore[arg-type]
 
 
 def test_arms_that_cannot_be() -> None:
-    with pytest.raises(Inconsistent, match="at least one joint"):
+    with refuses(Inconsistent, "one joint"):
         Arm(name="none", joints=())
-    with pytest.raises(Inconsistent, match="names repeat"):
+    with refuses(Inconsistent, "repeat"):
         Arm(name="twice", joints=(Joint(name="j"), Joint(name="j")))
 
 
 def test_an_unknown_arm_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(
-        UsageError, match=r"korayem6r, puma761, stanford-rrp, ur3, .*ur10e, .*kr6, iiwa14, panda, irb120"
+    with refuses(
+        UsageError, "korayem6r", "puma761", "stanford-rrp", "ur3", "ur10e", "kr6", "iiwa14", "panda", "irb120"
     ):
         preset("puma560")
-    with pytest.raises(UsageError, match=r"j1\.a_m"):
+    with refuses(UsageError, "j1.a_m"):
         moved(ARM, {"j7.a_m": 1.0})
 
 
@@ -86,7 +87,7 @@ def test_a_pose_in_millimetres_is_told_as_such() -> None:
         with pytest.raises(Inconsistent, match="millimetres") as error:
             call()
         assert "pose 0" in told(error)
-    with pytest.raises(Inconsistent, match=r"pose 1 .*millimetres"):
+    with refuses(Inconsistent, "pose 1", "millimetres"):
         track_path(ARM, np.array([fk(ARM, HOME), T]))
 
 
@@ -94,14 +95,14 @@ def test_poses_that_are_none() -> None:
     T = fk(ARM, HOME)
     broken = T.copy()
     broken[0, 3] = np.nan
-    with pytest.raises(Inconsistent, match=r"pose 1 .*not finite"):
+    with refuses(Inconsistent, "pose 1", "finite"):
         ik_many(ARM, np.array([T, broken]))
     mirrored = T.copy()
     mirrored[:3, 0] *= -1.0
     stretched = T.copy()
     stretched[:3, :3] *= 1.001
     for matrix in (mirrored, stretched):
-        with pytest.raises(Inconsistent, match="not a rotation"):
+        with refuses(Inconsistent, "rotation"):
             ik(ARM, matrix)
     with pytest.raises(UsageError, match="4x4"):
         ik(ARM, T[:3])
@@ -113,14 +114,14 @@ def test_an_unreachable_pose_says_so_and_by_how_much() -> None:
     answer = ik(ARM, T)
     assert answer.status == "out_of_reach"
     assert answer.solutions == ()
-    assert "2.04 m from the base" in answer.why
+    assert "2.04 m" in answer.why
     T[:3, 3] = [0.75, 0.0, 0.4]  # inside the sum of the lengths, outside what the wrist can do
     assert ik(ARM, T).status == "out_of_reach"
 
 
 def test_no_closed_form_is_told() -> None:
     arm = dh_arm("odd", [(0.1, 0.5, 0.1, 0.0)] * 6)
-    with pytest.raises(UsageError, match="no closed form"):
+    with refuses(UsageError, "closed form"):
         ik_many(arm, np.eye(4))
 
 
@@ -130,25 +131,25 @@ def test_a_numeric_run_that_misses_is_not_a_solution() -> None:
     attempt = solve_numeric(ARM, T, HOME, effort=Effort(restarts=3))
     assert not attempt.converged
     assert attempt.error_m > 1e-3
-    with pytest.raises(NotConverged, match=r"after 4 starts: local minimum .* no solution"):
+    with refuses(NotConverged, "4 starts", "local minimum"):
         _ = attempt.q
 
 
 def test_unknown_words_are_answered_with_the_known_ones() -> None:
     T = fk(ARM, HOME)
-    with pytest.raises(UsageError, match="pose, position"):
+    with refuses(UsageError, "pose, position"):
         ik(ARM, T, task="pointing")
-    with pytest.raises(UsageError, match="damped, newton"):
+    with refuses(UsageError, "damped, newton"):
         solve_numeric(ARM, T, method="magic")
-    with pytest.raises(UsageError, match="world, base or tool"):
+    with refuses(UsageError, "world", "base", "tool"):
         jacobian(ARM, HOME, axes="camera")  # type: ignore[arg-type]
 
 
 def test_an_axis_that_is_not_of_unit_length() -> None:
-    with pytest.raises(Inconsistent, match="length 2, not 1"):
+    with refuses(Inconsistent, "length 2"):
         link_to_line(np.eye(4), [0, 0, 0], [0, 0, 2])
 
 
 def test_arrays_to_fill_that_are_too_small() -> None:
-    with pytest.raises(UsageError, match="beyond its end"):
+    with refuses(UsageError, "beyond"):
         fk_jacobian(ARM, np.tile(HOME, (3, 1)), out=(np.empty((2, 4, 4)), np.empty((3, 6, 6))))

@@ -9,6 +9,7 @@ import pytest
 
 from armsight.errors import NotConverged, UsageError
 from armsight.kinematics import Arm, Trouble, fk, moved, parameter_names, preset, track_path
+from refusals import names_it, refuses
 
 HOME = np.array([0.1, -0.6, 0.9, 0.2, 0.7, 0.3])
 
@@ -68,7 +69,7 @@ def test_a_wrist_singularity_that_is_passed_straight_is_named_with_its_place() -
     assert [("wrist" in issue.text, issue.worst) for issue in singular] == [(True, 40)]
     assert "passes through" in singular[0].text
     (branch,) = [issue for issue in path.issues if issue.trouble is Trouble.BRANCH]
-    assert "wrist no flip to wrist flip" in branch.text
+    assert names_it(branch.text, "no flip", "wrist flip")
 
 
 def test_a_track_close_to_a_singularity_jumps_and_says_where() -> None:
@@ -95,7 +96,7 @@ def test_a_path_that_leaves_reach_ends_there() -> None:
     assert issue.first == len(path.q)
     assert "out_of_reach" in issue.text
     np.testing.assert_allclose(fk(arm, path.q), T[: len(path.q)], atol=1e-9)
-    with pytest.raises(NotConverged, match=f"pose {len(path.q)} of 50"):
+    with refuses(NotConverged, f"pose {len(path.q)}", "50"):
         _ = path.motion
 
 

@@ -22,6 +22,7 @@ from armsight.records.output import Output, extended, figure, output
 from armsight.records.result_parts import PointStd
 from armsight.store.atomic import write_json
 from armsight.store.codec import read_output
+from refusals import refuses
 
 
 def test_a_key_that_does_not_apply_is_left_out_and_a_figure_without_data_is_null() -> None:
@@ -90,5 +91,5 @@ def test_numbers_of_any_kind_poses_and_arrays_become_what_json_knows_and_a_metho
 def test_a_result_that_was_written_is_read_again() -> None:
     known = RejectedPair(row=3, name="row 3", why="it repeats row 1")
     assert read_output(RejectedPair, json.loads(known.to_json()), "a file") == known
-    with pytest.raises(BadFile, match="unknown key rwo"):
+    with refuses(BadFile, "rwo"):
         read_output(RejectedPair, {"rwo": 1, "name": "a", "why": "b"}, "a file")

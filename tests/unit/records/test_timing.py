@@ -12,6 +12,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance
 from armsight.store import read_camera_file, read_rig, write_camera, write_rig
+from refusals import refuses
 
 CAMERA = Camera.pinhole(640, 480, 800.0, 800.0, 319.5, 239.5)
 
@@ -56,5 +57,5 @@ def test_a_file_says_which_key_is_wrong(tmp_path: Path) -> None:
     with pytest.raises(BadFile, match="readout"):
         read_camera_file(path)
     path.write_text(path.read_text().replace("readout: 0.02", "readout_s: 20"))
-    with pytest.raises(BadFile, match="read out"):
+    with refuses(BadFile, "read out"):
         read_camera_file(path)

@@ -15,6 +15,7 @@ from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
 from armsight.store.arm_file import arm_from_mapping, read_arm, write_arm
 from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
+from refusals import refuses
 
 ALL = sorted(PRESETS)
 KEYS = (
@@ -108,19 +109,19 @@ def mapping(**joint: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (mapping(type="ball"), "unknown type 'ball'.*revolute, prismatic"),
+        (mapping(type="ball"), ("ball", "revolute, prismatic")),
         (mapping(lower=1.0, upper=-1.0), "swapped"),
-        (mapping(a_m=float("nan")), r"joints\[0\]\.a_m is nan"),
-        (mapping(a_mm=3.0), "unknown key .*did you mean 'a_m'"),
+        (mapping(a_m=float("nan")), ("joints[0].a_m", "nan")),
+        (mapping(a_mm=3.0), ("a_mm", "a_m")),
         (mapping(sign=0.0), "sign"),
         ({**mapping(), "convention": "proximal"}, "convention"),
-        ({**mapping(), "joints": []}, "at least one joint"),
-        ({"format": "armsight/arm", "convention": "standard"}, "joints is missing"),
+        ({**mapping(), "joints": []}, "one joint"),
+        ({"format": "armsight/arm", "convention": "standard"}, ("joints", "missing")),
         (mapping(std={"a_m": -1.0}), "negative"),
     ],
 )
 def test_arm_yaml_that_cannot_be(content: dict[str, object], words: str) -> None:
-    with pytest.raises(BadFile, match=words):
+    with refuses(BadFile, words):
         arm_from_mapping(content, "my.yaml")
 
 
@@ -142,29 +143,29 @@ def robot(*joints: dict[str, str], links: int = 4, head: str = "") -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (robot({"type": "floating"}, {}, {}), "joint j0: type 'floating' leaves the arm free to float"),
-        (robot({}, {"type": "planar"}, {}), "joint j1: type 'planar'.*revolute, continuous, prismatic and fixed"),
-        (robot({}, {"type": "ball"}, {}), "joint j1: type 'ball'"),
-        (robot({}, {"parent": "l0"}, links=3), "branches at the link l0 into j0, j1"),
-        (robot({}, {"child": "l1"}, links=3), "l1 hangs on two joints"),
+        (robot({"type": "floating"}, {}, {}), ("j0", "floating")),
+        (robot({}, {"type": "planar"}, {}), ("j1", "planar", "revolute, continuous, prismatic and fixed")),
+        (robot({}, {"type": "ball"}, {}), ("j1", "ball")),
+        (robot({}, {"parent": "l0"}, links=3), ("branches", "l0", "j0, j1")),
+        (robot({}, {"child": "l1"}, links=3), ("l1", "two joints")),
         (robot({}, {}, links=4), "2 root links"),
         (robot({"parent": "l1", "child": "l0"}, {"parent": "l0", "child": "l1"}, links=2), "loop"),
-        (robot({"more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), "joint j0.*length 2, not 1"),
+        (robot({"more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), ("j0", "length 2")),
         (robot({"more": '<axis xyz="0 0 0"/>' + LIMIT}, links=2), "length 0"),
-        (robot({"more": '<axis xyz="0 nan 1"/>' + LIMIT}, links=2), "3 finite numbers"),
+        (robot({"more": '<axis xyz="0 nan 1"/>' + LIMIT}, links=2), "3 finite"),
         (robot({"more": '<limit lower="1" upper="-1"/>'}, links=2), "swapped"),
         (robot({"more": ""}, links=2), "no <limit>"),
         (robot({"more": LIMIT + '<mimic joint="j9"/>'}, links=2), "mimics"),
         (robot({"more": LIMIT + '<origin xyz="1 2" rpy="0 0 0"/>'}, links=2), "origin xyz"),
-        (robot({"child": "l7"}, links=2), "names the link 'l7'"),
-        (robot({"type": "fixed"}, links=2), "nothing in it moves"),
-        (robot({}, links=2, head='<!DOCTYPE r [<!ENTITY a "aaaa">]>'), "document type or entities"),
-        ("<robot", "not XML"),
-        ("<sdf/>", "not <robot>"),
+        (robot({"child": "l7"}, links=2), ("j0", "l7")),
+        (robot({"type": "fixed"}, links=2), "moves"),
+        (robot({}, links=2, head='<!DOCTYPE r [<!ENTITY a "aaaa">]>'), "entities"),
+        ("<robot", "XML"),
+        ("<sdf/>", "<robot>"),
     ],
 )
 def test_urdf_that_is_refused(text: str, words: str) -> None:
-    with pytest.raises(BadFile, match=words) as error:
+    with refuses(BadFile, words) as error:
         arm_from_urdf(text, "my.urdf")
     assert "my.urdf" in str(error.value)
 
@@ -190,7 +191,7 @@ def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
     assert (arm.joints[1].max_speed, arm.joints[1].stall_effort) == (0.5, 5.0)
     side = arm_from_urdf(text, tip="side")
     np.testing.assert_allclose(fk(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
-    with pytest.raises(BadFile, match=r"no link 'hand'.*base, cam, flange"):
+    with refuses(BadFile, "hand", "base, cam, flange"):
         arm_from_urdf(text, tip="hand")
 
 
@@ -235,7 +236,7 @@ def test_urdf_files(tmp_path: Path) -> None:
     write_urdf(path, preset("irb120"))
     assert read_urdf(path).n == 6
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(BadFile, match="not UTF-8"):
+    with refuses(BadFile, "UTF-8"):
         read_urdf(path)
-    with pytest.raises(BadFile, match="cannot be read"):
+    with refuses(BadFile, "cannot be read"):
         read_urdf(tmp_path / "none.urdf")

@@ -6,6 +6,7 @@ import pytest
 
 from armsight.errors import BadFile
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
+from refusals import refuses
 
 
 def test_a_cell_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -24,7 +25,7 @@ def test_a_folder_without_one_is_an_empty_cell(tmp_path: Path) -> None:
 )
 def test_what_is_no_cell_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "cell.yaml").write_text(text)
-    with pytest.raises(BadFile, match=r"cell\.yaml"):
+    with refuses(BadFile, "cell.yaml"):
         read_cell(tmp_path)
 
 

@@ -17,6 +17,7 @@ from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store import read_camera, read_rig, write_camera, write_rig
 from armsight.store.foreign import camera_from_kalibr, camera_from_opencv, camera_from_ros
 from armsight.store.yamls import dump_yaml, read_yaml
+from refusals import refuses
 
 D = [-0.012, 0.02, -0.015, 0.004]
 CAMERA = Camera.fisheye(1280, 1024, 420.0, 415.0, 640.3, 511.2, distortion=D)
@@ -82,7 +83,7 @@ def test_opencv_reads_what_is_written_as_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("camera", ["omni", "eucm", "ds"])
 def test_other_kalibr_cameras_are_refused_by_name(tmp_path: Path, camera: str) -> None:
     (tmp_path / "k.yaml").write_text(KALIBR.format(camera=camera, distortion="radtan", more=""))
-    with pytest.raises(BadFile, match=f"camera_model is '{camera}'") as refused:
+    with refuses(BadFile, "camera_model", camera) as refused:
         camera_from_kalibr(tmp_path / "k.yaml")
     assert "pinhole-equi" in refused.value.cure
 
@@ -90,7 +91,7 @@ def test_other_kalibr_cameras_are_refused_by_name(tmp_path: Path, camera: str) -
 @pytest.mark.parametrize("model", ["fov", "radtan8"])
 def test_other_kalibr_lenses_are_refused_by_name(tmp_path: Path, model: str) -> None:
     (tmp_path / "k.yaml").write_text(KALIBR.format(camera="pinhole", distortion=model, more=""))
-    with pytest.raises(BadFile, match=f"distortion_model is '{model}'"):
+    with refuses(BadFile, "distortion_model", model):
         camera_from_kalibr(tmp_path / "k.yaml")
 
 
@@ -130,7 +131,7 @@ def test_our_own_file_with_another_number_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
     write_camera(path, CAMERA)
     path.write_text(path.read_text().replace("lens: fisheye", "lens: pinhole"))
-    with pytest.raises(BadFile, match="k1, k2, p1, p2, k3"):
+    with refuses(BadFile, "k1, k2, p1, p2, k3"):
         read_camera(path)
     path.write_text(path.read_text().replace("lens: pinhole", "lens: omni"))
     with pytest.raises(BadFile, match="lens"):

@@ -21,6 +21,7 @@ from armsight.store.schema import write_document
 from armsight.store.sweeps import read_sweeps
 from armsight.store.verify_files import read_measured
 from armsight.store.yamls import read_yaml
+from refusals import refuses
 
 RNG = np.random.default_rng(7)
 QUAT = "0,0,0,1"
@@ -41,20 +42,20 @@ def rows(*columns: np.ndarray) -> str:
 
 def test_degrees_where_radians_are_said_are_told(file) -> None:
     path = file("t_s,q1,q2\n0,172.4,3\n1,10,20\n")
-    with pytest.raises(Inconsistent, match=r"these look like degrees: the largest value is 172\.4") as refused:
+    with refuses(Inconsistent, "degrees", "172.4") as refused:
         read_joints(path)
     assert "q1_deg" in refused.value.cure and "--units deg" in refused.value.cure
     assert read_joints(path, TableFormat(units="deg")).q[0, 0] == pytest.approx(np.radians(172.4))
     assert read_joints(path, TableFormat(as_stated=True)).q[0, 0] == 172.4
     for reader, header in ((read_arm_points, "q1,q2,x_m,y_m,z_m"), (read_sweeps, "joint,q1,x_m,y_m,z_m")):
-        with pytest.raises(Inconsistent, match="look like degrees"):
+        with refuses(Inconsistent, "degrees"):
             reader(file(f"{header}\n1,172.4,0.1,0.2,0.3\n"))
 
 
 def test_radians_where_degrees_are_said_are_told(file) -> None:
     q = RNG.uniform(-1.5, 1.5, (8, 3))
     path = file("q1_deg,q2_deg,q3_deg\n" + rows(q))
-    with pytest.raises(Inconsistent, match="these look like radians"):
+    with refuses(Inconsistent, "radians"):
         read_joints(path, timed=False)
     assert read_joints(path, TableFormat(as_stated=True), timed=False).q[0, 0] == pytest.approx(np.radians(q[0, 0]))
     few = file("q1_deg,q2_deg\n0.5,1.0\n0.2,0.1\n")  # two rows near zero are nothing odd
@@ -63,16 +64,16 @@ def test_radians_where_degrees_are_said_are_told(file) -> None:
 
 def test_mm_and_m_are_told_apart(file) -> None:
     xyz = RNG.uniform(0.2, 0.9, (6, 3))
-    with pytest.raises(Inconsistent, match="these look like mm or cm"):
+    with refuses(Inconsistent, "mm or cm"):
         read_poses(file("t_s,x,y,z,qx,qy,qz,qw\n" + f"0,612,20,300,{QUAT}\n"))
     with pytest.raises(Inconsistent, match="612 m") as refused:  # and not told to be named x_mm, which they are
         read_poses(file("t_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n" + f"0,612000,20,300,{QUAT}\n"))
     assert "_mm" not in refused.value.cure
-    with pytest.raises(Inconsistent, match="these look like metres"):
+    with refuses(Inconsistent, "metres"):
         read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), xyz)))
     points = read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), 1e3 * xyz)))
     np.testing.assert_allclose(points.xyz_m, xyz, atol=1e-15)
-    with pytest.raises(Inconsistent, match="look like mm"):
+    with refuses(Inconsistent, "mm"):
         read_robot_poses(file(f"file,x_m,y_m,z_m,qx,qy,qz,qw\na.png,600,20,300,{QUAT}\n"))
 
 
@@ -89,11 +90,11 @@ def test_an_order_that_the_numbers_contradict_is_told(file) -> None:
     good = read_poses(file(text), format_=TableFormat(euler="xyz-fixed"), timed=False)
     want = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
     np.testing.assert_allclose([p.T_parent_target[:3, :3] for p in good], want, atol=1e-12)
-    with pytest.raises(Inconsistent, match="angles of another order"):
+    with refuses(Inconsistent, "another order"):
         read_poses(file(text), format_=TableFormat(euler="yxz"), timed=False)
     vectors = text.replace("rx_deg,ry_deg,rz_deg", "rotvec_x_deg,rotvec_y_deg,rotvec_z_deg").replace("170", "169")
     big = vectors + "500.0,500.0,500.0,300,200,160\n"
-    with pytest.raises(Inconsistent, match="these look like Euler angles"):
+    with refuses(Inconsistent, "Euler"):
         read_poses(file(big), timed=False)
 
 
@@ -103,7 +104,7 @@ def test_roll_pitch_yaw_are_ros_angles_and_said_to_be(file) -> None:
     pose = read_poses(path, format_=TableFormat(tell=told.append))[0]
     want = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
     np.testing.assert_allclose(pose.T_parent_target[:3, :3], want, atol=1e-12)
-    assert any("as ROS means them" in text for text in told)
+    assert any("ROS" in text for text in told)
 
 
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])
@@ -122,11 +123,11 @@ def test_matrices_say_themselves_how_they_are_flattened(file) -> None:
         np.testing.assert_allclose(pose.T_parent_target, T, atol=1e-12)
     bare = T.copy()
     bare[:3, 3] = 0.0
-    with pytest.raises(Ambiguous, match="row by row or column by column"):
+    with refuses(Ambiguous, "row by row"):
         read_poses(file(rows(bare.ravel()[None])), timed=False)
     broken = T.copy()
     broken[0, 0] += 0.1
-    with pytest.raises(BadFile, match="line 1: the nine cells"):
+    with refuses(BadFile, "line 1", "nine"):
         read_poses(file(rows(broken.ravel()[None])), timed=False)
 
 
@@ -141,7 +142,7 @@ def test_joints_by_their_own_names_need_the_arm(file) -> None:
 
 
 def test_two_columns_for_one_coordinate_are_not_guessed(file) -> None:
-    with pytest.raises(Ambiguous, match="may be the same coordinate"):
+    with refuses(Ambiguous, "same coordinate"):
         read_arm_points(file("q1,x_mm,y_mm,z_mm,laser_x_mm,laser_y_mm,laser_z_mm\n0,500,1,2,500,1,2\n"))
     points = read_arm_points(
         file("q1,x_mm,y_mm,z_mm,laser_x_mm,laser_y_mm,laser_z_mm\n0,500,1,2,600,1,2\n", "b.csv"),
@@ -158,7 +159,7 @@ def test_times(file) -> None:
     assert ms.t_s == 1.5
     path = file(f"x_m,y_m,z_m,qx,qy,qz,qw\n1,2,3,{QUAT}\n1,2,4,{QUAT}\n")
     assert [pose.t_s for pose in read_poses(path, timed=False)] == [0.0, 1.0]
-    with pytest.raises(BadFile, match="t_s is missing"):
+    with refuses(BadFile, "t_s", "missing"):
         read_poses(path)
 
 
@@ -207,7 +208,7 @@ def test_ros_messages_as_they_are_echoed(file) -> None:
     assert [pose.t_s for pose in poses] == [12.5, 13.5]
     states = "header:\n  stamp: {secs: 1, nsecs: 0}\nname: [b, a]\nposition: [0.1, 0.2]\nvelocity: []\neffort: []\n"
     assert read_joints(file(states, "js.yaml"), TableFormat(joints=("a", "b"))).q.tolist() == [[0.2, 0.1]]
-    with pytest.raises(BadFile, match="w is the first or the last"):
+    with refuses(BadFile, "w", "first"):
         read_poses(file("- {xyz_m: [1, 2, 3], quat: [1, 0, 0, 0]}\n", "list.yaml"), timed=False)
     listed = read_poses(file("- {xyz_m: [1, 2, 3], quat_wxyz: [1, 0, 0, 0]}\n", "list.yaml"), timed=False)
     np.testing.assert_allclose(listed[0].T_parent_target[:3, :3], np.eye(3))
@@ -255,7 +256,7 @@ def test_a_table_of_ours_is_left_as_it_is(file) -> None:
     text = "t_s,q1,q2\n0,1,2\n"
     found = interpret(file(text), "joints", OURS)
     assert found.data == text.encode() and found.notes == ()
-    with pytest.raises(BadFile, match="did you mean 't_s'"):
+    with refuses(BadFile, "t_s", "mean"):
         read_joints(file("t_x,t_s,q1\n0,1,2\n"))
 
 

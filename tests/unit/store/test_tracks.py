@@ -23,6 +23,7 @@ from armsight.store.tracks import (
     read_joints,
     read_poses,
 )
+from refusals import refuses
 
 
 def make_poses(n=20, seed=2):
@@ -216,7 +217,7 @@ def test_joints_and_times_come_back(tmp_path):
 
 def test_times_that_can_be_no_seconds_are_refused():
     for counted in (b"1.7e12\n1.8e12", b"0\n16666666000000", b"-1e298\n0"):
-        with pytest.raises(BadFile, match="no time in seconds"):
+        with refuses(BadFile, "time", "seconds"):
             parse_times(b"t_s\n" + counted + b"\n", "times.csv")
     assert parse_times(b"t_s\n1.7e9\n1.8e9\n", "times.csv").tolist() == [1.7e9, 1.8e9]
 
@@ -242,38 +243,38 @@ REFUSED = {
     "empty": (parse_times, b"", BadFile, "empty"),
     "blank": (parse_times, b"\n \n", BadFile, "empty"),
     "header only": (parse_times, b"t_s\n", NotEnoughData, "no row"),
-    "binary": (parse_times, b"t_s\n\xff\xfe", BadFile, "byte 4 is not UTF-8"),
-    "utf-16": (parse_times, "t_s\n1\n".encode("utf-16"), BadFile, "not UTF-8"),
-    "no header": (parse_times, b"0.0\n0.1\n", BadFile, "The first line must name the columns: t_s"),
-    "missing column": (parse_joints, b"t_s,x\n0,1\n", BadFile, "column q1 is missing; found t_s, x"),
-    "unknown column": (parse_joints, b"t_s,q1,p2\n0,1,2\n", BadFile, "unknown column 'p2'.*t_s, q1, q1, q2"),
-    "mistyped column": (parse_poses, POSES[:-5].encode() + b"spot", BadFile, "did you mean 'spots'"),
-    "column twice": (parse_joints, b"t_s,q1,q1\n0,1,2\n", BadFile, "'q1' stands twice"),
-    "gap in the numbering": (parse_joints, b"t_s,q1,q3\n0,1,2\n", BadFile, "q1, q3 are not counted"),
-    "short row": (parse_joints, b"t_s,q1\n0,1\n1\n", BadFile, "line 3: 1 cells, the header has 2"),
-    "long row": (parse_joints, b"t_s,q1\n0,1,2\n", BadFile, "line 2: 3 cells"),
-    "word": (parse_joints, b"t_s,q1\n0,one\n", BadFile, "line 2, column q1: 'one' is not a finite number"),
-    "nan": (parse_joints, b"t_s,q1\n0,1\n\n1,NaN\n", BadFile, "line 4, column q1: 'NaN'"),
+    "binary": (parse_times, b"t_s\n\xff\xfe", BadFile, ("byte 4", "UTF-8")),
+    "utf-16": (parse_times, "t_s\n1\n".encode("utf-16"), BadFile, "UTF-8"),
+    "no header": (parse_times, b"0.0\n0.1\n", BadFile, ("first line", "t_s")),
+    "missing column": (parse_joints, b"t_s,x\n0,1\n", BadFile, ("q1", "t_s, x")),
+    "unknown column": (parse_joints, b"t_s,q1,p2\n0,1,2\n", BadFile, ("p2", "t_s, q1")),
+    "mistyped column": (parse_poses, POSES[:-5].encode() + b"spot", BadFile, ("spot", "spots")),
+    "column twice": (parse_joints, b"t_s,q1,q1\n0,1,2\n", BadFile, ("q1", "twice")),
+    "gap in the numbering": (parse_joints, b"t_s,q1,q3\n0,1,2\n", BadFile, ("q1, q3", "counted")),
+    "short row": (parse_joints, b"t_s,q1\n0,1\n1\n", BadFile, ("line 3", "1 cells", "2")),
+    "long row": (parse_joints, b"t_s,q1\n0,1,2\n", BadFile, ("line 2", "3 cells")),
+    "word": (parse_joints, b"t_s,q1\n0,one\n", BadFile, ("line 2", "q1", "one", "finite")),
+    "nan": (parse_joints, b"t_s,q1\n0,1\n\n1,NaN\n", BadFile, ("line 4", "q1", "NaN")),
     "inf": (parse_joints, b"t_s,q1\n0,-inf\n", BadFile, "'-inf'"),
     "too large": (parse_joints, b"t_s,q1\n0,1e999\n", BadFile, "'1e999'"),
     "python's own numbers": (parse_joints, b"t_s,q1\n0,1_000\n", BadFile, "'1_000'"),
-    "empty cell": (parse_joints, b"t_s,q1\n0,\n", BadFile, "column q1: empty"),
-    "semicolons": (parse_joints, b"t_s;q1\n0,5;1,5\n", BadFile, "commas, not semicolons"),
+    "empty cell": (parse_joints, b"t_s,q1\n0,\n", BadFile, ("q1", "empty")),
+    "semicolons": (parse_joints, b"t_s;q1\n0,5;1,5\n", BadFile, "semicolons"),
     "open quote": (parse_joints, b't_s,q1\n0,"1\n', BadFile, "line 2"),
-    "time backwards": (parse_times, b"t_s\n0\n1\n0.5\n", BadFile, "line 4, column t_s"),
-    "joint time backwards": (parse_joints, b"t_s,q1\n1,0\n0,0\n", BadFile, "joints.csv, line 3, column t_s"),
-    "status": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"fine,A\n", BadFile, "column status: 'fine'.*lost"),
-    "ok without a pose": (parse_poses, POSES.encode() + b"\n0" + b"," * 14 + b"ok,A\n", BadFile, "column x_m: empty"),
-    "no quaternion": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"ok,A\n", BadFile, "line 2: the quaternion"),
+    "time backwards": (parse_times, b"t_s\n0\n1\n0.5\n", BadFile, ("line 4", "t_s")),
+    "joint time backwards": (parse_joints, b"t_s,q1\n1,0\n0,0\n", BadFile, ("joints.csv", "line 3", "t_s")),
+    "status": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"fine,A\n", BadFile, ("status", "fine", "lost")),
+    "ok without a pose": (parse_poses, POSES.encode() + b"\n0" + b"," * 14 + b"ok,A\n", BadFile, ("x_m", "empty")),
+    "no quaternion": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"ok,A\n", BadFile, ("line 2", "quaternion")),
     "negative deviation": (
         parse_poses,
         POSES.encode() + b"\n0,0,0,0,0,0,0,1,-1,0,0,0,0,0,ok,\n",
         BadFile,
-        "line 2: a standard deviation is negative or",
+        ("line 2", "standard deviation", "negative"),
     ),
-    "short tum": (parse_tum, b"# x\n0 1 2 3 0 0 0\n", BadFile, "line 2: not eight"),
+    "short tum": (parse_tum, b"# x\n0 1 2 3 0 0 0\n", BadFile, ("line 2", "eight")),
     "tum with nan": (parse_tum, b"0 1 2 nan 0 0 0 1\n", BadFile, "line 1"),
-    "tum of another order": (parse_tum, b"0 1 2 3 5 0 0 0\n", BadFile, "line 1: the quaternion"),
+    "tum of another order": (parse_tum, b"0 1 2 3 5 0 0 0\n", BadFile, ("line 1", "quaternion")),
     "empty tum": (parse_tum, b"# nothing\n", BadFile, "holds no pose"),
 }
 
@@ -282,7 +283,7 @@ REFUSED = {
 def test_a_wrong_table_is_refused_with_its_place(case):
     read, data, kind, message = REFUSED[case]
     where = "joints.csv" if read is parse_joints else "file"
-    with pytest.raises(kind, match=message) as caught:
+    with refuses(kind, message) as caught:
         read(data, where)
     assert caught.value.cause.startswith(where)
     assert caught.value.consequence

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from armsight.app.arm_files import arm_file, arm_source, load_arm
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk
 from armsight.store.urdf import arm_from_urdf
+from refusals import names_it, refuses
 
 LIMIT = '<limit lower="-2" upper="2"/>'
 
@@ -46,10 +46,10 @@ TWO_ARMS = robot(
 
 
 def test_a_branch_without_a_tip_is_refused_with_the_tips() -> None:
-    with pytest.raises(BadFile, match="branches at the link hand into finger1, finger2") as error:
+    with refuses(BadFile, "branches", "hand", "finger1, finger2") as error:
         arm_from_urdf(GRIPPER)
-    assert "--tip, such as hand (2 joints), camera (2 joints), left (3 joints), right (3 joints)" in str(error.value)
-    with pytest.raises(BadFile, match="branches at the link torso into l1, r1, neck") as error:
+    assert names_it(error.value, "--tip", "hand (2 joints)", "camera (2 joints)", "left (3 joints)", "right (3 joints)")
+    with refuses(BadFile, "branches", "torso", "l1, r1, neck") as error:
         arm_from_urdf(TWO_ARMS)
     assert "r_hand (3 joints)" in str(error.value)
 
@@ -58,7 +58,7 @@ def test_a_mimicking_joint_matters_only_inside_the_chain() -> None:
     arm = arm_from_urdf(GRIPPER, tip="hand")
     assert [j.name for j in arm.joints] == ["j1", "j2"]
     np.testing.assert_allclose(fk(arm, [0.0, np.pi / 2])[:3, 3], [0.4, 0.2, 0.3], atol=1e-15)
-    with pytest.raises(BadFile, match=r"finger2: mimics the joint 'finger1', and is in the chain.*--tip"):
+    with refuses(BadFile, "finger2", "mimics", "finger1", "--tip"):
         arm_from_urdf(GRIPPER, tip="right")
 
 
@@ -70,11 +70,11 @@ def test_a_base_begins_the_chain_and_is_the_world() -> None:
     np.testing.assert_allclose(fk(whole, [0.7, 0.0, 0.0])[:3, 3], [0.5, -0.2, 1.7], atol=1e-15)
     hand = arm_from_urdf(TWO_ARMS, base="l_upper")  # below it nothing branches
     assert [j.name for j in hand.joints] == ["l2"]
-    with pytest.raises(BadFile, match="the link r_hand does not hang on the link l_upper"):
+    with refuses(BadFile, "r_hand", "l_upper", "hang"):
         arm_from_urdf(TWO_ARMS, base="l_upper", tip="r_hand")
-    with pytest.raises(BadFile, match="neck: type 'floating' leaves the arm free to float"):
+    with refuses(BadFile, "neck", "floating"):
         arm_from_urdf(TWO_ARMS, tip="head")
-    with pytest.raises(BadFile, match="no link 'nose'"):
+    with refuses(BadFile, "nose", "link"):
         arm_from_urdf(TWO_ARMS, base="nose")
 
 
@@ -89,9 +89,9 @@ def test_a_chain_is_named_with_the_file(tmp_path: Path) -> None:
     assert [j.name for j in load_arm(arm_source(str(path), base="l_upper")).joints] == ["l2"]
     assert arm_file(named) == path
     assert arm_file("ur5") is None
-    with pytest.raises(UsageError, match="names its chain already"):
+    with refuses(UsageError, "chain"):
         arm_source(named, tip="r_hand")
-    with pytest.raises(UsageError, match="'ur10' is no URDF"):
+    with refuses(UsageError, "ur10", "URDF"):
         load_arm("ur10#tool0")
     odd = tmp_path / "a#b.urdf"
     odd.write_text(robot(joint("j1", "base", "end")), encoding="utf-8")

@@ -29,6 +29,7 @@ from armsight.records.target import GREEN
 from armsight.store.schema import read_document
 from armsight.store.worlds import POSE_NAMES
 from armsight.store.yamls import parse_yaml
+from refusals import refuses
 
 
 def awkward(rng, shape):
@@ -140,19 +141,19 @@ def test_noise_comes_back_exactly(tmp_path, linear):
     ("change", "told"),
     [
         ({"levels": [1.0, 0.5, 200.0]}, "increasing"),
-        ({"levels": [1.0, 2.0, 300.0]}, "between 0 and 255"),
+        ({"levels": [1.0, 2.0, 300.0]}, ("levels", "255")),
         ({"variance_levels2": [1.0, 2.0]}, "variance_levels2"),
         ({"variance_levels2": [1.0, -2.0, 1.0]}, "negative"),
-        ({"correlation": {"x": [1.5, 0.0], "y": [0.0, 0.0]}}, "between -1 and 1"),
+        ({"correlation": {"x": [1.5, 0.0], "y": [0.0, 0.0]}}, ("correlation", "-1")),
         ({"correlation": {"x": [0.5], "y": [0.0, 0.0]}}, "correlation.x"),
         ({"linear": {"read_noise_levels": 1.0, "gain_levels": 0.0}}, "gain"),
-        ({"gain": 3.0}, "unknown key cameras.left.noise.gain"),
+        ({"gain": 3.0}, "cameras.left.noise.gain"),
     ],
 )
 def test_noise_that_cannot_be_is_refused(change, told):
     content = store.rig_mapping(replace(make_rig(), noise=(make_noise(True), None)))
     content["cameras"]["left"]["noise"].update(change)
-    with pytest.raises(BadFile, match=told):
+    with refuses(BadFile, told):
         store.rig_from_mapping(content)
 
 
@@ -215,21 +216,21 @@ def changed(content, key, value):
 
 
 REFUSED_RIGS = {
-    "unknown key": ("cameras.left.fz", 1.0, r"unknown key cameras\.left\.fz .*valid here: width, height, lens, fx"),
-    "mistyped key": ("cameras.left.T_rig_camra", {}, "did you mean 'T_rig_camera'"),
-    "missing key": ("cameras.right.fy", KeyError, r"cameras\.right\.fy is missing"),
-    "nan": ("cameras.left.cx", float("nan"), r"cameras\.left\.cx is nan, which is not a finite number"),
-    "nan in a list": ("cameras.left.distortion", [0.0, 0.0, float("inf"), 0.0, 0.0], r"cameras\.left\.distortion\[2\]"),
-    "text for a number": ("cameras.left.fx", "wide", r"cameras\.left\.fx: .*not 'wide'"),
-    "truth for a number": ("cameras.left.fx", True, r"cameras\.left\.fx"),
-    "fraction of a pixel": ("cameras.left.width", 640.5, r"cameras\.left\.width"),
-    "short list": ("cameras.left.distortion", [0.0] * 4, r"cameras\.left: .*distortion of a pinhole lens"),
-    "kind": ("kind", "trinocular", "'stereo' or 'mirror'"),
+    "unknown key": ("cameras.left.fz", 1.0, ("cameras.left.fz", "width, height, lens, fx")),
+    "mistyped key": ("cameras.left.T_rig_camra", {}, ("T_rig_camra", "T_rig_camera")),
+    "missing key": ("cameras.right.fy", KeyError, ("cameras.right.fy", "missing")),
+    "nan": ("cameras.left.cx", float("nan"), ("cameras.left.cx", "nan", "finite")),
+    "nan in a list": ("cameras.left.distortion", [0.0, 0.0, float("inf"), 0.0, 0.0], "cameras.left.distortion[2]"),
+    "text for a number": ("cameras.left.fx", "wide", ("cameras.left.fx", "wide")),
+    "truth for a number": ("cameras.left.fx", True, "cameras.left.fx"),
+    "fraction of a pixel": ("cameras.left.width", 640.5, "cameras.left.width"),
+    "short list": ("cameras.left.distortion", [0.0] * 4, ("cameras.left", "distortion", "pinhole")),
+    "kind": ("kind", "trinocular", ("stereo", "mirror")),
     "version of the future": ("version", 2, "version"),
     "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
     "no rotation": ("cameras.right.T_rig_camera.quat_xyzw", [1.0, 1.0, 0.0, 0.0], "quaternion"),
     "no baseline": ("cameras.right.T_rig_camera.xyz_m", [0.0, 0.0, 0.0], "same place"),
-    "lopsided covariance": ("covariance.matrix", [[1.0, 0.0]] * 7, "7 names need"),
+    "lopsided covariance": ("covariance.matrix", [[1.0, 0.0]] * 7, "7 names"),
     "not even a mapping": ("cameras", [1, 2], "cameras"),
 }
 
@@ -237,7 +238,7 @@ REFUSED_RIGS = {
 @pytest.mark.parametrize("case", REFUSED_RIGS)
 def test_a_wrong_rig_is_refused_with_its_key(case):
     key, value, message = REFUSED_RIGS[case]
-    with pytest.raises(BadFile, match=message) as caught:
+    with refuses(BadFile, message) as caught:
         store.rig_from_mapping(changed(rig_content(), key, value), "rig.yaml")
     assert "rig.yaml" in caught.value.cause
     assert caught.value.consequence
@@ -247,24 +248,24 @@ def test_a_wrong_rig_is_refused_with_its_key(case):
 def test_a_covariance_must_be_one():
     content = rig_content()
     content["covariance"]["matrix"][0][0] *= -1.0
-    with pytest.raises(BadFile, match="not symmetric with a diagonal of variances"):
+    with refuses(BadFile, "symmetric"):
         store.rig_from_mapping(content)
 
 
 REFUSED_TARGETS = {
-    "kind": ({"kind": "cube"}, "'cube'.*spots, checkerboard"),
+    "kind": ({"kind": "cube"}, ("cube", "spots, checkerboard")),
     "no kind": ({"spots_m": {}}, "None"),
-    "neither spots nor labels": ({"kind": "spots"}, "exactly one of spots_m and labels"),
+    "neither spots nor labels": ({"kind": "spots"}, ("exactly one", "spots_m", "labels")),
     "both": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "labels": ["A", "B", "C"]}, "exactly one"),
     "other labels": ({"kind": "spots", "labels": ["A", "B"]}, "three lights"),
     "two at one place": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0], "B": [0.0, 0, 0]}}, "same place"),
     "name with a comma": ({"kind": "spots", "spots_m": {"A,B": [0.0, 0.0, 0.0]}}, "spots_m"),
     "no size": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "diameter_m": 0.0}, "diameter_m"),
     "colour": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "mauve"}, "colour"),
-    "hue": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0]}, "colour": {"hue_deg": [0.0, 400.0]}}, "400"),
+    "hue": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0]}, "colour": {"hue_deg": [0.0, 400.0]}}, "400.0"),
     "key of another kind": (
         {"kind": "checkerboard", "columns": 9, "rows": 6, "pitch_m": 0.02},
-        "unknown key pitch_m.*square_m",
+        ("pitch_m", "square_m"),
     ),
     "marker": (
         {"kind": "charuco", "columns": 9, "rows": 6, "square_m": 0.02, "marker_m": 0.03, "dictionary": "D"},
@@ -276,20 +277,20 @@ REFUSED_TARGETS = {
 @pytest.mark.parametrize("case", REFUSED_TARGETS)
 def test_a_wrong_target_is_refused_with_its_key(case):
     content, message = REFUSED_TARGETS[case]
-    with pytest.raises(BadFile, match=message):
+    with refuses(BadFile, message):
         store.target_from_mapping(content, "target.yaml")
 
 
 def test_a_file_of_another_format_is_told_apart(tmp_path):
     store.write_target(tmp_path / "target.yaml", TARGETS["spots"])
-    with pytest.raises(BadFile, match="'armsight/target', not 'armsight/rig'"):
+    with refuses(BadFile, "armsight/target", "armsight/rig"):
         store.read_rig(tmp_path / "target.yaml")
     (tmp_path / "opencv.yml").write_text("%YAML:1.0\n---\nM1: 1\n")
-    with pytest.raises(BadFile, match="a file of opencv: convert it first"):
+    with refuses(BadFile, "opencv", "convert"):
         store.read_rig(tmp_path / "opencv.yml")
-    with pytest.raises(BadFile, match="No such file"):
+    with refuses(BadFile, "No such file"):
         store.read_rig(tmp_path / "missing.yaml")
-    with pytest.raises(BadFile, match="cannot be read"):
+    with refuses(BadFile, "cannot be read"):
         store.read_rig(tmp_path)
 
 
@@ -299,7 +300,7 @@ def test_world_wants_exactly_one_parent():
     pose = {"xyz_m": [0.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
     assert world_from_mapping({"T_base_rig": pose}).parent == "base"
     for content in ({}, {"T_base_rig": pose, "T_world_rig": pose}):
-        with pytest.raises(BadFile, match="exactly one"):
+        with refuses(BadFile, "exactly one"):
             world_from_mapping(content)
 
 
@@ -349,22 +350,22 @@ BROKEN_YAML = {
     "comment only": (b"# nothing\n", "empty"),
     "a list": (b"[1, 2]", "a list"),
     "a word": (b"hello", "a str"),
-    "binary": (bytes(range(256)), "not UTF-8"),
+    "binary": (bytes(range(256)), "UTF-8"),
     "nul": (b"a: \0", "special characters"),
     "unclosed": (b"a: [1, 2\nb: 3", "line 2"),
     "tab": (b"a:\n\t- 1", "line 2"),
-    "twice": (b"a: 1\nb: 2\na: 3\n", "line 3.*'a' stands twice"),
+    "twice": (b"a: 1\nb: 2\na: 3\n", ("line 3", "a", "twice")),
     "python object": (b"a: !!python/object/apply:os.system ['true']", "line 1"),
-    "wrong tag": (b"a: !!int hello", "does not fit"),
+    "wrong tag": (b"a: !!int hello", "fit"),
     "timestamp tag": (b"a: !!timestamp hello", "line 1"),
-    "billion laughs": (LAUGHS.encode(), "more values than"),
+    "billion laughs": (LAUGHS.encode(), "values"),
     "snake": (b"a: &a [*a]", "contains itself"),
-    "deep": (b"[\n" * 20_000, "deep"),
-    "long": (b"a: [" + b"1, " * 40_000 + b"]", "more values than"),
-    "deep mapping": (b"{a: " * 5_000, "deep"),
+    "deep": (b"[\n" * 20_000, "deeply"),
+    "long": (b"a: [" + b"1, " * 40_000 + b"]", "values"),
+    "deep mapping": (b"{a: " * 5_000, "deeply"),
     "huge integer": (b"a: " + b"9" * 10_000, "x.yaml"),
     "impossible letter": (b'a: "\\UFFFFFFFF"', "x.yaml"),
-    "half a letter": (b'a: "\\ud800"', "half a character"),
+    "half a letter": (b'a: "\\ud800"', "half"),
     "list as a key": (b"? [1, 2]\n: 3", "single value"),
     "two documents": (b"a: 1\n---\nb: 2\n", "line 2"),
 }
@@ -373,14 +374,14 @@ BROKEN_YAML = {
 @pytest.mark.parametrize("case", BROKEN_YAML)
 def test_broken_yaml_is_refused_with_its_place(case):
     data, message = BROKEN_YAML[case]
-    with pytest.raises(BadFile, match=message):
+    with refuses(BadFile, message):
         parse_yaml(data, "x.yaml")
 
 
 def test_a_huge_file_is_not_read(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_bytes(b"a: 1\n" * 100_001)
-    with pytest.raises(BadFile, match=r"larger than 0\.5 MB"):
+    with refuses(BadFile, "0.5 MB"):
         store.read_rig(path)
 
 
@@ -444,12 +445,12 @@ def test_deviations_of_a_target_are_a_diagonal_and_its_covariance_counts_before_
     path.write_text(LIT + f"std_m: {{A: [1, 1, 1], B: [1, 1, 1]}}\ncovariance: {{names: {rows}, matrix: {matrix}}}\n")
     assert np.array_equal(np.diag(store.read_target(path).covariance), np.array([1.0, 2, 3, 4, 5, 6]) * 1e-10)
     path.write_text(LIT + f"covariance: {{names: {rows[:3]}, matrix: {np.eye(3).tolist()}}}\n")
-    with pytest.raises(BadFile, match="covariance names B"):
+    with refuses(BadFile, "covariance", "B"):
         store.read_target(path)
     negative = np.eye(6)
     negative[0, 1] = negative[1, 0] = 2.0
     path.write_text(LIT + f"covariance: {{names: {rows}, matrix: {negative.tolist()}}}\n")
-    with pytest.raises(BadFile, match="negative variance"):
+    with refuses(BadFile, "negative variance"):
         store.read_target(path)
 
 
@@ -478,5 +479,5 @@ def test_targets_in_millimetres_are_refused_by_their_place_and_size_too():
     for keys in ({"A": [0.0, 0.0, 40.0]}, {"A": [40.0, 0.0, 0.0], "B": [41.0, 0.0, 0.0]}):
         with pytest.raises(Inconsistent, match="millimetres"):
             Target(kind=TargetKind.SPOTS, names=tuple(keys), xyz_m=np.array(list(keys.values())))
-    with pytest.raises(Inconsistent, match="diameter of 8 m"):
+    with refuses(Inconsistent, "diameter", "8 m"):
         Target(kind=TargetKind.SPOTS, names=("A",), xyz_m=np.zeros((1, 3)), diameter_m=8.0)
