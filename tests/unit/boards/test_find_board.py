@@ -15,6 +15,7 @@ from armsight.measure.boards import find_board, same_way_up
 from armsight.measure.boards.kernels.subpixel import REST, ROWS, V, X, Y, corner_rows, dot_rows
 from armsight.records import Target, TargetKind, board_target, spot_target
 from armsight.records.board import symmetries
+from refusals import refuses
 
 SIZE = (480, 360)
 K = np.array([[405.0, 0.0, 238.0], [0.0, 403.0, 183.0], [0.0, 0.0, 1.0]])
@@ -174,7 +175,7 @@ def test_either_detector_gives_the_same_corners() -> None:
     classic = find_board(image, CHECKERBOARD, detector="classic")
     sectors = find_board(image, CHECKERBOARD, detector="sectors")
     assert np.abs(classic.uv_px - sectors.uv_px).max() < 0.005
-    with pytest.raises(UsageError, match="auto, classic, sectors"):
+    with refuses(UsageError, "auto", "classic", "sectors"):
         find_board(image, CHECKERBOARD, detector="best")
 
 
@@ -199,31 +200,30 @@ def test_covered_corner_is_left_out_not_guessed() -> None:
 @pytest.mark.parametrize("size", [(8, 6), (9, 5), (10, 7), (7, 5)])
 def test_wrong_size_is_refused_with_the_one_that_is_there(size: tuple[int, int]) -> None:
     image, _ = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[0], np.random.default_rng(6))
-    with pytest.raises(BadImage, match=r"one of 9x6 was|goes on beyond"):
+    with refuses(BadImage, "{}x{}".format(*size), size=(9, 6)):
         find_board(image, board_target(TargetKind.CHECKERBOARD, *size, PITCH_M), source="a.png")
 
 
 @pytest.mark.parametrize(
     ("image", "why"),
     [
-        (np.zeros((480, 640), np.uint8), "dark all over"),
-        (np.full((480, 640), 255, np.uint8), "white all over"),
-        (np.full((480, 640), 128, np.uint8), "no contrast"),
-        (np.zeros((480, 640), np.uint16), "type uint16"),
-        (np.zeros((8, 8), np.uint8), r"shape \(8, 8\)"),
+        (np.zeros((480, 640), np.uint8), "dark"),
+        (np.full((480, 640), 255, np.uint8), "white"),
+        (np.full((480, 640), 128, np.uint8), "contrast"),
+        (np.zeros((480, 640), np.uint16), "uint16"),
+        (np.zeros((8, 8), np.uint8), "(8, 8)"),
     ],
 )
 def test_image_without_a_picture_is_refused_with_the_reason(image: np.ndarray, why: str) -> None:
-    with pytest.raises(BadImage, match=why):
+    with refuses(BadImage, why):
         find_board(image, CHECKERBOARD, source="a.png")
 
 
 @pytest.mark.parametrize("blur_px", [8.5, 9.0])
 def test_blurred_board_is_refused_as_blurred(blur_px: float) -> None:
     image, _ = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[0], np.random.default_rng(7), blur_px=blur_px)
-    with pytest.raises(BadImage, match="blurred") as refusal:
+    with refuses(BadImage, unseen=Unseen.BLURRED):
         find_board(image, CHECKERBOARD)
-    assert refusal.value.unseen is Unseen.BLURRED
 
 
 def test_the_rim_of_a_blurred_board_is_no_further_corner() -> None:
@@ -244,7 +244,7 @@ def test_noise_is_no_board() -> None:
 
 def test_lights_are_no_board() -> None:
     image, _ = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[0], np.random.default_rng(9))
-    with pytest.raises(Inconsistent, match="not a printed board"):
+    with refuses(Inconsistent, "printed"):
         find_board(image, spot_target({"A": (0.0, 0.0, 0.0)}))
 
 
@@ -276,13 +276,13 @@ def test_the_big_dot_is_the_origin_whichever_way_the_sheet_lies(turn: float) -> 
 
 def test_big_dot_at_the_wrong_corner_means_mirrored_or_turned() -> None:
     image, _ = paint(dots(CIRCLES, big=0), CIRCLES, VIEWS[0], np.random.default_rng(13))
-    with pytest.raises(BadImage, match=r"mirrored, or it is a board of 5x7"):
+    with refuses(BadImage, "5x7", "mirrored"):
         find_board(np.ascontiguousarray(image[:, ::-1]), CIRCLES)
 
 
 def test_grid_of_circles_of_another_size_is_named() -> None:
     image, _ = paint(dots(CIRCLES), CIRCLES, VIEWS[0], np.random.default_rng(14))
-    with pytest.raises(BadImage, match="one of 7x5 was"):
+    with refuses(BadImage, "8x5", size=(7, 5)):
         find_board(image, board_target(TargetKind.CIRCLES, 8, 5, PITCH_M))
 
 

@@ -10,6 +10,7 @@ from armsight.errors import BadImage
 from armsight.measure.boards import find_board
 from armsight.measure.boards.checkerboard import refine_corners
 from armsight.records import Target, TargetKind, board_target
+from refusals import refuses
 
 SQUARE = 32
 H = np.array([[1.0, 0.12, 30.0], [-0.08, 0.95, 60.0], [2e-4, -1e-4, 1.0]])
@@ -45,23 +46,22 @@ def test_the_right_counts_are_found() -> None:
     assert away.max() < 0.2
 
 
-@pytest.mark.parametrize(("columns", "rows", "right"), [(8, 6, (9, 6)), (9, 5, (9, 6)), (7, 6, None)])
-def test_corners_of_a_part_are_refused(columns: int, rows: int, right: tuple[int, int] | None) -> None:
+@pytest.mark.parametrize(("columns", "rows"), [(8, 6), (9, 5), (7, 6)])
+def test_corners_of_a_part_are_refused(columns: int, rows: int) -> None:
     i, j = np.meshgrid(np.arange(columns), np.arange(rows))
-    with pytest.raises(BadImage, match=f"goes on beyond {columns}x{rows}") as refusal:
+    with refuses(BadImage, "beyond", f"{columns}x{rows}", size=(9, 6)):
         refine_corners(printed(), board(columns, rows), at(i, j), "a.png")
-    assert right is None or refusal.value.size == right
 
 
 def test_a_column_on_the_papers_edge_is_refused() -> None:
     i, j = np.meshgrid(np.array([-0.5, *range(9)]), np.arange(6))
-    with pytest.raises(BadImage, match="first column of 10x6 inner corners is not where the others put it"):
+    with refuses(BadImage, "first column", "10x6"):
         refine_corners(printed(), board(10, 6), at(i, j), "a.png")
 
 
 def test_a_grid_across_the_squares_is_refused() -> None:
     i, j = np.meshgrid(np.arange(5), np.arange(3))
-    with pytest.raises(BadImage, match="5x3 corners that is there has no squares between them"):
+    with refuses(BadImage, "5x3", "squares"):
         refine_corners(printed(), board(5, 3), at(i + j, 2 * j), "a.png")
 
 

@@ -15,6 +15,7 @@ from armsight.calibrate.cameras.kernels import move_poses, poses_of
 from armsight.calibrate.cameras.observations import pack
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, Target, TargetKind, board_target, spot_target
+from refusals import refuses
 
 SIZE = (1280, 720)
 LEFT = np.array([1105.0, 1102.0, 651.0, 352.0, -0.12, 0.06, 4e-4, -3e-4, 0.0])
@@ -129,7 +130,7 @@ def test_fixed_parameters_stay_and_every_name_is_known() -> None:
     found = calibrate_camera(left, BOARD, BoardOptions(folds=0, fixed=frozenset({"skew", "cx", "cy", "p1", "p2"})))
     assert found.camera.intrinsics[[2, 3]].tolist() == [639.5, 359.5]
     assert set(found.std) == {"fx", "fy", "k1", "k2"}
-    with pytest.raises(UsageError, match="fx, fy, cx"):
+    with refuses(UsageError, "fx", "fy", "cx"):
         BoardOptions(fixed=frozenset({"focal"}))
 
 
@@ -185,7 +186,7 @@ def test_wrong_pair_and_wrong_corner_are_left_out_and_named() -> None:
     assert found.n_used == 13
     assert [name for name, _ in found.rejected] == ["l04.png / r04.png"]
     assert "one moment" in found.rejected[0][1]
-    assert any("l07.png: 1 of its points" in line for line in found.advice)
+    assert any("l07.png: 1 of" in line for line in found.advice)
     assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * found.std["baseline_m"]
 
 
@@ -194,7 +195,7 @@ def test_board_that_moved_between_the_exposures_is_left_out() -> None:
     right[3] = replace(right[3], uv_px=right[3].uv_px + np.array([4.0, 2.0]))
     found = calibrate_stereo(left, right, BOARD, QUICK)
     assert [name for name, _ in found.rejected] == ["l03.png / r03.png"]
-    assert "does not fit the other views" in found.rejected[0][1]
+    assert "other views" in found.rejected[0][1]
 
 
 def test_nothing_is_left_out_where_told_so() -> None:
@@ -242,18 +243,18 @@ def one_corner(board: Target) -> list[BoardView]:
 @pytest.mark.parametrize(
     ("views", "kind", "why"),
     [
-        (lambda: pairs(2, 14)[0], NotEnoughData, "2 different poses, 3 are needed"),
+        (lambda: pairs(2, 14)[0], NotEnoughData, ("2 different poses", "3")),
         (list, NotEnoughData, "no image"),
-        (lambda: [pairs(1, 15)[0][0]] * 6, NotEnoughData, "6 views show the board in 1 different poses"),
-        (lambda: no_tilt(BOARD), Degenerate, "never tilted"),
-        (lambda: one_tilt(BOARD), Degenerate, "always tilted the same way"),
-        (lambda: one_corner(BOARD), Degenerate, "only seen around"),
+        (lambda: [pairs(1, 15)[0][0]] * 6, NotEnoughData, ("6 views", "1 different poses")),
+        (lambda: no_tilt(BOARD), Degenerate, "never"),
+        (lambda: one_tilt(BOARD), Degenerate, "always"),
+        (lambda: one_corner(BOARD), Degenerate, "seen around"),
     ],
 )
 def test_set_that_cannot_carry_a_camera_is_refused(
     views: Callable[[], list[BoardView]], kind: type[Exception], why: str
 ) -> None:
-    with pytest.raises(kind, match=why) as caught:
+    with refuses(kind, why) as caught:
         calibrate_camera(views(), BOARD)
     assert "othing was calibrated" in str(caught.value)
 
@@ -261,39 +262,39 @@ def test_set_that_cannot_carry_a_camera_is_refused(
 def test_images_of_unequal_size_are_refused_by_name() -> None:
     left, _ = pairs(6, 16)
     left[3] = replace(left[3], width=640, height=480)
-    with pytest.raises(Inconsistent, match=r"l03.png is 640x480 px, l00.png is 1280x720"):
+    with refuses(Inconsistent, "l03.png", "640x480", "l00.png", "1280x720"):
         calibrate_camera(left, BOARD)
 
 
 def test_board_smaller_than_what_was_seen_is_refused() -> None:
     left, _ = pairs(6, 17)
-    with pytest.raises(Inconsistent, match="point 53 is named, but the board has 48"):
+    with refuses(Inconsistent, "point 53", "48"):
         calibrate_camera(left, EVEN)
 
 
 def test_lights_are_no_board() -> None:
-    with pytest.raises(Inconsistent, match="not with lights"):
+    with refuses(Inconsistent, "lights"):
         calibrate_camera([], spot_target({"A": (0.0, 0.0, 0.0)}))
 
 
 @pytest.mark.parametrize(
     ("arrange", "why"),
     [
-        (lambda a, b: (a, b[:-1]), "10 left and 9 right views do not pair up"),
+        (lambda a, b: (a, b[:-1]), ("10 left", "9 right")),
         (lambda a, b: (b, a), "swapped"),
-        (lambda a, b: (a[1:], b[:-1]), "out of step: each left image fits the right one 1 later"),
-        (lambda a, b: (a[:-2], b[2:]), "out of step: each left image fits the right one 2 earlier"),
-        (lambda a, b: (a, mirrored(b)), "images of the right camera are mirrored"),
-        (lambda a, b: (mirrored(a), b), "images of the left camera are mirrored"),
-        (lambda a, b: (mirrored(a), mirrored(b)), "swapped, or both cameras' images are mirrored"),
-        (lambda a, b: (a, [b[i] for i in (5, 2, 8, 0, 9, 1, 7, 3, 6, 4)]), "do not belong together"),
+        (lambda a, b: (a[1:], b[:-1]), ("out of step", "1 later")),
+        (lambda a, b: (a[:-2], b[2:]), ("out of step", "2 earlier")),
+        (lambda a, b: (a, mirrored(b)), ("right camera", "mirrored")),
+        (lambda a, b: (mirrored(a), b), ("left camera", "mirrored")),
+        (lambda a, b: (mirrored(a), mirrored(b)), ("swapped", "mirrored")),
+        (lambda a, b: (a, [b[i] for i in (5, 2, 8, 0, 9, 1, 7, 3, 6, 4)]), "belong"),
     ],
 )
 def test_pairs_that_are_none_are_refused_with_the_reason(
     arrange: Callable[[list[BoardView], list[BoardView]], tuple[list[BoardView], list[BoardView]]], why: str
 ) -> None:
     left, right = arrange(*pairs(10, 18))
-    with pytest.raises(Inconsistent, match=why):
+    with refuses(Inconsistent, why):
         calibrate_stereo(left, right, BOARD)
 
 

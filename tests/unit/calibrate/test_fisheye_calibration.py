@@ -12,6 +12,7 @@ from armsight.optics import LensKind
 from armsight.records import BoardView
 from armsight.store import parse_board
 from armsight_sim.lens import Lens
+from refusals import names_it, refuses
 
 BOARD = parse_board("checkerboard:9x6:0.025")
 D = (-0.012, 0.02, -0.015, 0.004)
@@ -87,22 +88,22 @@ def test_a_rig_is_found_within_what_it_claims() -> None:
 
 def test_fisheye_pictures_are_no_pinhole_calibration() -> None:
     left, right = seen(FISHEYE, np.random.default_rng(3), baseline_m=0.12)
-    with pytest.raises(Inconsistent, match="looks like a fisheye lens"):
+    with refuses(Inconsistent, "fisheye"):
         calibrate_camera(left, BOARD, BoardOptions(folds=0))
-    with pytest.raises(Inconsistent, match="looks like a fisheye lens"):
+    with refuses(Inconsistent, "fisheye"):
         calibrate_stereo(left, right, BOARD, BoardOptions(folds=0))
 
 
 def test_pinhole_pictures_are_no_fisheye_calibration() -> None:
     views = seen(TANGENTIAL, np.random.default_rng(4))[0]
     assert calibrate_camera(views, BOARD, BoardOptions(folds=0)).camera.lens is LensKind.PINHOLE
-    with pytest.raises(Inconsistent, match="looks like a pinhole lens"):
+    with refuses(Inconsistent, "pinhole"):
         calibrate_camera(views, BOARD, OPTIONS)
 
 
 def test_printed_circles_and_unknown_names_are_refused() -> None:
     views = seen(FISHEYE, np.random.default_rng(5), n=3)[0]
-    with pytest.raises(Inconsistent, match="printed circle"):
+    with refuses(Inconsistent, "printed circle"):
         calibrate_camera(views, parse_board("circles:9x6:0.025"), OPTIONS)
     with pytest.raises(UsageError, match="p1"):
         BoardOptions(lens=LensKind.FISHEYE, fixed=frozenset({"p1"}))
@@ -119,9 +120,9 @@ def test_a_pair_of_a_fisheye_and_a_pinhole() -> None:
     assert {"left.k4", "right.p1"} < set(done.std)
     assert done.rms_px == pytest.approx(SIGMA_PX * np.sqrt(2.0), rel=0.1)
     both_pinholes = calibrate_stereo(left, right, BOARD, BoardOptions(folds=0))  # all in the image's inner 60 %
-    told = [line for line in both_pinholes.advice if "the left camera: a fisheye lens leaves" in line]
+    told = [line for line in both_pinholes.advice if names_it(line, "left camera", "fisheye")]
     assert told
-    assert "fisheye, or fisheye,pinhole where the other camera is a pinhole" in told[0]
+    assert "fisheye,pinhole" in told[0]
     swapped = BoardOptions(lens=LensKind.PINHOLE, right_lens=LensKind.FISHEYE, folds=0)
-    with pytest.raises(Inconsistent, match=r"the left camera: .*this looks like a fisheye lens"):
+    with refuses(Inconsistent, "left camera", "fisheye"):
         calibrate_stereo(left, right, BOARD, swapped)

@@ -15,6 +15,7 @@ from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.plausibility import check_one_place
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, Joint, ToolPoint, fk, in_convention, moved, pose, preset
+from refusals import refuses
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,9 @@ def test_rows_of_three_places_without_names_are_refused(n: int, off_deg: float) 
     together = ArmPoints(q=np.repeat(q, 3, axis=0), xyz_m=x.reshape(-1, 3))
     mixed = ArmPoints(q=q, xyz_m=x[np.arange(n), np.arange(n) % 3])
     for points in (together, mixed):
-        with pytest.raises(Inconsistent, match=r"of 3 places on the tool, \S+ to \S+ mm apart.*column `point`"):
+        with refuses(Inconsistent, "3 places", "point"):
             check_one_place(arm, points)
-        with pytest.raises(Inconsistent, match=r"rows of point 'A' are of 3 places .* name of its own"):
+        with refuses(Inconsistent, "A", "3 places"):
             check_one_place(arm, replace(points, point=tuple("A") * len(points)))
     check_one_place(arm, replace(together, point=tuple("ABC") * n))
     with pytest.raises(Inconsistent, match="3 places"):
@@ -80,9 +81,9 @@ def test_all_points_of_the_tool_reach_the_arm_with_true_deviations_and_place_a_r
     assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
     again = calibrate_world(replace(result.arm, T_world_base=RigidTransform.identity()), points)
     assert again.residual_rms_m < 4e-4
-    with pytest.raises(Inconsistent, match="where 'D' is on three is not known: its file knows A, B, C"):
+    with refuses(Inconsistent, "D", "A, B, C"):
         calibrate_world(result.arm, replace(points, point=tuple("ABD") * 15))
-    with pytest.raises(Inconsistent, match="knows no points by name"):
+    with refuses(Inconsistent, "by name"):
         calibrate_world(arm, points)
 
 
@@ -101,9 +102,9 @@ def test_tool_points_move_with_the_flange_from_one_convention_to_the_other() -> 
         places.append(T_world_flange.apply(other.tool_points[0].xyz_m))
     np.testing.assert_allclose(places[1:], places[:1] * 2, atol=1e-12)
     np.testing.assert_allclose(in_convention(arm, "craig").tool_points[0].std_m, [1e-4, 2e-4, np.inf], atol=1e-12)
-    with pytest.raises(Inconsistent, match="names of tool points repeat: A, A"):
+    with refuses(Inconsistent, "tool points", "A, A"):
         replace(arm, tool_points=(at, at))
-    with pytest.raises(Inconsistent, match="standard deviations of tool point A"):
+    with refuses(Inconsistent, "deviations", "tool point A"):
         replace(at, std_m=np.array([1e-4, -1.0, 0.0]))
 
 
@@ -113,7 +114,7 @@ def test_a_rig_of_another_scale_than_the_arm_is_not_placed(factor: float, said: 
     arm, q = preset("kr6"), rng.uniform(-0.9, 0.9, (24, 6))
     x = seen(arm, q, np.zeros((1, 3)), rng, 4e-4)[:, 0]
     assert calibrate_world(arm, ArmPoints(q=q, xyz_m=x)).residual_rms_m < 1e-3
-    with pytest.raises(Inconsistent, match=rf"are (4\.9|5).* % {said} apart than the arm moved .* board's squares"):
+    with refuses(Inconsistent, "5", said, "squares"):
         calibrate_world(arm, ArmPoints(q=q, xyz_m=factor * x))
 
 
@@ -123,4 +124,4 @@ def test_a_slightly_other_scale_is_told() -> None:
     x = seen(arm, q, np.zeros((1, 3)), rng, 4e-4)[:, 0]
     assert not calibrate_world(arm, ArmPoints(q=q, xyz_m=x)).notes
     (note,) = calibrate_world(arm, ArmPoints(q=q, xyz_m=1.005 * x)).notes
-    assert note.startswith("the positions are 0.5") and "where the rig stands is wrong by as much" in note
+    assert "0.5" in note and "rig stands" in note

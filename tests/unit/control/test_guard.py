@@ -100,7 +100,7 @@ def test_a_path_that_is_too_fast_is_a_stop() -> None:
     for k in range(200):
         bench.cycle(ToolPose(T_base_tool=RigidTransform.from_translation([0.0, 0.2 * CYCLE_S * k, 0.0]) * start))
     assert bench.decisions[-1].state is GuardState.STOPPED
-    assert "faster than the limits" in bench.decisions[-1].why
+    assert "faster" in bench.decisions[-1].why
 
 
 @pytest.mark.parametrize("wanted", [Hold(), Finished()])
@@ -193,7 +193,7 @@ def test_from_beyond_a_limit_it_may_only_come_back() -> None:
 def test_outside_it_does_not_move_along_the_limit() -> None:
     bench = Bench(Limits(joints=(JointLimit(lower=HOME[0] + 0.2), *(JointLimit(),) * 5)))
     decision = bench.run(JointVelocity(qd=0.1 * LAST), 5)
-    assert decision.state is GuardState.HOLDING and "range of joint 1 (lower) by 0.2" in decision.why
+    assert decision.state is GuardState.HOLDING and "joint 1 (lower) by 0.2" in decision.why
     assert np.array_equal(bench.q[-1], HOME)
 
 
@@ -368,7 +368,7 @@ def test_a_robot_that_is_elsewhere_than_sent_is_stopped() -> None:
     bench = Bench()
     bench.q[-1] = HOME + 0.03
     decision = bench.cycle(Hold())
-    assert decision.state is GuardState.STOPPED and "not where it was sent" in decision.why
+    assert decision.state is GuardState.STOPPED and "was sent" in decision.why
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import presets
 from armsight.records import TaughtPath
+from refusals import names_it, refuses
 
 ARM = replace(presets.ur10(), T_flange_tool=RigidTransform.from_translation([0.0, 0.0, 0.15]))
 Q = np.array([0.0, -1.0, 1.5, -0.5, 1.5, 0.0])
@@ -81,7 +82,7 @@ def shifted(row: int, m: float):
 )
 def test_a_row_far_off_a_dense_path_is_refused(places, step: int) -> None:
     assert jump_step(places, np.full(len(places), np.nan)) == step
-    with pytest.raises(Inconsistent, match=rf"jumps by .* (before|back at) row ({step}|{step + 1})\."):
+    with pytest.raises(Inconsistent, match=rf"jumps .* row ({step}|{step + 1})\."):
         plan_path(through(places), ARM, Limits(), Q, FAST)
     checked = check_path(through(places), ARM, Limits(), start=Q)  # one rule decides for both
     told = [issue.row for issue in checked.issues if issue.trouble is PathTrouble.JUMP and "path jumps" in issue.text]
@@ -98,14 +99,14 @@ def test_the_turning_points_of_a_raster_are_no_outliers(step_m: float, pitch_m: 
     T = raster.T_world_tip.copy()
     T[12, 2, 3] += 0.02
     spoiled = replace(raster, T_world_tip=T)
-    with pytest.raises(Inconsistent, match="mm and back at row 12"):
+    with refuses(Inconsistent, "row 12"):
         plan_path(spoiled, ARM, Limits(), Q, FAST)
-    assert any("mm and back at row 12" in issue.text for issue in check_path(spoiled, ARM, Limits(), start=Q).issues)
+    assert any(names_it(issue.text, "back", "row 12") for issue in check_path(spoiled, ARM, Limits(), start=Q).issues)
 
 
 def test_keeping_the_rotation_is_not_advised_where_it_is_kept() -> None:
     for keeps in (False, True):
-        with pytest.raises(Inconsistent, match="cannot run it") as refused:
+        with refuses(Inconsistent, "run it") as refused:
             plan_path(through([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), ARM, Limits(), Q, replace(FAST, keep_rotation=keeps))
         assert ("--keep-rotation" in str(refused.value.cure)) is not keeps
 
@@ -125,16 +126,23 @@ def test_what_is_led_evenly_or_meant_is_no_jump() -> None:
     assert jump_step(straight, 0.02 * np.arange(len(straight))) == 60  # 30 mm in 20 ms
 
 
-@pytest.mark.parametrize("text", ["sine:2:6", "sine:0.002:6", "zigzag:0.05:0.02"])
-def test_a_weave_in_millimetres_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="up to 0") as refused:
+@pytest.mark.parametrize(
+    ("text", "key", "most_m"),
+    [
+        ("sine:2:6", "amplitude_m", 0.025),
+        ("sine:0.002:6", "wavelength_m", 0.1),
+        ("zigzag:0.05:0.02", "amplitude_m", 0.025),
+    ],
+)
+def test_a_weave_in_millimetres_is_refused(text: str, key: str, most_m: float) -> None:
+    with refuses(UsageError, key, most_m) as refused:
         Weave.parse(text)
     assert "Give metres" in str(refused.value)
 
 
 def test_rounding_that_would_leave_nothing_of_the_path_is_refused() -> None:
     corner = through([[0.0, 0.0, 0.01], [0.03, 0.0, 0.01], [0.03, 0.03, 0.01]])
-    with pytest.raises(UsageError, match=r"over 40\.0 mm of a path of 60\.0 mm"):
+    with refuses(UsageError, "40.0 mm", "60.0 mm"):
         plan_path(corner, ARM, Limits(), Q, replace(FAST, blend_m=0.04))
 
 

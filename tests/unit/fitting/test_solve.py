@@ -8,6 +8,7 @@ import pytest
 from armsight.errors import Cancelled, Inconsistent, NotConverged, Undetermined
 from armsight.fitting import Evaluation, Loss, LossKind, Prior, Problem, Settings, StopReason, solve
 from armsight.fitting.kernels import invert_spd, solve_damped
+from refusals import refuses
 
 
 def line_problem(x: np.ndarray, y: np.ndarray, sigma: float, **options: object) -> Problem:
@@ -47,7 +48,7 @@ def test_priors_and_fixed_parameters() -> None:
     assert set(fixed.std()) == {"slope"}
     tight = solve(line_problem(x, y, 0.1, priors={"slope": Prior(mean=5.0, sigma=1e-6)}))
     assert tight.value("slope") == pytest.approx(5.0, abs=1e-5)
-    with pytest.raises(Inconsistent, match="no parameter is called hope"):
+    with refuses(Inconsistent, "hope"):
         line_problem(x, y, 0.1, fixed=frozenset({"hope"}))
 
 
@@ -150,13 +151,13 @@ def test_why_it_stopped_is_told() -> None:
     problem = line_problem(x, 1.0 + 2.0 * x, 0.1)
     assert solve(problem).reason in (StopReason.COST_SETTLED, StopReason.STEP_SMALL, StopReason.GRADIENT_ZERO)
     hard, _, _ = two_views(np.random.default_rng(1), 0.02, 0.5)
-    with pytest.raises(NotConverged, match="iteration limit"):
+    with refuses(NotConverged, "iteration"):
         solve(hard, Settings(max_iterations=1))
 
     def impossible(shared: np.ndarray, local: np.ndarray) -> Evaluation:
         return Evaluation(residuals=np.full((1, 3), np.nan), shared=np.ones((1, 3, 1)), local=np.zeros((1, 3, 0)))
 
-    with pytest.raises(NotConverged, match="starting guess"):
+    with refuses(NotConverged, "starting guess"):
         solve(Problem(names=("p",), guess=np.zeros(1), evaluate=impossible, n_residuals=3))
 
 

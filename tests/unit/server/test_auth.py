@@ -11,6 +11,7 @@ from armsight.errors import BadFile, UsageError
 from armsight.server.auth import FAILURES, WINDOW_S, Authenticator, Caller, Denied, Identity, is_loopback
 from armsight.server.web_server import ServeOptions, check_options
 from armsight.store.tokens import add_token, read_tokens
+from refusals import refuses
 
 
 @pytest.fixture(scope="module")
@@ -106,18 +107,18 @@ def test_other_addresses_need_tls_and_tokens(bind, issued, certificate):
     path, _ = issued
     cert, key = certificate
     for given in ({}, {"tokens": path}, {"tls_cert": cert, "tls_key": key}):
-        with pytest.raises(UsageError, match="can be reached from other machines"):
+        with refuses(UsageError, "machines"):
             check_options(ServeOptions(bind=bind, **given))
     assert len(check_options(ServeOptions(bind=bind, tokens=path, tls_cert=cert, tls_key=key))) == 2
 
 
 def test_a_certificate_needs_its_key(certificate, tmp_path):
     cert, key = certificate
-    with pytest.raises(UsageError, match="its key"):
+    with refuses(UsageError, "key"):
         check_options(ServeOptions(tls_cert=cert))
-    with pytest.raises(BadFile, match="no certificate"):
+    with refuses(BadFile, "certificate"):
         check_options(ServeOptions(tls_cert=key, tls_key=cert))
-    with pytest.raises(BadFile, match="no certificate"):
+    with refuses(BadFile, "certificate"):
         check_options(ServeOptions(tls_cert=tmp_path / "none.pem", tls_key=key))
 
 
@@ -142,12 +143,12 @@ def test_files_that_are_not_safe_are_refused(tmp_path):
     add_token(path, "anna", "drive")
     text = path.read_text()
     path.chmod(0o666)
-    with pytest.raises(BadFile, match="others than its owner"):
+    with refuses(BadFile, "owner"):
         read_tokens(path)
     path.chmod(0o600)
     entry = text[text.index("- ") : text.index("created")]
     path.write_text(text.replace(entry, entry + entry))
-    with pytest.raises(BadFile, match="there twice"):
+    with refuses(BadFile, "twice"):
         read_tokens(path)
     path.write_text(text.replace("role: drive", "role: admin"))
     with pytest.raises(BadFile, match="role"):

@@ -22,6 +22,7 @@ from armsight.server.serving import background
 from armsight.server.sockets import CROWDED, WATCHERS_PER_ADDRESS
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token
+from refusals import refuses
 
 WAIT_S = 20.0
 
@@ -105,7 +106,7 @@ def test_a_driver_drives_and_a_watcher_stops(url, host):
 
 def test_a_second_driver_is_refused_with_who_and_since(url, log):
     with Raw(url):
-        with pytest.raises(DeviceFailed, match=r"local@127.0.0.1 drives fake since \d+ s"):
+        with refuses(DeviceFailed, "local@127.0.0.1", "drives", "fake"):
             Link(ServerAddress(url=url), say.DRIVE_PATH).open()
         assert "refused to drive" in warnings(log)[-1]
 
@@ -170,7 +171,7 @@ def test_tokens_open_by_their_role_and_failures_are_limited(service, log, tmp_pa
         assert codes == [401] * 5 + [429]
         with pytest.raises(DeviceFailed, match="refuses"):
             Link(ServerAddress(url=url, token="wrong"), say.DRIVE_PATH).open()
-    assert sum("was kept out" in line for line in warnings(log)) == 8
+    assert sum("kept out" in line for line in warnings(log)) == 8
 
 
 def test_a_page_of_another_origin_does_not_drive(url):
@@ -189,7 +190,7 @@ def test_tls(service, certificate, tmp_path):
         link = Link(ServerAddress(url=url, token=token, ca_file=cert), say.STREAM_PATH)
         assert link.open().who == "anna@127.0.0.1"
         link.close()
-        with pytest.raises(DeviceFailed, match="not trusted"):
+        with refuses(DeviceFailed, "trusted"):
             Link(ServerAddress(url=url, token=token), say.STREAM_PATH).open()
 
 
@@ -236,18 +237,18 @@ def test_wrong_addresses(url):
 
 
 def test_a_token_does_not_travel_in_plain_text():
-    with pytest.raises(UsageError, match="plain text"):
+    with refuses(UsageError, "plain text"):
         ServerAddress(url="ws://192.0.2.1:8765", token="secret")
 
 
 def test_nobody_answers(url):
-    with pytest.raises(DeviceNotFound, match="no robot server"):
+    with refuses(DeviceNotFound, "robot server"):
         Link(ServerAddress(url="ws://127.0.0.1:1"), say.STREAM_PATH).open()
 
 
 def test_a_port_that_is_taken(service, url):
     with (
-        pytest.raises(DeviceFailed, match="cannot listen"),
+        refuses(DeviceFailed, "listen"),
         background(service, ServeOptions(port=int(url.rpartition(":")[2]))),
     ):
         pass

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from armsight.drivers.remote import protocol as say
 from armsight.errors import Inconsistent, UsageError
 from armsight.server.messages import VIOLATIONS, Session
+from refusals import refuses
 
 
 def text(session, seq, kind="joint_step", **fields):
@@ -33,7 +34,7 @@ def test_replayed_messages_are_refused():
     for again in (first, text(session, 4)):
         with pytest.raises(Inconsistent, match="replay"):
             session.admit(again)
-    with pytest.raises(Inconsistent, match="another connection"):
+    with refuses(Inconsistent, "another connection"):
         other.admit(first)
     assert session.violations == 2
 
@@ -95,7 +96,7 @@ def test_watchers_may_stop_and_read_only():
     assert session.admit(text(session, 1, "stop")).type == "stop"
     assert session.admit(text(session, 2, "read")).type == "read"
     for kind, fields in (("heartbeat", {"enable": True}), ("reset", {}), ("joint_step", {"step": [0.1]})):
-        with pytest.raises(UsageError, match="not for this connection"):
+        with refuses(UsageError, "this connection"):
             session.admit(text(session, 3, kind, **fields))
 
 

