@@ -12,6 +12,7 @@ from armsight.clock import ManualClock
 from armsight.drivers import CameraSettings, OpenCvCamera, open_pairs, open_source
 from armsight.drivers.live import SETTLED
 from armsight.errors import DeviceFailed, UsageError
+from refusals import refuses
 
 ALL = CameraSettings(exposure_s=0.004, gain=20.0, focus=35.0, white_balance_k=4600.0)
 
@@ -102,14 +103,14 @@ def test_a_camera_that_does_otherwise_is_refused_and_closed(stubborn: dict[int, 
     with pytest.raises(DeviceFailed) as info, camera(wire):
         pass
     assert flag in info.value.cause
-    assert "change while it is measured" in info.value.consequence
+    assert "measured" in info.value.consequence
     assert info.value.cure
     assert wire.released
 
 
 def test_a_camera_that_takes_to_its_automatic_while_it_runs_is_found_out() -> None:
     wire = Wire(later={cv2.CAP_PROP_AUTO_EXPOSURE: 3.0})
-    with pytest.raises(DeviceFailed, match="--exposure stays automatic"), camera(wire) as source:
+    with refuses(DeviceFailed, "--exposure", "automatic"), camera(wire) as source:
         list(islice(source, SETTLED + 1))
 
 
@@ -123,7 +124,7 @@ def test_exposures_between_two_steps_of_the_driver_are_taken() -> None:
 def test_an_exposure_is_refused_where_its_unit_is_not_known() -> None:
     wire = Wire()
     wire.getBackendName = lambda: "MSMF"  # type: ignore[method-assign]
-    with pytest.raises(DeviceFailed, match="no known unit with OpenCV's MSMF"), camera(wire):
+    with refuses(DeviceFailed, "MSMF"), camera(wire):
         pass
     assert wire.sets == 0
 
@@ -139,7 +140,7 @@ def test_an_exposure_is_refused_where_its_unit_is_not_known() -> None:
     ],
 )
 def test_values_that_no_camera_has_are_wrong_usage(wrong: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match="cannot be"):
+    with refuses(UsageError, "cannot be"):
         CameraSettings(**wrong)
 
 
@@ -153,7 +154,7 @@ def test_settings_that_a_driver_has_not_are_wrong_usage_that_names_those_it_has(
 
 def test_files_have_no_settings() -> None:
     for text in ("folder", "film.avi"):
-        with pytest.raises(UsageError, match="--gain is for live cameras"):
+        with refuses(UsageError, "--gain", "live"):
             open_source(text, settings=CameraSettings(gain=1.0))
-    with pytest.raises(UsageError, match="--gain is for live cameras"):
+    with refuses(UsageError, "--gain", "live"):
         open_pairs("left", "right", settings=CameraSettings(gain=1.0))

@@ -10,6 +10,7 @@ import pytest
 
 from armsight.drivers import FilePairs, ImageFolder, SplitImages, VideoFile, open_pairs, open_source, ordered_map
 from armsight.errors import BadImage, Inconsistent, UsageError
+from refusals import refuses
 
 BLACK = np.zeros((40, 60), np.uint8)
 
@@ -39,7 +40,7 @@ def test_an_image_of_another_size_stops_the_source_and_names_both(tmp_path: Path
     with source:
         frames = iter(source)
         next(frames)
-        with pytest.raises(Inconsistent, match=r"shot2\.png is 60x20 px.*shot1\.png is 60x40"):
+        with refuses(Inconsistent, "shot2.png", "60x20", "shot1.png", "60x40"):
             next(frames)
 
 
@@ -55,14 +56,14 @@ def test_frames_before_a_truncated_one_are_delivered(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("left", "right", "text"),
     [
-        ((1, 2, 3), (1, 2), r"has 3 images, the right one 2; the first without a partner is .*left.shot3"),
-        ((1, 3), (1, 2, 3), r"has 2 images, the right one 3; the first without a partner is .*right.shot2"),
-        ((1, 2, 4), (1, 2, 3), r"the first without a partner is .*right.shot3"),
+        ((1, 2, 3), (1, 2), ("3 images", "2", "shot3.png")),
+        ((1, 3), (1, 2, 3), ("2 images", "3", "shot2.png")),
+        ((1, 2, 4), (1, 2, 3), ("partner", "shot3.png")),
     ],
 )
 def test_unpaired_images_are_refused_before_anything_is_read(tmp_path: Path, left, right, text) -> None:
     pairs = FilePairs(folder_of(tmp_path / "left", numbered(*left)), folder_of(tmp_path / "right", numbered(*right)))
-    with pytest.raises(Inconsistent, match=text), pairs:
+    with refuses(Inconsistent, text), pairs:
         pass
 
 
@@ -72,7 +73,7 @@ def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> 
     with FilePairs(left, right) as pairs:
         assert len(list(pairs)) == 2
     with (
-        pytest.raises(Inconsistent, match="has 2 images, the right one 1"),
+        refuses(Inconsistent, "2 images", "1"),
         open_pairs(str(tmp_path / "left"), str(tmp_path / "right" / "*03.png")),
     ):
         pass
@@ -81,7 +82,7 @@ def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> 
 def test_a_video_shorter_than_its_partner_ends_the_pairs_with_a_reason(tmp_path: Path) -> None:
     left, right = video_of(tmp_path / "l.avi", 9), video_of(tmp_path / "r.avi", 14)
     count = 0
-    with open_pairs(str(left), str(right)) as pairs, pytest.raises(Inconsistent, match=r"l\.avi ends after 9 frames"):
+    with open_pairs(str(left), str(right)) as pairs, refuses(Inconsistent, "l.avi", "9 frames"):
         for _ in pairs:
             count += 1
     assert count == 9
@@ -111,7 +112,7 @@ def test_a_video_that_breaks_off_is_told_from_one_that_ends(tmp_path: Path) -> N
         assert len(list(whole)) == 40
     got = []
     broken = VideoFile(str(path), open_capture=Broken)
-    with pytest.raises(BadImage, match="ends after 25 frames, its header states 40"), broken:
+    with refuses(BadImage, "25 frames", "40"), broken:
         got.extend(frame.t_s for frame in broken)
     np.testing.assert_allclose(got, np.arange(25) / 25.0, atol=1e-6)
 
@@ -122,13 +123,13 @@ def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path
         assert [frame.t_s for frame in frames] == [5.0, 6.0, 9.0]
     with open_source(source.name, fps=10.0) as frames:
         assert [frame.t_s for frame in frames] == [0.0, 0.1, 0.2]
-    with pytest.raises(Inconsistent, match="2 time stamps are given"), open_source(source.name, times_s=[5.0, 6.0]):
+    with refuses(Inconsistent, "2 time stamps"), open_source(source.name, times_s=[5.0, 6.0]):
         pass
     video = video_of(tmp_path / "film.avi", 5)
     for count in (4, 6):
         with (
             open_source(str(video), times_s=np.arange(count)) as frames,
-            pytest.raises(Inconsistent, match="time stamps"),
+            refuses(Inconsistent, "time stamps"),
         ):
             list(frames)
 
@@ -138,16 +139,16 @@ def test_an_image_of_both_views_must_have_the_rig_s_size(tmp_path: Path) -> None
     with SplitImages(source, (30, 40), (30, 40)) as pairs:
         ((left, right),) = list(pairs)
     assert left.image.shape == right.image.shape == (40, 30)
-    with SplitImages(source, (40, 40), (40, 40)) as pairs, pytest.raises(Inconsistent, match=r"60x40.*80x40"):
+    with SplitImages(source, (40, 40), (40, 40)) as pairs, refuses(Inconsistent, "60x40", "80x40"):
         list(pairs)
 
 
 def test_sources_that_cannot_be_what_is_meant_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="both"):
         open_pairs("a", "a")
-    with pytest.raises(UsageError, match="one is live"):
+    with refuses(UsageError, "live"):
         open_pairs("camera:0", "a")
-    with pytest.raises(UsageError, match="time stamps"):
+    with refuses(UsageError, "time stamps"):
         open_source("camera:0", times_s=[1.0])
     with pytest.raises(UsageError, match="recording"):
         open_source("run.mcap")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from armsight.drivers import list_images, read_image
 from armsight.drivers.images import natural_key
 from armsight.errors import BadFile, BadImage, DataRefused, NotEnoughData
+from refusals import refuses
 
 NOISE = np.random.default_rng(5).integers(0, 256, (60, 80), dtype=np.uint8)
 
@@ -35,9 +36,9 @@ def test_a_folder_and_a_pattern_list_only_images(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"")
     assert [path.name for path in list_images(str(tmp_path))] == ["a.jpg", "b2.png", "b10.PNG"]
     assert [path.name for path in list_images(str(tmp_path / "b*"))] == ["b2.png", "b10.PNG"]
-    with pytest.raises(NotEnoughData, match="holds no image"):
+    with refuses(NotEnoughData, "no image"):
         list_images(str(tmp_path / "c*"))
-    with pytest.raises(BadFile, match="neither a folder"):
+    with refuses(BadFile, "neither"):
         list_images(str(tmp_path / "c"))
 
 
@@ -51,7 +52,7 @@ def test_a_truncated_image_is_refused_by_name(tmp_path: Path, suffix: str, share
     path.write_bytes(data[: int(share * len(data))])
     with pytest.raises(BadImage, match="cut") as info:
         read_image(path)
-    assert "Copy it again" in info.value.cure
+    assert "again" in info.value.cure
 
 
 def test_a_jpeg_with_a_preview_inside_is_still_found_truncated(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from armsight.drivers import live as live_module
 from armsight.drivers.opening import CAMERAS
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
+from refusals import refuses
 
 
 class Wire:
@@ -59,7 +60,7 @@ def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
     wire = Wire(6)
     got = []
     camera = OpenCvCamera("3", clock=ManualClock(), open_capture=lambda _: wire)
-    with pytest.raises(DeviceLost, match="camera:3 stopped sending after 6 frames") as info, camera:
+    with refuses(DeviceLost, "camera:3", "6 frames") as info, camera:
         got.extend(frame.sequence for frame in camera)
     assert got[-1] == 5
     assert wire.released
@@ -70,7 +71,7 @@ def test_a_camera_that_is_not_there_is_answered_with_those_that_are(monkeypatch:
     monkeypatch.setattr(live_module, "cameras_there", lambda: ("camera:0", "camera:2"))
     wire = Wire(0, opened=False)
     camera = OpenCvCamera("9", open_capture=lambda _: wire)
-    with pytest.raises(DeviceNotFound, match="camera:9 cannot be opened") as info, camera:
+    with refuses(DeviceNotFound, "camera:9") as info, camera:
         pass
     assert "camera:0, camera:2" in info.value.cure
     assert wire.released
@@ -87,7 +88,7 @@ def test_a_silent_camera_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_module, "SILENCE_S", 0.05)
     try:
         camera = OpenCvCamera("0", open_capture=lambda _: Hanging(1))
-        with pytest.raises(DeviceLost, match="no frame for"), camera:
+        with refuses(DeviceLost, "no frame"), camera:
             next(iter(camera))
     finally:
         asked.set()
@@ -111,7 +112,7 @@ def test_cameras_that_never_meet_are_a_failure_and_not_a_pair() -> None:
     right = Scripted("right", [0.1 * i + 0.05 for i in range(100)])
     with (
         LivePairs(left, right, max_skew_s=0.010) as pairs,
-        pytest.raises(DeviceFailed, match="no partner within 10 ms"),
+        refuses(DeviceFailed, "partner", "10 ms"),
     ):
         list(pairs)
 

@@ -15,6 +15,7 @@ from armsight.calibrate.handeye.solution import uncertainty
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Problem, solve
 from armsight.geometry.kernels import rotvec_of
+from refusals import refuses
 
 SETUPS = (Setup.EYE_IN_HAND, Setup.EYE_TO_HAND)
 
@@ -100,7 +101,7 @@ def test_closed_forms_refuse_one_axis(name: str) -> None:
         Rotation.from_rotvec(np.outer(np.linspace(-1, 1, 6), [0, 0, 1])),
     )
     pairs = PosePairs(T_base_flange=seen.inv(), T_camera_target=seen, names=tuple("abcdef"))
-    with pytest.raises(Degenerate, match="one axis"):
+    with refuses(Degenerate, "one axis"):
         CLOSED_FORMS[name](pairs.arrays(Setup.EYE_IN_HAND))
 
 
@@ -230,9 +231,9 @@ def test_expected_deviations_need_no_residuals() -> None:
 
 def test_pairs_are_checked() -> None:
     pairs = world(np.random.default_rng(12), 6, Setup.EYE_IN_HAND)
-    with pytest.raises(NotEnoughData, match="3 pose pairs"):
+    with refuses(NotEnoughData, "3 pose pairs"):
         pairs.take([0, 1, 2])
-    with pytest.raises(Inconsistent, match="5 robot poses, 6 camera poses"):
+    with refuses(Inconsistent, "5 robot poses", "6 camera poses"):
         PosePairs(T_base_flange=pairs.T_base_flange[:5], T_camera_target=pairs.T_camera_target, names=pairs.names)
     doubled = pairs.take([0, 1, 2, 3, 1, 4, 5])
     assert doubled.duplicates() == ((4, 1, "repeats row 2"),)

@@ -14,6 +14,7 @@ from armsight.optics import Camera, LensKind, Plate, Rig, RigKind, epipolar_dist
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point, undistort_point
 from armsight.optics.triangulate import epipolar_curve
 from armsight_sim.lens import Lens
+from refusals import refuses
 
 D = (-0.012, 0.02, -0.015, 0.004)
 CAMERA = Camera.fisheye(1280, 1024, 420.0, 415.0, 640.3, 511.2, skew=0.3, distortion=D)
@@ -98,7 +99,7 @@ def test_a_lens_that_folds_ends_where_it_folds() -> None:
 def test_what_a_fisheye_cannot_be_is_refused() -> None:
     with pytest.raises(Inconsistent, match="5 coefficients"):
         Camera.fisheye(640, 480, 300.0, 300.0, 320.0, 240.0, distortion=[0.0] * 5)
-    with pytest.raises(Inconsistent, match="glass plate"):
+    with refuses(Inconsistent, "glass plate"):
         replace(CAMERA, plate=Plate(thickness_m=0.001))
     assert not CAMERA.is_close(replace(CAMERA, lens=LensKind.PINHOLE), tol=1e9)
 

@@ -17,6 +17,7 @@ from armsight.errors import BadFile, BadImage, DeviceFailed, Inconsistent, NotEn
 from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
 from armsight.store import write_poses
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter, encode, mcapfile, repair
+from refusals import refuses
 
 ORIGIN_NS = 1_700_000_000_000_000_000
 
@@ -194,7 +195,7 @@ def test_cut_off_anywhere_it_is_readable_up_to_there_and_can_be_mended(tmp_path:
                 assert recording.finished
                 assert len(list(recording.frames("right"))) == len(frames)
         else:
-            with pytest.raises(NotEnoughData, match="not one message"):
+            with refuses(NotEnoughData, "message"):
                 repair(cut, mended, overwrite=True)
     assert last == 40
     assert len(set(starts)) > 10  # it did grow with the size
@@ -206,20 +207,22 @@ def test_damage_within_is_told_and_costs_one_chunk(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with Recording(path) as recording, pytest.raises(BadFile, match="damaged at byte"):
+    with Recording(path) as recording, refuses(BadFile, "damaged"):
         list(recording.frames("left"))
     done = repair(path, tmp_path / "b.mcap")
     assert done.damaged_chunks == 1
     assert 30 <= done.messages["/left/image"] < 40
 
 
-@pytest.mark.parametrize("content", [b"", b"hello", b"\x89PNG\r\n\x1a\n" + bytes(100)])
-def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
+@pytest.mark.parametrize(
+    ("content", "named"), [(b"", "empty"), (b"hello", "MCAP"), (b"\x89PNG\r\n\x1a\n" + bytes(100), "MCAP")]
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, named: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    with pytest.raises(BadFile, match=r"no MCAP|empty"):
+    with refuses(BadFile, "a.mcap", named):
         Recording(path)
-    with pytest.raises(BadFile, match=r"no MCAP|empty"):
+    with refuses(BadFile, "a.mcap", named):
         repair(path, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
 
@@ -248,11 +251,11 @@ def test_missing_channels_are_named(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "a.mcap") as writer:
         writer.event(0.0, "only this")
     with Recording(tmp_path / "a.mcap") as recording:
-        with pytest.raises(NotEnoughData, match=r"no channel /left/image.*/events \(foxglove.Log\)"):
+        with refuses(NotEnoughData, "/left/image", "/events", "foxglove.Log"):
             next(iter(recording.frames("left")))
-        with pytest.raises(NotEnoughData, match="no channel /target/measured"):
+        with refuses(NotEnoughData, "/target/measured"):
             next(iter(recording.poses()))
-        with pytest.raises(NotEnoughData, match=r"no file rig\.yaml"):
+        with refuses(NotEnoughData, "rig.yaml"):
             recording.attachment("rig.yaml")
 
 
@@ -260,7 +263,7 @@ def test_time_that_runs_backwards_is_refused_and_what_was_there_kept(tmp_path: P
     path = tmp_path / "a.mcap"
     with RecordingWriter(path) as writer:
         writer.frame("left", frame(0, t_s=2.0))
-        with pytest.raises(Inconsistent, match=r"backwards by 0\.5 s"):
+        with refuses(Inconsistent, "0.5", "backwards"):
             writer.frame("left", frame(1, t_s=1.5))
     with Recording(path) as recording:
         assert len(list(recording.frames("left"))) == 1
@@ -270,7 +273,7 @@ def test_an_existing_file_is_not_overwritten_by_accident(tmp_path: Path) -> None
     path = tmp_path / "a.mcap"
     write(path, 3)
     before = path.read_bytes()
-    with pytest.raises(UsageError, match="there already"):
+    with refuses(UsageError, "already"):
         RecordingWriter(path)
     assert path.read_bytes() == before
 
@@ -294,7 +297,7 @@ def test_a_full_disk_leaves_a_complete_recording(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(mcapfile, "FileIO", SmallDisk)
     path = tmp_path / "a.mcap"
     writer = RecordingWriter(path, origin_ns=ORIGIN_NS, clock=ManualClock(), chunk_bytes=2000)
-    with pytest.raises(DeviceFailed, match=r"No space left.*whole and readable") as caught:
+    with refuses(DeviceFailed, "No space", "readable") as caught:
         for i in range(1000):
             writer.pair(frame(2 * i), frame(2 * i + 1))
     assert caught.value.exit_code == 4

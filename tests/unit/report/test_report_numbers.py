@@ -174,5 +174,5 @@ def test_what_is_wider_than_the_page_says_so_and_plus_or_minus_has_its_sign():
         cards=(),
     )
     shown = page.html(created=datetime(2026, 1, 1))
-    assert "off by 2 ± 0.1 mm" in shown and "+-" not in shown.split("</main>")[0]
+    assert "2 ± 0.1 mm" in shown and "+-" not in shown.split("</main>")[0]
     assert "scroll sideways" in shown and "toggle('more'" in shown

@@ -36,6 +36,7 @@ from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page, Verdict, figure_of
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.series import errors_of, losses_of, ranges
+from refusals import names_it, refuses
 
 PLOTLY = resources.files("armsight.report").joinpath("plotlyjs", "plotly-gl3d.min.js.gz").read_bytes()
 LARGEST = 1_500_000
@@ -242,8 +243,8 @@ def test_figures_of_a_run_are_in_the_page():
     assert "200 of 200 frames (100.0 %)" in page.text
     assert figure_of(0.1 * np.sqrt(2.0), "px") in page.text
     inside = np.mean(np.sum((errors / STD) ** 2, axis=1) <= 12.5916)
-    assert f"{100 * inside:.1f} % inside their own 95 % ellipsoid" in page.text
-    assert "the claims are true" in page.text
+    assert names_it(page.text, f"{100 * inside:.1f} %", "95 %")
+    assert "claims are true" in page.text
 
 
 @pytest.mark.parametrize(("scale", "said"), [(0.2, "larger than the errors"), (2.0, "too small")])
@@ -251,7 +252,7 @@ def test_claims_that_the_truth_does_not_bear_out_are_not_called_true(scale, said
     poses, truth = poses_and_truth(200, scale=scale)
     text = Tags(measure_report(full_run(poses=poses, truth=truth))).text
     assert said in text
-    assert "the claims are true" not in text
+    assert "claims are true" not in text
 
 
 VERDICTS = {
@@ -268,9 +269,9 @@ def test_the_verdict_says_what_happened(word):
     page = Tags(measure_report(full_run(**VERDICTS[word](), title="run")))
     assert [name for name in VERDICTS if name in page.text.split("full poses")[0]] == [word]
     if word == "No pose":
-        assert "Most often: no light in the left frame (0 px seen)" in page.text
+        assert names_it(page.text, "Most often", "left frame", "0 px")
     if word == "Broken off":
-        assert "left: the camera is gone. Until then:" in page.text
+        assert names_it(page.text, "camera is gone", "Until then")
 
 
 NOTHING = {
@@ -313,10 +314,10 @@ def test_losses_are_grouped_by_reason():
     poses, _ = poses_and_truth(30, lost=(3, 4, 5, 12, 28), position=(20,))
     lost, position = losses_of(poses)
     assert (lost.status, lost.frames) == (PoseStatus.LOST, (3, 4, 5, 12, 28))
-    assert lost.why == "no light in the left frame (3 px seen)"
+    assert names_it(lost.why, "left frame", "3 px")
     assert position.frames == (20,)
     assert ranges(lost.frames) == "3–5, 12, 28"
-    assert ranges(range(0, 40, 2), limit=2) == "0, 2 and 18 more stretches"
+    assert names_it(ranges(range(0, 40, 2), limit=2), "0, 2", "18 more")
     text = Tags(measure_report(full_run(poses=poses, truth=None))).text
     assert "3–5, 12, 28" in text
     assert "16.7 %" in text
@@ -332,9 +333,9 @@ def test_errors_are_those_of_the_geometry():
 
 
 def test_a_truth_of_another_length_is_refused():
-    with pytest.raises(Inconsistent, match="3 true poses for 40"):
+    with refuses(Inconsistent, "3 true poses", "40"):
         full_run(truth=poses_and_truth(3)[1])
-    with pytest.raises(Inconsistent, match="the sides are left, right"):
+    with refuses(Inconsistent, "left, right"):
         full_run(residuals={"middle": np.zeros((1, 3))})
 
 
@@ -369,8 +370,8 @@ def test_a_board_kept_in_one_corner_is_said():
     assert 0.5 < coverage(fit) <= spans  # few points in every part of it do not make it more
     assert coverage(corner) == pytest.approx(0.09 * coverage(fit))
     text = Tags(calibration_report(full_calibration(cameras=[corner, run.cameras[1]]))).text
-    assert "the board covered only" in text
-    assert "of the left image" in text
+    assert "covered" in text
+    assert "left image" in text
 
 
 def test_a_calibration_without_points_still_makes_a_page():
@@ -383,7 +384,7 @@ def test_a_calibration_without_points_still_makes_a_page():
         view_rms_px=np.empty(0),
     )
     text = Tags(calibration_report(full_calibration(cameras=[bare], rejected=(), metric={}, holdout_rms_px=None))).text
-    assert "Nothing: every image was used." in text
+    assert "every image" in text
 
 
 def test_one_bar_per_pair_where_the_cameras_share_their_error():
@@ -480,6 +481,6 @@ def test_single_shots_have_no_track_no_seconds_and_nothing_to_scatter_about():
     text = measure_report(full_run(poses=poses, truth=None, stills=True, timed=False, title="Measurement"))
     for told in ("Track", "over time", "scatters by", "smooth track", " s:"):
         assert told not in text, told
-    assert "single shots" in text and "Places in the axes of" in text and "What each shot claims" in text
+    assert "single shots" in text and "axes of" in text and "each shot" in text
     tracked = measure_report(full_run(poses=poses, truth=None, title="Measurement"))
-    assert "Track in the axes of" in tracked and "Deviation over time" in tracked
+    assert "axes of" in tracked and "Deviation" in tracked
