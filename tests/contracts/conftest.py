@@ -1,4 +1,4 @@
-"""Drivers of controllers that speak by UDP, each beside its twin on real sockets, both on one clock."""
+"""Drivers of controllers that ask for an answer in each cycle, each beside its twin on a real link, by one clock."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
+from armsight.drivers.alter import AlterRobot
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.udp import UdpRobot
+from armsight_sim.twins.alter import AlterController
 from armsight_sim.twins.base import small_arm, twin_drive, twin_home
 from armsight_sim.twins.egm import EgmController
 from armsight_sim.twins.rsi import RsiController
@@ -33,17 +36,17 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class UdpPair:
-    """A driver and its twin on real sockets, one cycle after the other, by a clock that moves only when told."""
+class Pair:
+    """A driver and its twin on a real link, one cycle after the other, by a clock that moves only when told."""
 
-    driver: type[UdpRobot[Any]]
+    cycle_s = CYCLE_S
+    robot: Any
+    twin: Any
 
-    def __init__(self, **more: object) -> None:
+    def __init__(self, **more: Any) -> None:
         self.clock = ManualClock(100.0)
         self.arm, self.home = small_arm(), twin_home(small_arm())
-        port = _free_port()
-        self.robot: Any = self.driver(str(port), settings={**EXACT, **more}, clock=self.clock)  # type: ignore[call-arg]
-        self.twin = self.controller(port, self.home)
+        self.join(**more)
         self._takes, self._newest, self._drained = 0, None, True
         self._take, self.robot._take = self.robot._take, self._counted
         self.lock = threading.Lock()
@@ -51,19 +54,23 @@ class UdpPair:
         self._pump = threading.Thread(target=self._start_up, daemon=True)
         self._pump.start()
 
-    def controller(self, port: int, home: NDArray[np.float64]) -> Any:
-        """Return a controller whose arm stands at home."""
+    def join(self, **more: Any) -> None:
+        """Make robot, not opened, and twin, one at each end of the link."""
         raise NotImplementedError
 
-    def stand(self, by: float) -> None:
-        """Put the controller's arm elsewhere, as no motion does."""
-        raise NotImplementedError
+    def restart(self) -> None:
+        """Start the controller anew."""
+        self.twin.reboot()
+
+    def newest(self) -> Any:
+        """Return what the twin sent last, as the driver takes it."""
+        return self.twin._last_packet
 
     def answered(self, heard: int) -> bool:
         """Tell whether the driver gave an answer to the newest packet; heard: good ones before it."""
         raise NotImplementedError
 
-    def _counted(self, data: bytes, *args: Any, **more: Any) -> None:
+    def _counted(self, data: Any, *args: Any, **more: Any) -> None:
         """Let the driver take what has come, and answer it; only then it counts."""
         self._take(data, *args, **more)
         self._newest = data
@@ -78,9 +85,9 @@ class UdpPair:
                     self._drained = False
 
     def advance(self, time_s: float) -> None:
-        for _ in range(round(time_s / CYCLE_S)):
+        for _ in range(round(time_s / self.cycle_s)):
             with self.lock:
-                self.clock.advance(CYCLE_S)
+                self.clock.advance(self.cycle_s)
                 if self.robot.state is RobotState.CLOSED:
                     self.twin.cycle()
                     continue
@@ -92,7 +99,7 @@ class UdpPair:
     def _drain(self) -> None:
         """Let the driver take what was sent while it opened."""
         for _ in range(0 if self._drained else 20_000):
-            if self._newest == self.twin._last_packet:
+            if self._newest == self.newest():
                 break
             time.sleep(0.0001)
         self._drained = True
@@ -118,8 +125,30 @@ class UdpPair:
         self.twin.close()
 
 
+class UdpPair(Pair):
+    """... on a port."""
+
+    driver: type[UdpRobot[Any]]
+
+    def join(self, **more: Any) -> None:
+        port = _free_port()
+        self.robot = self.driver(str(port), settings={**EXACT, **more}, clock=self.clock)  # type: ignore[call-arg]
+        self.twin = self.controller(port, self.home)
+
+    def controller(self, port: int, home: NDArray[np.float64]) -> Any:
+        """Return a controller whose arm stands at home."""
+        raise NotImplementedError
+
+    def stand(self, by: float) -> None:
+        """Put the controller's arm elsewhere, as no motion does."""
+        raise NotImplementedError
+
+
 class EgmPair(UdpPair):
     driver = EgmRobot
+
+    def restart(self) -> None:
+        self.twin.restart()
 
     def controller(self, port: int, home: NDArray[np.float64]) -> EgmController:
         drive, own = twin_drive(self.arm, CYCLE_S), "127.0.0.1"
@@ -150,13 +179,50 @@ class RsiPair(UdpPair):
         return bool(self.robot._answered_ipoc == self.twin._ipoc)
 
 
-@pytest.fixture
-def opened() -> Iterator[Callable[[type[UdpPair]], Callable[..., UdpPair]]]:
-    """Return what makes pairs, all of which are closed at the end."""
-    pairs: list[UdpPair] = []
+class Model:
+    """The arm's geometry as an application gives it; longer: by so much in m its last link is another arm's."""
 
-    def of(kind: type[UdpPair]) -> Callable[..., UdpPair]:
-        def make(**more: object) -> UdpPair:
+    def __init__(self, longer: float = 0.0) -> None:
+        self.longer = RigidTransform.from_translation([0.0, 0.0, longer])
+
+    def fk(self, q: np.ndarray) -> RigidTransform:
+        return small_arm().flange(q) * self.longer
+
+    def ik(self, T_base_flange: RigidTransform, near: np.ndarray) -> np.ndarray:
+        return small_arm().reach((T_base_flange * self.longer.inv()).as_matrix(), near)
+
+
+class AlterPair(Pair):
+    """... on a pseudo terminal; longer: of Model, None for an application without the arm's geometry."""
+
+    cycle_s = 0.028
+
+    def join(self, *, cumulative: bool = True, tool: bool = False, longer: float | None = 0.0, **more: Any) -> None:
+        drive = twin_drive(self.arm, self.cycle_s)
+        self.twin = AlterController(arm=self.arm, drive=drive, home=self.home, cumulative=cumulative, tool=tool)
+        model = None if longer is None else Model(longer)
+        chosen = {"arm": model, "cumulative": cumulative, "axes": "tool" if tool else "world", **more}
+        self.robot = AlterRobot(self.twin.path, settings=chosen, clock=self.clock)
+
+    def newest(self) -> Any:
+        return self.twin._number
+
+    def _counted(self, data: Any, *args: Any, **more: Any) -> None:
+        super()._counted(data, *args, **more)
+        self._newest = data.sequence
+
+    def answered(self, heard: int) -> bool:
+        last = self.robot._last
+        return bool(self.robot.counts.heard > heard and last is not None and last.on and not self.robot._lost)
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[type[Pair]], Callable[..., Pair]]]:
+    """Return what makes pairs, all of which are closed at the end."""
+    pairs: list[Pair] = []
+
+    def of(kind: type[Pair]) -> Callable[..., Pair]:
+        def make(**more: object) -> Pair:
             pairs.append(kind(**more))
             return pairs[-1]
 
@@ -177,9 +243,20 @@ def make_rsi(opened: Any) -> Any:
     return opened(RsiPair)
 
 
+@pytest.fixture
+def make_alter(opened: Any) -> Any:
+    return opened(AlterPair)
+
+
+@pytest.fixture(params=[EgmPair, RsiPair, AlterPair], ids=["egm", "rsi", "alter"])
+def make_link(request: Any, opened: Any) -> Any:
+    """What makes pairs of every link in turn."""
+    return opened(request.param)
+
+
 @pytest.fixture(params=[EgmPair, RsiPair], ids=["egm", "rsi"])
 def make_pair(request: Any, opened: Any) -> Any:
-    """What makes pairs of each of these links in turn."""
+    """What makes pairs of each link by UDP in turn."""
     return opened(request.param)
 
 

@@ -1,0 +1,76 @@
+"""What every driver does whose controller asks for an answer in each cycle: the contract of robots, and sessions.
+
+Each steps with its twin on one clock.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armsight.drivers import RobotState
+from armsight.errors import DeviceLost
+from armsight.testing import RobotCase, RobotContract
+from refusals import refuses
+
+
+class TestContract(RobotContract):
+    @pytest.fixture(autouse=True)
+    def _of(self, make_link: Any) -> None:
+        self._make = make_link
+
+    def make(self) -> RobotCase:
+        pair = self._make()
+        return RobotCase(
+            robot=pair.robot,
+            advance=pair.advance,
+            lose_link=lambda: pair.twin.fault("silent"),
+            freeze=lambda: pair.twin.fault("frozen"),
+            tolerance=1e-4,
+        )
+
+
+def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) -> None:
+    pair = make_link()
+    with pair.robot as robot:
+        pair.advance(pair.cycle_s)
+        sent = robot.step_joints(np.full(6, 0.002))
+        pair.advance(100 * pair.cycle_s)
+        assert np.abs(pair.twin.q - sent.q).max() < 2e-5
+        assert np.allclose(sent.q, pair.home + 0.002, atol=2e-5)
+
+
+def test_stop_holds_within_one_cycle_and_drops_what_was_asked(make_link: Any) -> None:
+    pair = make_link()
+    with pair.robot as robot:
+        pair.advance(pair.cycle_s)
+        for _ in range(20):
+            sent = robot.step_joints(np.full(6, 1.0))
+            pair.advance(pair.cycle_s)
+        robot.step_joints(np.full(6, 1.0))
+        robot.stop()
+        pair.advance(1.0)
+        assert np.abs(pair.twin.q - sent.q).max() < 2e-5
+        assert robot.state is RobotState.STOPPED
+
+
+def test_a_controller_that_starts_anew_is_lost_and_can_be_opened_again(make_link: Any) -> None:
+    pair = make_link()
+    with pair.robot as robot:
+        pair.advance(25 * pair.cycle_s)
+        robot.step_joints(np.full(6, 0.001))
+        pair.advance(25 * pair.cycle_s)
+        pair.restart()
+        pair.twin.push(np.full(6, 0.1))
+        pair.advance(25 * pair.cycle_s)
+        assert robot.state is RobotState.LOST
+        with refuses(DeviceLost, "anew"):
+            robot.read()
+    there = pair.twin.q
+    assert np.abs(there - pair.home - 0.101).max() < 1e-4
+    with robot:
+        pair.advance(25 * pair.cycle_s)
+        assert robot.state is RobotState.READY
+    assert np.abs(pair.twin.q - there).max() < 2e-5
