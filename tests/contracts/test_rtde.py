@@ -17,6 +17,7 @@ from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import address
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.testing import RobotCase, RobotContract
+from refusals import refuses
 
 pytest.importorskip("rtde_control")
 
@@ -148,7 +149,7 @@ def test_a_controller_that_starts_anew_is_lost_with_its_reason_and_can_be_opened
     with robot:
         where = twin.order("restart")
         until(lambda: robot.state is RobotState.LOST)
-        with pytest.raises(DeviceLost, match="open it again"):
+        with refuses(DeviceLost, "open it"):
             robot.step_joints(np.zeros(6))
         assert robot.why
     with robot:
@@ -171,14 +172,14 @@ def test_a_program_ended_at_the_controller_is_told(twin: Twin) -> None:
         with socket.create_connection((twin.host, 29999), 5.0) as dashboard:
             dashboard.sendall(b"stop\n")
             until(lambda: robot.state is RobotState.LOST)
-        with pytest.raises(DeviceLost, match=r"program on its controller has ended|took no"):
+        with pytest.raises(DeviceLost, match=r"ended|took no"):
             robot.read()
 
 
 def test_a_second_client_is_refused(twin: Twin) -> None:
     with (
         RtdeRobot(twin.host) as robot,
-        pytest.raises(DeviceFailed, match="in use"),
+        refuses(DeviceFailed, "in use"),
         RtdeRobot(twin.host),
     ):
         pass
@@ -198,17 +199,17 @@ def test_a_forwarded_port_is_reached() -> None:
 
 def test_what_is_no_controller_is_refused() -> None:
     robot = RtdeRobot("127.0.0.1:9")
-    with pytest.raises(DeviceNotFound, match=r"cannot be driven: nothing takes a connection at .*refused"), robot:
+    with refuses(DeviceNotFound, "driven", "refused"), robot:
         pass
     with socket.create_server(("127.0.0.1", 0)) as mute:
         robot = RtdeRobot(f"127.0.0.1:{mute.getsockname()[1]}", settings={"open_s": 0.5})
-        with pytest.raises(DeviceNotFound, match="no controller has answered"), robot:
+        with refuses(DeviceNotFound, "no controller", "answered"), robot:
             pass
 
 
 def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rtde_control", None)
-    with pytest.raises(DeviceNotFound, match="ur-rtde is not installed"), RtdeRobot("127.0.0.1"):
+    with refuses(DeviceNotFound, "ur-rtde"), RtdeRobot("127.0.0.1"):
         pass
 
 
@@ -220,11 +221,11 @@ def test_wrong_devices_are_refused(device: str) -> None:
 
 @pytest.mark.parametrize("port", [0, 3, 70000])
 def test_a_port_that_cannot_be_is_told_as_one(port: int) -> None:
-    with pytest.raises(UsageError, match=f"at port {port}: .* from 6 to 65535"):
+    with refuses(UsageError, port, "65535"):
         address(f"127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("more", [{"cycle_s": 0.0}, {"gain": 5000.0}, {"lookahead_s": 0.01}, {"speed": 1.0}])
 def test_wrong_settings_are_refused(more: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match=next(iter(more))):
+    with refuses(UsageError, *more):
         RtdeRobot("10.0.0.5", settings=more)

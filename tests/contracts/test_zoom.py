@@ -23,6 +23,7 @@ from armsight.errors import DeviceFailed, UsageError
 from armsight.store.yamls import parse_yaml
 from armsight_sim.scenario_builder import build_world
 from armsight_sim.scenario_schema import Scenario
+from refusals import refuses
 
 
 class Wire:
@@ -72,10 +73,10 @@ def test_the_first_frame_is_of_the_zoom_that_was_set() -> None:
 
 @pytest.mark.parametrize(
     ("wire", "why"),
-    [(Wire(takes=False), "--set-zoom 250 is not taken"), (Wire(stuck=True), "--set-zoom reads back 100 where 250")],
+    [(Wire(takes=False), ("--set-zoom 250", "not taken")), (Wire(stuck=True), ("--set-zoom", "100", "250"))],
 )
 def test_a_camera_that_does_not_zoom_is_refused_and_closed(wire: Wire, why: str) -> None:
-    with pytest.raises(DeviceFailed, match=why) as info, opened(wire, 250.0)():
+    with refuses(DeviceFailed, why) as info, opened(wire, 250.0)():
         pass
     assert wire.released
     assert info.value.consequence and "--set-zoom" in info.value.cure
@@ -85,14 +86,14 @@ def test_a_camera_that_does_not_zoom_is_refused_and_closed(wire: Wire, why: str)
 def test_half_a_step_is_all_that_a_zoom_may_be_off(zoom: float) -> None:
     with opened(Wire(), zoom)() as camera:
         assert next(iter(camera)).image[0, 0] == 25
-    with pytest.raises(DeviceFailed, match="--set-zoom reads back 249"), opened(Wire(falls=1.0), 250.0)() as camera:
+    with refuses(DeviceFailed, "--set-zoom", "249"), opened(Wire(falls=1.0), 250.0)() as camera:
         list(islice(camera, SETTLED + 1))  # looked at again once frames flow; 1 in 250 would do for an exposure
 
 
 def test_a_zoom_that_is_no_number_when_read_back_is_refused() -> None:
     wire = Wire()
     wire.get = lambda key: float("nan")  # type: ignore[method-assign]
-    with pytest.raises(DeviceFailed, match="reads back nan"), opened(wire, 250.0)():
+    with refuses(DeviceFailed, "nan"), opened(wire, 250.0)():
         pass
 
 
@@ -133,12 +134,12 @@ def test_what_is_not_live_and_what_sets_no_zoom_is_refused(monkeypatch: pytest.M
         lambda: open_source("folder", settings=zoomed),
         lambda: open_pairs("a", "b", settings=(AUTOMATIC, zoomed)),
     ):
-        with pytest.raises(UsageError, match="--set-zoom is for live cameras"):
+        with refuses(UsageError, "--set-zoom", "live"):
             refused()
     monkeypatch.setattr("armsight.drivers.opening.load", lambda *_: lambda device, *, colour, clock, origin_s: None)
-    with pytest.raises(UsageError, match="camera:mine:1 cannot be given --set-zoom"):
+    with refuses(UsageError, "camera:mine:1", "--set-zoom"):
         open_source("camera:mine:1", settings=zoomed)
-    with pytest.raises(UsageError, match="camera:aravis:x cannot be given --set-zoom"):
+    with refuses(UsageError, "camera:aravis:x", "--set-zoom"):
         AravisCamera("x", settings=zoomed)
 
 
@@ -177,7 +178,7 @@ def test_a_simulated_live_camera_is_zoomed_by_its_settings(tmp_path: Path, monke
     world: Any = open_source(f"camera:sim:{path}:left", settings=CameraSettings(zoom=300.0))
     expected = build_world(scenario("ratio: 4.0"), frames=1, zoom=300.0)
     assert world.rig["cameras"]["left"]["fx"] == expected.rig["cameras"]["left"]["fx"]
-    with pytest.raises(UsageError, match="cannot be given --focus") as info:
+    with refuses(UsageError, "--focus") as info:
         open_source(f"camera:sim:{path}:left", settings=CameraSettings(zoom=300.0, focus=1.0))
     assert "--set-zoom" in info.value.cure
 
@@ -185,7 +186,7 @@ def test_a_simulated_live_camera_is_zoomed_by_its_settings(tmp_path: Path, monke
 def test_a_scenario_without_zoom_lens_and_a_zoom_beyond_its_ends_are_refused() -> None:
     from armsight.errors import Inconsistent
 
-    with pytest.raises(Inconsistent, match="no zoom lens"):
+    with refuses(Inconsistent, "zoom lens"):
         build_world(scenario(""), frames=1, zoom=100.0)
-    with pytest.raises(Inconsistent, match="zooms from 100 to 500, not to 501"):
+    with refuses(Inconsistent, "100", "500", "501"):
         build_world(scenario("ratio: 4.0"), frames=1, zoom=501.0)

@@ -16,6 +16,7 @@ from armsight.store import foreign
 from armsight.store.foreign.opencv import opencv_rig
 from armsight.store.foreign.ros import ros_mapping, ros_rig
 from armsight.store.yamls import dump_yaml, parse_yaml, read_yaml
+from refusals import refuses
 
 DATA = Path(__file__).parent / "data" / "foreign"
 OPENCV = (DATA / "opencv" / "intrinsics.yml", DATA / "opencv" / "extrinsics.yml")
@@ -162,12 +163,12 @@ def test_kinds_are_told_apart():
 
 
 def test_other_models_are_refused_by_name():
-    with pytest.raises(BadFile, match=r"documented.yaml, cam1: camera_model is 'omni'"):
+    with refuses(BadFile, "documented.yaml", "cam1", "camera_model", "omni"):
         foreign.rig_from_kalibr(DATA / "kalibr" / "documented.yaml")
     content = read_yaml(ROS[0])
-    with pytest.raises(BadFile, match="distortion_model is 'thin_prism'"):
+    with refuses(BadFile, "distortion_model", "thin_prism"):
         ros_rig({**content, "distortion_model": "thin_prism"}, content, "l", "r")
-    with pytest.raises(BadFile, match="holds 5 coefficients, and a fisheye lens has four"):
+    with refuses(BadFile, "5 coefficients", "fisheye", "four"):
         ros_rig({**content, "distortion_model": "equidistant"}, content, "l", "r")
     wide = {**content, "distortion_coefficients": {"rows": 1, "cols": 8, "data": [0.0] * 5 + [0.1, 0.0, 0.0]}}
     with pytest.raises(BadFile, match="rational"):
@@ -175,28 +176,28 @@ def test_other_models_are_refused_by_name():
 
 
 def test_a_pair_that_is_swapped_or_none_is_recognised():
-    with pytest.raises(Inconsistent, match="Left and right are swapped"):
+    with refuses(Inconsistent, "swapped"):
         foreign.rig_from_ros(ROS[1], ROS[0])
     single = DATA / "ros" / "documented.yaml"
-    with pytest.raises(Inconsistent, match="two single calibrations"):
+    with refuses(Inconsistent, "single"):
         foreign.rig_from_ros(single, single)
 
 
 def test_millimetres_are_recognised():
     content = {**read_yaml(OPENCV[0]), **read_yaml(OPENCV[1])}
     millimetres = {**content, "T": [[-83.19], [0.93], [-0.07]]}
-    with pytest.raises(BadFile, match=r"83\.1\d+ m apart.*millimetres"):
+    with refuses(BadFile, "83.1952 m", "millimetres"):
         opencv_rig(millimetres, "pair.yml", size=SIZE)
     rig = opencv_rig(millimetres, "pair.yml", size=SIZE, unit_m=1e-3)
     assert rig.baseline_m == pytest.approx(0.0832, abs=1e-5)
 
 
 def test_what_a_file_does_not_say_is_asked_for():
-    with pytest.raises(BadFile, match="does not say the size"):
+    with refuses(BadFile, "size"):
         foreign.rig_from_opencv(OPENCV)
-    with pytest.raises(BadFile, match=r"the key R is missing|no pair"):
+    with pytest.raises(BadFile, match=r"R is missing|no pair"):
         foreign.rig_from_opencv(OPENCV[:1], size=SIZE)
-    with pytest.raises(BadFile, match="no pair of cameras"):
+    with refuses(BadFile, "no pair"):
         foreign.rig_from_opencv([DATA / "opencv" / "camera.yml"])
 
 
@@ -210,21 +211,21 @@ def test_a_lens_that_a_format_cannot_say_is_not_written(tmp_path):
         foreign.rig_to_ros(tmp_path / "a", tmp_path / "b", replace(rig, left=skewed))
     larger = Camera(width=800, height=600, intrinsics=rig.left.intrinsics)
     for write, _ in (ROUND_TRIPS["ros"], ROUND_TRIPS["opencv"]):
-        with pytest.raises(Inconsistent, match="differ in size"):
+        with refuses(Inconsistent, "size"):
             write(tmp_path, replace(rig, left=larger))
     assert not list(tmp_path.iterdir())
 
 
 BROKEN = {
-    "a matrix of another size": ("M1", {"rows": 2, "cols": 3, "data": [1.0] * 6}, r"M1 has the shape \(2, 3\)"),
-    "numbers missing": ("M1", {"rows": 3, "cols": 3, "data": [1.0] * 8}, "M1 holds 8 numbers, not 3 x 3"),
-    "nan": ("T", [float("nan"), 0.0, 0.0], "T holds a number that is not finite"),
-    "no rotation": ("R", (2 * np.eye(3)).tolist(), "R is not a rotation matrix"),
-    "a mirror": ("R", np.diag([1.0, 1.0, -1.0]).tolist(), "R is not a rotation matrix"),
+    "a matrix of another size": ("M1", {"rows": 2, "cols": 3, "data": [1.0] * 6}, ("M1", "(2, 3)")),
+    "numbers missing": ("M1", {"rows": 3, "cols": 3, "data": [1.0] * 8}, ("M1", "8 numbers", "3 x 3")),
+    "nan": ("T", [float("nan"), 0.0, 0.0], ("T", "finite")),
+    "no rotation": ("R", (2 * np.eye(3)).tolist(), ("R", "rotation matrix")),
+    "a mirror": ("R", np.diag([1.0, 1.0, -1.0]).tolist(), ("R", "rotation matrix")),
     "no baseline": ("T", [0.0, 0.0, 0.0], "0 m apart"),
-    "no camera matrix": ("M2", np.ones((3, 3)).tolist(), "M2 is not a camera matrix"),
-    "words": ("D1", "plumb_bob", "D1 is not a list of numbers"),
-    "three coefficients": ("D1", [0.0, 0.0, 0.0], "D1 holds 3 coefficients"),
+    "no camera matrix": ("M2", np.ones((3, 3)).tolist(), ("M2", "camera matrix")),
+    "words": ("D1", "plumb_bob", ("D1", "list")),
+    "three coefficients": ("D1", [0.0, 0.0, 0.0], ("D1", "3 coefficients")),
     "tilted sensor": ("D2", [0.0] * 13 + [0.1], "tilted"),
 }
 
@@ -233,7 +234,7 @@ BROKEN = {
 def test_a_broken_entry_is_named(case):
     key, value, message = BROKEN[case]
     content = {**read_yaml(OPENCV[0]), **read_yaml(OPENCV[1]), key: value}
-    with pytest.raises(BadFile, match=message) as caught:
+    with refuses(BadFile, message) as caught:
         opencv_rig(content, "pair.yml", size=SIZE)
     assert caught.value.cause.startswith("pair.yml")
 
@@ -265,7 +266,7 @@ def test_a_principal_point_that_no_lens_has_is_refused_by_every_reader(name, tmp
     paths = {"opencv": OPENCV, "kalibr": (KALIBR,), "ros": ROS}[name]
     (tmp_path / name).write_text(re.sub(r"34[0-9]\.[0-9]+", "48422.5", paths[0].read_text(), count=1))
     bad = (tmp_path / name, *paths[1:])
-    with pytest.raises(DataRefused, match=r"cx 48422\.5 px is .* outside an image .* wrong\. Look for a wrong decimal"):
+    with refuses(BadFile, name, "cx", "48422.5 px"):
         {
             "opencv": lambda: foreign.rig_from_opencv(bad, size=SIZE),
             "kalibr": lambda: foreign.rig_from_kalibr(*bad),
@@ -275,5 +276,5 @@ def test_a_principal_point_that_no_lens_has_is_refused_by_every_reader(name, tmp
 
 def test_a_window_in_the_corner_of_a_large_sensor_is_taken():
     assert Camera.pinhole(128, 96, 2000.0, 2000.0, -1900.0, 50.0).intrinsics[2] == -1900.0
-    with pytest.raises(Inconsistent, match="cy 2097 px is 2001 px outside"):
+    with refuses(Inconsistent, "cy", "2097", "outside"):
         Camera.pinhole(128, 96, 2000.0, 2000.0, -1900.0, 2097.0)

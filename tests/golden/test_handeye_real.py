@@ -75,7 +75,7 @@ def test_the_wrong_pitch_is_noticed_and_its_true_value_said(done: ImageHandEye) 
     assert 25.4 * result.scale.factor == pytest.approx(24.82, abs=0.1)
     assert 25.4 * result.scale.std < 0.1
     assert "24.8" in result.advice[0]
-    assert "Measure the target" in result.advice[0]
+    assert "calliper" in result.advice[0]
     assert "measure it" in result.verdict
     B = result.pairs.T_camera_target
     scaled = PosePairs(

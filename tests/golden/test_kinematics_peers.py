@@ -18,6 +18,7 @@ from armsight.kinematics.dynamics import inverse_dynamics, track_load
 from armsight.kinematics.presets import PRESETS
 from armsight.records import Motion
 from armsight.store.urdf import arm_from_urdf, urdf_text
+from refusals import refuses
 
 CLOSED = ("korayem6r", "puma761", "ur10", "ur5e", "irb120")
 
@@ -125,9 +126,9 @@ def test_torques_of_a_two_link_arm_against_the_textbook(pin: ModuleType) -> None
 def test_dynamics_refuses_another_arm_and_an_arm_without_masses(pin: ModuleType) -> None:
     arm = arm_from_urdf(URDF_WITH_MASSES)
     still = np.zeros((1, 6))
-    with pytest.raises(Inconsistent, match="j1, j2; the arm moves j1, j2, j3"):
+    with refuses(Inconsistent, "j1, j2", "j1, j2, j3"):
         inverse_dynamics(preset("ur10"), URDF_WITH_MASSES, still, still, still)
-    with pytest.raises(Inconsistent, match="no masses"):
+    with refuses(Inconsistent, "masses"):
         inverse_dynamics(arm, urdf_text(arm), still[:, :2], still[:, :2], still[:, :2])
-    with pytest.raises(Inconsistent, match="refused by Pinocchio"):
+    with refuses(Inconsistent, "Pinocchio"):
         inverse_dynamics(arm, "<robot", still[:, :2], still[:, :2], still[:, :2])

@@ -35,7 +35,7 @@ def test_poses_are_read_by_one_command(name, armsight, tmp_path):
     assert done.code == 0, done.json
     poses = read_poses(tmp_path / "poses.csv")
     np.testing.assert_allclose([p.T_parent_target for p in poses], TRUTH["T_base_flange"], atol=1e-9)
-    timed = "no column of time" not in str(done.json["notes"])
+    timed = "column of time" not in str(done.json["notes"])
     want = TRUTH["t_s"] if timed else np.arange(len(poses))
     np.testing.assert_allclose([p.t_s for p in poses], want, atol=1e-4, rtol=0)
     assert timed == (name in ("TUM RGB-D", "EuRoC MAV", "UR RTDE record"))
@@ -80,7 +80,7 @@ def test_kuka_poses_with_semicolons_and_decimal_commas():
     T = np.array([pose.T_parent_target for pose in poses])
     np.testing.assert_allclose(T[:, :3, :3], json.loads((DATA / "kuka" / "truth.json").read_text()), atol=1e-9)
     np.testing.assert_allclose(T[:, :3, 3], TRUTH["T_base_flange"][:, :3, 3], atol=1e-9)
-    assert any("Euler angles zyx-rotating" in text for text in told)
+    assert any("zyx-rotating" in text for text in told)
 
 
 def test_poses_without_names_go_to_the_images_by_number_or_by_order():

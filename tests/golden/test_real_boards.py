@@ -14,6 +14,7 @@ from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board
 from armsight.records import BoardView, TargetKind, board_target
+from refusals import refuses
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 STEREO, DOTS = DATA / "opencv_stereo", DATA / "dots_10x10_handeye" / "images"
@@ -63,14 +64,18 @@ def test_swapped_sides_are_recognised(views: tuple[list[BoardView], list[BoardVi
 @needs_stereo
 @pytest.mark.parametrize("size", [(8, 6), (9, 5), (7, 7)])
 def test_wrong_size_is_told_with_the_right_one(size: tuple[int, int]) -> None:
-    with pytest.raises(BadImage, match="one of 9x6 was"):
+    with refuses(BadImage, "{}x{}".format(*size), size=(9, 6)):
         find_board(picture(STEREO / "left01.jpg"), board_target(TargetKind.CHECKERBOARD, *size, 0.025))
 
 
 @needs_stereo
-@pytest.mark.parametrize(("name", "columns"), [("right06", 8), ("right11", 8), ("left13", 10)])
-def test_a_wrong_count_is_refused_where_the_board_ends_in_half_squares(name: str, columns: int) -> None:
-    with pytest.raises(BadImage, match=r"one of 9x6 was|is not where the others put it"):
+@pytest.mark.parametrize(
+    ("name", "columns", "seen"), [("right06", 8, (9, 6)), ("right11", 8, (9, 6)), ("left13", 10, None)]
+)
+def test_a_wrong_count_is_refused_where_the_board_ends_in_half_squares(
+    name: str, columns: int, seen: tuple[int, int] | None
+) -> None:
+    with refuses(BadImage, f"{columns}x6", "column", size=seen):
         find_board(picture(STEREO / f"{name}.jpg"), board_target(TargetKind.CHECKERBOARD, columns, 6, 0.025))
 
 
@@ -91,7 +96,7 @@ def test_all_dots_are_found_from_the_big_one_on() -> None:
 @needs_stereo
 def test_a_miscounted_board_is_refused_with_the_size_that_most_images_show(tmp_path: Path) -> None:
     job = CameraJob(source=str(STEREO / "left0[1-6].jpg"), board="checkerboard:8x6:0.025", out=tmp_path / "c.yaml")
-    with pytest.raises(Inconsistent, match=r"9x6 inner corners is seen in [456] of 6 images") as refusal:
+    with refuses(Inconsistent, "9x6", "6 images") as refusal:
         calibrate_images(job)
     assert "--board checkerboard:9x6:0.025" in refusal.value.cure
     assert not list(tmp_path.iterdir())

@@ -9,6 +9,7 @@ import pytest
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.store import read_tum
 from armsight.verify.trajectory import absolute_pose_error, aligned, relative_pose_error
+from refusals import refuses
 
 DATA = Path(__file__).parent / "data" / "evo"
 EVO = json.loads((DATA / "evo.json").read_text())
@@ -49,9 +50,9 @@ def test_what_does_not_belong_together_is_refused():
     reference, estimate = tracks()
     with pytest.raises(Inconsistent, match="12 and 11"):
         absolute_pose_error(reference, estimate[:-1])
-    with pytest.raises(NotEnoughData, match="13 are needed"):
+    with refuses(NotEnoughData, "13"):
         relative_pose_error(reference, estimate, step=12)
-    with pytest.raises(UsageError, match="no motion"):
+    with refuses(UsageError, "motion"):
         relative_pose_error(reference, estimate, step=0)
     with pytest.raises(UsageError, match="single"):
         aligned(reference[0], estimate[0])

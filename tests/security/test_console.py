@@ -24,6 +24,7 @@ from armsight.console.state import Console
 from armsight.control.guard import Limits
 from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
+from armsight.errors import BadFile
 from armsight.server.application import create_app
 from armsight.server.auth import COOKIE, Authenticator, Gate
 from armsight.server.connections import Connections
@@ -31,6 +32,7 @@ from armsight.server.serving import background
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, web_server
 from armsight.store.tokens import add_token, read_tokens
+from refusals import refuses
 
 WAIT_S = 20.0
 PAGES = sorted(application.PAGES)
@@ -360,7 +362,7 @@ def test_a_report_reaches_neither_robot_nor_console(served: Any, reports: Path) 
 @pytest.mark.parametrize("what", ["rig", "target", "world"])
 def test_a_cell_names_no_file_elsewhere(served: Any, name: str, what: str) -> None:
     cell = served.console.cell.model_copy(update={what: name})
-    with pytest.raises(uploads.ArmsightError, match="is not in"):
+    with refuses(BadFile, name, "not in"):
         served.console.job_of(cell)
 
 

@@ -26,7 +26,7 @@ from armsight.drivers.egm import packets
 from armsight.drivers.images import LARGEST_PX, said_size
 from armsight.drivers.rsi import messages as rsi
 from armsight.drivers.rsi.messages import read_tags
-from armsight.errors import BadFile, DataRefused
+from armsight.errors import BadFile, BadImage, DataRefused
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
 from armsight.store.interpret import other_files
@@ -40,6 +40,7 @@ from armsight.store.recording.schemas import COMPRESSED_IMAGE, LOG, RAW_IMAGE
 from armsight.store.tokens import read_tokens
 from armsight.store.urdf import arm_from_urdf, read_urdf
 from armsight.store.yamls import parse_yaml, parse_yaml_documents
+from refusals import refuses
 
 MOST_BYTES = 300_000_000
 """More memory than this for a file of a few kilobytes is harm."""
@@ -182,7 +183,7 @@ def _varint(value: int) -> bytes:
 def test_a_small_file_that_unpacks_to_a_huge_image_takes_no_memory(bounded: None) -> None:
     data = png(20_000, 20_000)
     assert len(data) < 2_000_000
-    with pytest.raises(DataRefused, match="more than"):
+    with refuses(BadImage, "20000 x 20000"):
         image_files.decode_image(data, "bomb.png")
 
 
@@ -267,7 +268,7 @@ def test_a_recordings_camera_names_no_folder_elsewhere(camera: str, tmp_path: Pa
         number = file.add_channel(f"/{camera}/image", "protobuf", file.add_schema(RAW_IMAGE, "protobuf", b""))
         file.add_message(number, 0, 0, b"")
     folder = tmp_path / "deep" / "out"
-    with pytest.raises(BadFile, match="names no folder"):
+    with refuses(BadFile, "no folder"):
         export(source, folder)
     assert {path.name for path in tmp_path.iterdir()} == {"x.mcap", "deep"} and not list(folder.iterdir())
 
@@ -278,7 +279,7 @@ def test_json_that_is_deep_is_refused_wherever_it_stands(tmp_path: Path) -> None
     with closing(McapFile(source)) as file:
         number = file.add_channel("/events", "json", file.add_schema(LOG, "jsonschema", b"{}"))
         file.add_message(number, 0, 0, deep)
-    with Recording(source) as recording, pytest.raises(BadFile, match="not JSON"):
+    with Recording(source) as recording, refuses(BadFile, "JSON"):
         list(recording.events())
     (tmp_path / "measure.json").write_bytes(deep)
     with pytest.raises(BadFile):
@@ -374,7 +375,7 @@ def test_matlab_variables_unpack_to_so_much_only(
     for data in (mat({"x": np.zeros((1000, 1000))}), lying_mat(40_000_000)):
         path.write_bytes(data)
         assert len(data) < 100_000
-        with pytest.raises(BadFile, match="unpack to more"):
+        with refuses(BadFile, "unpack"):
             other_files.mat_table(path)
     path.write_bytes(mat({"q_deg": np.ones((4, 6))}))
     assert len(other_files.mat_table(path).columns[0]) > 1

@@ -15,6 +15,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import dh_arm, fk
 from armsight.store.arm_points import read_arm_points
 from armsight.store.verify_files import read_measured
+from refusals import refuses
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ def test_rotations_better_than_any_arm_turns_its_tool_do_not_rule_the_positions(
     alone = calibrate_arm(NOMINAL, replace(points, rotation=None))
     off, off_alone = (np.linalg.norm(fk(x.arm, q)[:, :3, 3] - truth, axis=1).mean() for x in (result, alone))
     assert off < off_alone < 4e-5  # weighed as they claim they left 0.29 to 0.87 mm
-    assert any("better than any arm" in note for note in result.notes)
+    assert any("any arm" in note for note in result.notes)
 
 
 def wrong(points: ArmPoints, how: str) -> ArmPoints:
@@ -70,16 +71,16 @@ def wrong(points: ArmPoints, how: str) -> ArmPoints:
 @pytest.mark.parametrize(
     ("how", "told"),
     [
-        ("inverted", "if they are inverted"),
-        ("w first", "written w, x, y, z"),
-        ("same", "the same in all rows"),
-        ("other rows", "0% of the rows agree"),
-        ("other frame", "not in the positions' frame"),
+        ("inverted", "inverted"),
+        ("w first", "w, x, y, z"),
+        ("same", "the same in"),
+        ("other rows", "0% of the rows"),
+        ("other frame", "the positions' frame"),
     ],
 )
 def test_rotations_that_are_not_the_tools_are_refused_by_name(how: str, told: str) -> None:
     points, _, _ = simulated(1, 1e-4)
-    with pytest.raises(Inconsistent, match=told):
+    with refuses(Inconsistent, told):
         calibrate_arm(NOMINAL, wrong(points, how))
 
 
@@ -93,7 +94,7 @@ def test_a_holdout_in_another_frame_is_laid_anew_and_another_arms_is_refused() -
     assert there.left_after.mean_m < 1.2 * here.left_after.mean_m < 2e-4
     assert any("another frame" in note for note in there.notes)
     assert not any("another frame" in note for note in here.notes)
-    with pytest.raises(Inconsistent, match="also with base and tool laid anew"):
+    with refuses(Inconsistent, "base", "anew"):
         calibrate_arm(NOMINAL, rows, holdout=replace(held, xyz_m=np.array(held.xyz_m)[::-1]))
 
 
@@ -102,7 +103,7 @@ def test_columns_that_verify_passes_over_are_read_past_and_slips_are_not(tmp_pat
     path.write_text("q1,q2,x_m,y_m,z_m,goal_x_m,temperature_c\n0.1,0.2,0.3,0.4,0.5,7,warm\n")
     assert read_arm_points(path).xyz_m.tolist() == [[0.3, 0.4, 0.5]]
     path.write_text("q1,q2,x_m,y_m,z_m,points\n0.1,0.2,0.3,0.4,0.5,A\n")
-    with pytest.raises(BadFile, match="did you mean 'point'"):
+    with refuses(BadFile, "point", "mean"):
         read_arm_points(path)
 
 
@@ -124,7 +125,7 @@ def test_a_measured_file_that_verify_takes_is_taken_and_rows_keep_their_numbers(
     result = calibrate_arm(NOMINAL, replace(read, t_s=None))
     assert 50 in [row for row, _ in result.outlier_rows]
     path.write_text(path.read_text().replace(",lost", ",ok"))
-    with pytest.raises(BadFile, match="line 5, column x_m: empty"):
+    with refuses(BadFile, "line 5", "x_m", "empty"):
         read_arm_points(path)
 
 

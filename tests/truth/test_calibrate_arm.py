@@ -18,6 +18,7 @@ from armsight.calibrate.arm import ArmModel, ArmPoints, calibrate_arm, calibrate
 from armsight.errors import Ambiguous, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm, Joint, preset
 from armsight.store.arm_points import read_arm_points
+from refusals import names_it, refuses
 
 Array = NDArray[np.float64]
 
@@ -196,7 +197,7 @@ def test_a_holdout_must_prove_the_gain_too() -> None:
     assert calibrate_arm(made.arm, points).gain
     result = calibrate_arm(made.arm, points, holdout=other)  # of an arm that is as nominal
     assert not result.gain and result.free == () and result.level == "nominal"
-    assert "rows of the holdout" in result.verdict and "cross-validation" in result.verdict
+    assert "holdout" in result.verdict and "cross-validation" in result.verdict
     np.testing.assert_array_equal(table(result.arm), table(made.arm))
     with pytest.raises(Inconsistent, match="Q0"):
         named = replace(other, point=tuple(name.replace("P", "Q") for name in other.point))
@@ -210,11 +211,11 @@ def test_rows_that_are_not_of_the_arm_are_refused_by_number() -> None:
     for rows in (slice(60, None), slice(40, 80)):  # places of a reflection
         mirrored = points.xyz_m.copy()
         mirrored[rows, 0] = 2.2 - mirrored[rows, 0]
-        with pytest.raises(Inconsistent, match="do not agree"):
+        with refuses(Inconsistent, "agree"):
             calibrate_arm(made.arm, replace(points, xyz_m=mirrored))
-    with pytest.raises(Inconsistent, match="out of step"):
+    with refuses(Inconsistent, "step"):
         calibrate_arm(made.arm, replace(points, q=np.roll(points.q, 3, axis=0)))
-    with pytest.raises(Inconsistent, match="not of this arm"):
+    with refuses(Inconsistent, "this arm"):
         calibrate_arm(made.arm, replace(points, xyz_m=rng.normal(0.0, 0.5, points.xyz_m.shape)))
 
 
@@ -222,14 +223,14 @@ def test_a_lack_of_joint_positions_is_said_as_such() -> None:
     rng = np.random.default_rng(24)
     made = cell(rng)
     q = rng.uniform(-1.0, 1.0, (3, 6)) * REACH
-    for positions, said in ((q[[0] * 10], "30 rows are of 1 joint position;"), (q[:2], "2 joint positions; 4")):
-        with pytest.raises(NotEnoughData, match=said):
+    for positions, said in ((q[[0] * 10], ("30 rows", "1 joint position")), (q[:2], "2 joint positions")):
+        with refuses(NotEnoughData, said):
             calibrate_arm(made.arm, made.points(positions, rng))
-        with pytest.raises(NotEnoughData, match=said):
+        with refuses(NotEnoughData, said):
             calibrate_world(made.arm, made.points(positions, rng))
     hardly = np.tile(q[0], (10, 1))
     hardly[:, 0] = np.linspace(0.0, 5e-4, 10)
-    with pytest.raises(NotEnoughData, match="hardly moved"):
+    with refuses(NotEnoughData, "hardly"):
         calibrate_world(made.arm, made.points(hardly, rng))
 
 
@@ -281,7 +282,7 @@ def test_joints_that_did_not_move_tell_nothing() -> None:
     assert {name for name, _ in result.fixed} >= wrist
     names = [joint.name for joint in made.arm.joints]
     assert result.still == tuple(names[3:])
-    assert dict(result.fixed)[f"{names[3]}.theta_rad"] == f"joint {names[3]} did not move"
+    assert names_it(dict(result.fixed)[f"{names[3]}.theta_rad"], names[3], "move")
 
 
 def test_wrong_units_counts_and_rows_are_refused() -> None:
@@ -290,7 +291,7 @@ def test_wrong_units_counts_and_rows_are_refused() -> None:
     points = made.points(rng.uniform(-1.0, 1.0, (20, 6)) * REACH, rng)
     for factor, unit in ((1000.0, "millimetres"), (100.0, "centimetres")):
         wrong = ArmPoints(q=points.q, xyz_m=factor * points.xyz_m, point=points.point)
-        with pytest.raises(Inconsistent, match=unit):
+        with refuses(Inconsistent, unit):
             calibrate_arm(made.arm, wrong)
     with pytest.raises(Inconsistent, match="degrees"):
         calibrate_arm(made.arm, ArmPoints(q=np.rad2deg(points.q), xyz_m=points.xyz_m, point=points.point))
@@ -317,7 +318,7 @@ def test_proposed_positions_are_worth_more_than_random_ones() -> None:
     assert size(told.q) < size(rng.uniform(-0.3, 0.3, (8, 6)) * REACH) - 0.5
     some = propose(result.model, result.fitted, points, 4, visible=lambda xyz: xyz[:, 2] > 0.7)
     assert len(some.q) == 4
-    with pytest.raises(NotEnoughData, match="both cameras"):
+    with refuses(NotEnoughData, "both cameras"):
         propose(result.model, result.fitted, points, 4, visible=lambda xyz: np.zeros(len(xyz), bool))
 
 
@@ -358,7 +359,7 @@ def test_the_rig_is_found_where_a_half_of_the_rows_is_wrong() -> None:
     moved[10:] += [0.3, 0.0, 0.1]
     with pytest.raises(Ambiguous, match=r"11-20|1-10"):
         calibrate_world(arm, ArmPoints(q=q, xyz_m=moved))
-    with pytest.raises(Inconsistent, match="not of this arm"):
+    with refuses(Inconsistent, "this arm"):
         calibrate_world(arm, ArmPoints(q=np.roll(q, 3, axis=0), xyz_m=seen))
 
 

@@ -98,7 +98,7 @@ FOUND = ({1: (0.3, -1.0)}, {1: (0.3, 1.0)})
 def test_a_light_that_an_edge_covers_for_the_most_part_in_both_views_is_left_out() -> None:
     found = measured(FOUND)
     assert found.pose.status is PoseStatus.POSITION_ONLY
-    assert found.cause is Unseen.HALF_HIDDEN and "half hidden: light B" in found.pose.why
+    assert found.cause is Unseen.HALF_HIDDEN and "light B" in found.pose.why
     assert found.names == ("A", "C")
 
 

@@ -29,6 +29,7 @@ from armsight.calibrate.handeye import (
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.optics import Camera
 from armsight.records import BoardView, TargetKind, board_target
+from refusals import names_it, refuses
 
 DEG, MM = np.pi / 180, 1e-3
 X = RigidTransform.from_components([0.03, -0.06, 0.09], Rotation.from_rotvec([0.2, -0.3, 0.5]))
@@ -110,21 +111,21 @@ def test_a_noisy_robot_is_told_from_a_noisy_camera() -> None:
     camera = [calibrate_eye_in_hand(cell(s, 50, sigma=4.0)).noise for s in range(6)]
     assert np.median([noise.robot_rad.size for noise in robot]) == pytest.approx(0.2 * DEG, rel=0.15)
     assert np.median([noise.camera_rad.size for noise in camera]) == pytest.approx(0.2 * DEG, rel=0.15)
-    assert "robot explains most" in robot[0].explanation()
-    assert "camera explains most" in camera[0].explanation()
+    assert robot[0].explanation().startswith("The robot explains")
+    assert camera[0].explanation().startswith("The camera explains")
     assert not robot[0].robot_m.known  # a shift of the flange and one of the target look alike
 
 
 def test_too_little_turning_is_refused() -> None:
-    with pytest.raises(Degenerate, match="turns by only"):
+    with refuses(Degenerate, "by only"):
         calibrate_eye_in_hand(cell(4, tilt=2 * DEG))
     seen = RigidTransform.from_components(
         cell(5).T_camera_target.translation,
         FACING * Rotation.from_rotvec(np.outer(np.linspace(-0.5, 0.5, 20), [0, 0, 1])),
     )
-    with pytest.raises(Degenerate, match="one axis only") as caught:
+    with refuses(Degenerate, "one axis") as caught:
         calibrate_eye_in_hand(pairs(Z * seen.inv() * X.inv(), seen))
-    assert "tilt the hand" in caught.value.cure
+    assert "tilt" in caught.value.cure
 
 
 def test_an_answer_that_rests_on_one_pair_is_refused_by_its_name() -> None:
@@ -133,9 +134,9 @@ def test_an_answer_that_rests_on_one_pair_is_refused_by_its_name() -> None:
     rng, t = np.random.default_rng(1), cell(5, 5).T_camera_target.translation
     seen = RigidTransform.from_components(t, FACING * Rotation.from_rotvec(turns))
     robot = Z * seen.inv() * X.inv()
-    with pytest.raises(Degenerate, match="without row 3 the other pairs") as caught:
+    with refuses(Degenerate, "row 3") as caught:
         calibrate_eye_in_hand(pairs(robot, shaken(rng, seen, 0.3 * MM, 0.05 * DEG)))
-    assert "tilt the hand about two axes" in caught.value.cure
+    assert "two axes" in caught.value.cure
 
 
 def test_units_are_recognised() -> None:
@@ -151,19 +152,19 @@ def test_units_are_recognised() -> None:
         (1000.0, 1000.0, "these are millimetres"),
         (1000.0, 1.0, "these are millimetres"),
         (1.0, 1000.0, "these are millimetres"),
-        (1e-3, 1.0, "camera's distances are .* millimetres for metres"),
-        (1.0, 1e-3, "robot's distances are .* millimetres for metres"),
-        (1.0, 0.1, "robot's distances are .* millimetres for centimetres"),
+        (1e-3, 1.0, ("camera's distances", "millimetres for metres")),
+        (1.0, 1e-3, ("robot's distances", "millimetres for metres")),
+        (1.0, 0.1, ("robot's distances", "millimetres for centimetres")),
     ):
-        with pytest.raises(Inconsistent, match=said):
+        with refuses(Inconsistent, said):
             calibrate_eye_in_hand(scaled(robot, camera))
     wrong_pitch = calibrate_eye_in_hand(scaled(1.0, 1.05), HandEyeOptions(target_pitch_m=0.0315))
     assert wrong_pitch.scale.wrong
     assert wrong_pitch.scale is not None
     assert wrong_pitch.scale.factor == pytest.approx(1 / 1.05, abs=4 * wrong_pitch.scale.std)
-    assert "a pitch of 30.0" in wrong_pitch.advice[0]
-    assert "Measure the target" in wrong_pitch.advice[0]
-    assert "not of the size" in wrong_pitch.verdict
+    assert "30.0" in wrong_pitch.advice[0]
+    assert "calliper" in wrong_pitch.advice[0]
+    assert names_it(wrong_pitch.verdict, "target", "the size")
 
 
 def test_tables_read_the_wrong_way_are_recognised() -> None:
@@ -174,15 +175,15 @@ def test_tables_read_the_wrong_way_are_recognised() -> None:
     wrong = {
         "T_target_camera": pairs(A, B.inv()),
         "T_flange_base": pairs(A.inv(), B),
-        "one row further down": pairs(A, B[np.roll(np.arange(n), -1)]),
-        "one row further up": pairs(A, B[np.roll(np.arange(n), 1)]),
-        "robot's quaternions are written w, x, y, z": pairs(rolled, B),
-        "do not follow": pairs(A, B[np.random.default_rng(8).permutation(n)]),
+        ("one row", "down"): pairs(A, B[np.roll(np.arange(n), -1)]),
+        ("one row", "up"): pairs(A, B[np.roll(np.arange(n), 1)]),
+        ("robot's quaternions", "w, x, y, z"): pairs(rolled, B),
+        "follow": pairs(A, B[np.random.default_rng(8).permutation(n)]),
     }
     for said, given in wrong.items():
-        with pytest.raises(Inconsistent, match=said):
+        with refuses(Inconsistent, said):
             calibrate_eye_in_hand(given)
-    with pytest.raises(Inconsistent, match="setup is eye-to-hand"):
+    with refuses(Inconsistent, "eye-to-hand"):
         calibrate_eye_in_hand(cell(7, to_hand=True))
 
 
@@ -233,7 +234,7 @@ def test_the_next_poses_pay() -> None:
     )
     after = calibrate_eye_in_hand(more)
     assert max(after.std()[name] for name in ("x_m", "y_m", "z_m")) < 0.75 * before
-    with pytest.raises(Inconsistent, match="within reach"):
+    with refuses(Inconsistent, "reach"):
         propose(result, 1, reachable=lambda pose: False)
 
 
@@ -266,7 +267,7 @@ def test_clocks_with_another_zero_are_laid_on_each_other() -> None:
         late = np.flatnonzero(t_camera > (7.0 if zero_s > 0.0 else 0.0))
         found = time_offset(t_robot, robot.rotation, t_camera[late] - zero_s, camera.rotation[late])
         assert abs(found.offset_s - 0.137 - zero_s) < max(5 * found.std_s, 1e-6) < 1e-3
-    with pytest.raises(Inconsistent, match=r"within 2 s.*larger offset"):
+    with refuses(Inconsistent, "2 s", "larger"):
         time_offset(t_robot, robot.rotation, t_camera - 25.0, camera.rotation, within_s=2.0)
 
 
@@ -287,11 +288,11 @@ def test_streams_that_say_nothing_of_time_are_refused() -> None:
     _, _, _, other = streams(14, 0.0)
     swing = Rotation.from_rotvec(np.outer(np.sin(2 * np.pi * t_robot), [0.3, 0, 0]))
     swing_seen = Rotation.from_rotvec(np.outer(np.sin(2 * np.pi * t_camera), [-0.3, 0, 0]))
-    with pytest.raises(Degenerate, match="nothing turns"):
+    with refuses(Degenerate, "nothing turns"):
         time_offset(t_robot, Rotation.from_quat(np.tile([0, 0, 0, 1.0], (len(t_robot), 1))), t_camera, still)
-    with pytest.raises(Inconsistent, match="do not correlate"):
+    with refuses(Inconsistent, "correlate"):
         time_offset(t_robot, robot.rotation, t_camera, other.rotation)
-    with pytest.raises(Ambiguous, match="repeats itself"):
+    with refuses(Ambiguous, "repeats"):
         time_offset(t_robot, swing, t_camera, swing_seen)
     with pytest.raises(NotEnoughData, match="shorter"):
         time_offset(t_robot[:50], robot.rotation[:50], t_camera, camera.rotation)
@@ -335,6 +336,6 @@ def test_images_are_no_worse_than_poses_and_corners_know_the_cameras_share() -> 
     freed = calibrate_from_views(views, list(robot), wrong, board, Setup.EYE_IN_HAND, free_camera=True)
     assert freed.camera.intrinsics[:2] == pytest.approx([1100, 1100], abs=1.5)
     assert freed.result.comparison is not None and freed.result.comparison.kept is Basis.CORNERS_AND_CAMERA
-    with pytest.raises(Inconsistent, match="the camera file says 640x480"):
+    with refuses(Inconsistent, "640x480", "camera file"):
         small = Camera.pinhole(640, 480, 550, 550, 320, 240)
         calibrate_from_views(views, list(robot), small, board, Setup.EYE_IN_HAND)

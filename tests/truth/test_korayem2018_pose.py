@@ -10,6 +10,7 @@ from armsight.errors import Degenerate, NotEnoughData
 from armsight.kinematics import preset
 from armsight_sim.papers.korayem2018 import led_centroid, nearest_solution, solutions
 from armsight_sim.papers.pachidis2005 import frame_of_three, pose_of_three
+from refusals import refuses
 
 
 def test_the_corrected_inverse_holds_the_original_and_only_true_solutions() -> None:
@@ -36,7 +37,7 @@ def test_three_points_give_back_the_pose() -> None:
     for _ in range(50):
         T = RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
         assert pose_of_three(T.apply(model), model) == pytest.approx(T.as_matrix(), abs=1e-12)
-    with pytest.raises(Degenerate, match="one line"):
+    with refuses(Degenerate, "one line"):
         frame_of_three(np.outer([0.0, 1.0, 3.0], [1.0, 2.0, 3.0]))
 
 
@@ -53,5 +54,5 @@ def test_the_centroid_of_a_bright_disc() -> None:
     image[2, 2] = 255  # outside the window
     image[40:44, 50:54] = 180  # another area in it
     assert led_centroid(image, (42.0, 30.0)) == pytest.approx([40.0, 31.0])
-    with pytest.raises(NotEnoughData, match="above its surroundings"):
+    with refuses(NotEnoughData, "surroundings"):
         led_centroid(np.zeros((60, 80), np.uint8), (40.0, 30.0))

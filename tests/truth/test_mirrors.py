@@ -23,6 +23,7 @@ from armsight.records import BoardView, PoseStatus, Spots, spot_target
 from armsight.store import parse_board
 from armsight_sim.lens import Lens
 from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
+from refusals import refuses
 
 Array = NDArray[np.float64]
 Tilts = tuple[tuple[float, float], ...]
@@ -120,9 +121,9 @@ def test_points_are_as_good_as_the_pixels_allow(calibrated: MirrorCalibration) -
 def test_no_glass_and_a_thick_one() -> None:
     none = calibrate_mirrors(*board_views(views_of(plate_m=0.0), 3), BOARD)
     assert none.rig.left.plate is None and none.shift_m == 0.0
-    assert any("do not show a glass plate" in line for line in none.advice)
+    assert any("glass plate" in line for line in none.advice)
     given = calibrate_mirrors(*board_views(views_of(plate_m=2e-3), 3), BOARD, thickness_m=1e-3)
-    assert any("1 mm was given" in line for line in given.advice)
+    assert any("1 mm" in line for line in given.advice)
 
 
 def test_views_of_two_lenses_are_told() -> None:
@@ -138,7 +139,7 @@ def test_views_of_two_lenses_are_told() -> None:
     done = calibrate_mirrors(left, other, BOARD)
     assert not done.one_lens
     assert done.rig.right.intrinsics[0] == pytest.approx(1010.0, abs=1.5)
-    assert any("not those of one lens" in line for line in done.advice)
+    assert any("one lens" in line for line in done.advice)
 
 
 @pytest.mark.parametrize("mirror", range(4))
@@ -151,7 +152,7 @@ def test_the_turned_mirror_is_named_with_its_sense(calibrated: MirrorCalibration
     best = found.suspects[0]
     assert found.certain and best.mirror == mirror + 1
     assert (best.turn_rad, best.tilt_rad) == pytest.approx(tilts[mirror], abs=2e-4)
-    assert f"turn mirror {mirror + 1} back" in found.advice()
+    assert f"mirror {mirror + 1}" in found.advice()
 
 
 def test_mirrors_that_stand_still_are_left_alone(calibrated: MirrorCalibration) -> None:
@@ -166,13 +167,13 @@ def test_mirrors_that_stand_still_are_left_alone(calibrated: MirrorCalibration) 
 def test_two_turned_mirrors_are_more_than_one(calibrated: MirrorCalibration) -> None:
     tilts: Tilts = ((0.0, 0.0), (4e-3, -3e-3), (2e-3, 5e-3), (0.0, 0.0))
     found = check_alignment(calibrated.rig, *board_views(views_of(tilts), 60, 5), BOARD)
-    assert "more than one mirror" in found.advice()
+    assert "more than one" in found.advice()
 
 
 def test_a_check_needs_mirrors_and_views(calibrated: MirrorCalibration) -> None:
     left, right = board_views(views_of(), 1, 1)
     stereo = parallel_rig(Camera.pinhole(WIDTH, HEIGHT, 1000.0, 1000.0, 639.5, 479.5), 0.1)
-    with pytest.raises(Inconsistent, match="no mirrors"):
+    with refuses(Inconsistent, "no mirrors"):
         check_alignment(stereo, left, right, BOARD)
     with pytest.raises(NotEnoughData):
         check_alignment(calibrated.rig, [], [], BOARD)
@@ -263,10 +264,10 @@ def test_few_lights_dark_paths_ghosts_and_spots_on_each_other() -> None:
     assert measured(uv[0], uv[1], ghost)[0] is PoseStatus.OK
     merged = np.delete(np.concatenate(uv), 3, axis=0)  # one view's spot lies under another's: five are left
     status, why = measured(merged)
-    assert status is PoseStatus.POSITION_ONLY or (status is PoseStatus.LOST and "5 of the 6 spots" in why)
+    assert status is PoseStatus.POSITION_ONLY or (status is PoseStatus.LOST and "5 of the 6" in why)
     nothing = measure_spots(setup, 0.0, Spots.none(), Spots.none()).pose
-    assert nothing.status is PoseStatus.LOST and "no spot in the image" in nothing.why
-    with pytest.raises(Degenerate, match="one line"):
+    assert nothing.status is PoseStatus.LOST and "no spot" in nothing.why
+    with refuses(Degenerate, "one line"):
         Setup(rig, spot_target({"A": (0, 0, 0), "B": (0.02, 0, 0), "C": (0.05, 0, 0)}), overlaid=True)
 
 

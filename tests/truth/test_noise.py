@@ -11,6 +11,7 @@ from scipy.ndimage import convolve, shift
 
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
 from armsight.errors import BadImage, Degenerate, Inconsistent, NotEnoughData
+from refusals import refuses
 
 H, W = 240, 320
 GAIN, READ = 0.1, 1.2
@@ -195,7 +196,7 @@ def test_a_trembling_camera_is_told_and_a_moved_one_refused() -> None:
     assert_is_the_line(found, model=0.04)
     assert found.shift_px_rms == pytest.approx(0.1, rel=0.1)
     assert any("shifts" in text for text in found.advice)
-    with pytest.raises(Degenerate, match="image moves by"):
+    with refuses(Degenerate, "moves"):
         calibrate_noise(shots(wide, 8, seed=9, change=shifted(0.3)))
     with pytest.raises(Degenerate, match="moves"):
         calibrate_noise([rounded(room(rng)) for _ in range(5)])
@@ -211,7 +212,7 @@ def test_black_and_clipped_pixels_say_nothing() -> None:
     assert found.noise.levels[-1] < 240.0
     assert found.unusable > 0.2
     seen = (np.arange(H) < 6)[:, None]
-    with pytest.raises(NotEnoughData, match="black or clipped"):
+    with refuses(NotEnoughData, "clipped"):
         calibrate_noise([np.where(seen, frame, np.where(light > 100.0, 255, 0)).astype(np.uint8) for frame in frames])
 
 
@@ -222,7 +223,7 @@ def test_frames_without_noise_are_refused() -> None:
     spots = [frames[0].copy() for _ in range(6)]
     for i, frame in enumerate(spots):
         frame[10 * i : 10 * i + 10, 40:60] += 5
-    with pytest.raises(Degenerate, match="pixels change"):
+    with refuses(Degenerate, "change"):
         calibrate_noise(spots)
     partly = [np.where(np.arange(W) < 0.7 * W, frames[0], frame) for frame in frames]
     with pytest.raises(Degenerate, match="unchanged"):
@@ -243,7 +244,7 @@ def test_frames_averaged_over_time_are_told_or_refused() -> None:
             frames.append(rounded(shown))
         return frames[::every]
 
-    with pytest.raises(Degenerate, match="averaged over time"):
+    with refuses(Degenerate, "averaged"):
         calibrate_noise(smoothed(0.4))
     told = calibrate_noise(smoothed(0.8))
     assert told.frame_ratio == pytest.approx(1.2, abs=0.03)
@@ -255,21 +256,21 @@ def test_light_that_changes_is_no_noise() -> None:
     rng = np.random.default_rng(12)
     light = room(rng)
     clouds = [cv2.GaussianBlur(rng.normal(0.0, 30.0, light.shape), (0, 0), 3.0).clip(-8.0) for _ in range(6)]
-    with pytest.raises(Degenerate, match="alike over several pixels"):
+    with refuses(Degenerate, "alike"):
         calibrate_noise([rounded(exposed(light + cloud, rng, gain=0.01, read=0.3)) for cloud in clouds])
 
 
 def test_too_little_is_refused() -> None:
     frames = shots(room(np.random.default_rng(15)), 4, seed=15)
-    with pytest.raises(NotEnoughData, match="3 frames are too few"):
+    with refuses(NotEnoughData, "3 frames"):
         calibrate_noise(frames[:3])
     with pytest.raises(NotEnoughData, match="0 frames"):
         calibrate_noise([])
-    with pytest.raises(NotEnoughData, match="too small"):
+    with refuses(NotEnoughData, "small"):
         calibrate_noise([frame[:60, :60] for frame in frames])
     with pytest.raises(Inconsistent, match="frame 2"):
         calibrate_noise([frames[0], frames[1][:-8], *frames])
-    with pytest.raises(BadImage, match="not 8-bit grey"):
+    with refuses(BadImage, "8-bit"):
         calibrate_noise([frame[..., None].repeat(3, axis=2) for frame in frames])
 
 

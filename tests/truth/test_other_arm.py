@@ -7,6 +7,7 @@ noise. False alarms and misses over many arms are counted by `benchmarks/other_a
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from armsight.calibrate.arm import ArmPoints, Tolerance, calibrate_arm
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, in_convention, preset
 from armsight.store.arm_points import read_arm_points
+from refusals import names_it, refuses
 
 Array = NDArray[np.float64]
 
@@ -69,12 +71,12 @@ def test_another_arms_figures_are_no_gain_and_the_wrong_one_is_named(
     assert other.found[0].name == name
     assert abs(other.found[0].wanted - wanted_m) < 1.5e-3 and other.found[0].std < 1e-3
     assert other.known is None or other.known[0] == built
-    assert f"not the nominal geometry of this arm: {name}" in result.verdict
+    assert names_it(result.verdict, "nominal", name)
     assert result.free == () and [j.a_m for j in result.arm.joints] == [j.a_m for j in nominal.joints]
 
 
 def test_figures_of_quite_another_arm_are_refused_with_its_name() -> None:
-    with pytest.raises(Inconsistent, match="the figures of panda fit these measurements"):
+    with refuses(Inconsistent, "panda"):
         calibrate_arm(preset("iiwa14"), measured(preset("panda"), 2))
 
 
@@ -89,7 +91,7 @@ def test_a_joint_with_other_gears_is_told() -> None:
     result = calibrate_arm(preset("kr6"), measured(preset("kr6"), 3, n=30, scale=1.012))
     assert result.other_arm is not None and [item.name for item in result.other_arm.found] == ["j2.scale"]
     assert abs(result.other_arm.found[0].wanted - 1.012) < 5e-4
-    assert "j2 would have to move 1." in result.verdict and "% more than its reading" in result.verdict
+    assert re.search(r"\bj2 .* 1\.\S* ?% more", result.verdict)
 
 
 def test_a_length_that_is_believed_so_is_corrected() -> None:

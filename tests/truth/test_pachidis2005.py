@@ -7,6 +7,7 @@ import pytest
 
 from armsight.errors import Degenerate, NotEnoughData
 from armsight_sim.papers.pachidis2005 import Psvs, light_pairs, lit_areas, plate_shift
+from refusals import refuses
 
 ABC_M = np.array([[-0.008, 0.0, 0.6], [0.006, 0.0064, 0.6], [0.006, -0.0064, 0.6]])
 
@@ -53,6 +54,6 @@ def test_six_areas_are_found_and_paired_and_small_ones_are_not() -> None:
     found_left, found_right = light_pairs(centres)
     assert found_left == pytest.approx(np.rint(left), abs=1e-9)
     assert found_right == pytest.approx(np.rint(right), abs=1e-9)
-    with pytest.raises(NotEnoughData, match="5 lit areas"):
+    with refuses(NotEnoughData, "5 lit"):
         light_pairs(centres[:5])
     assert lit_areas(np.zeros((576, 768), np.uint8), 40.0, rows < 400).shape == (0, 2)

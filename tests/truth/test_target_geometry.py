@@ -18,6 +18,7 @@ from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, Spots
 from armsight.units import DEG, MM
+from refusals import refuses
 
 CAMERA = Camera.pinhole(1280, 720, 1131.0, 1127.0, 643.5, 352.25, distortion=(-0.28, 0.09, 8e-4, -5e-4, -0.012))
 RIG = converged_rig(CAMERA, CAMERA, 0.12, 0.08, -0.08)
@@ -252,14 +253,14 @@ def test_a_spot_on_two_epipolar_lines_is_used_once() -> None:
 
 
 def test_equilateral_target_is_three_fold_ambiguous() -> None:
-    with pytest.raises(Ambiguous, match="3-fold ambiguous") as refusal:
+    with refuses(Ambiguous, "3-fold") as refusal:
         calibrate_target(RIG, recording(EQUILATERAL, np.random.default_rng(14)))
     assert "isosceles" in refusal.value.cure
 
 
 def test_rectangle_of_lights_is_ambiguous() -> None:
     X = np.array([[-0.03, -0.04, 0.0], [0.03, -0.04, 0.0], [0.03, 0.04, 0.0], [-0.03, 0.04, 0.0]])
-    with pytest.raises(Ambiguous, match="another naming fits"):
+    with refuses(Ambiguous, "naming"):
         calibrate_target(RIG, recording(X, np.random.default_rng(21)), lights=4)
 
 
@@ -274,15 +275,15 @@ def test_nearly_equilateral_target_is_named_where_the_frames_allow() -> None:
 
 
 def test_lights_on_a_line_tell_only_their_distances() -> None:
-    with pytest.raises(Degenerate, match=r"only their distances are known: AB 60\.0") as refusal:
+    with refuses(Degenerate, "distances", "AB") as refusal:
         calibrate_target(RIG, recording(LINE, np.random.default_rng(15)))
-    assert "off the line" in refusal.value.cure
+    assert "line" in refusal.value.cure
 
 
 def test_target_that_bends_is_not_rigid() -> None:
     rng = np.random.default_rng(16)
     frames = [see(T.apply(SCALENE + rng.normal(0, 2 * MM, (3, 3))), str(i), rng) for i, T in enumerate(poses(rng, 12))]
-    with pytest.raises(Inconsistent, match="share one set of distances"):
+    with refuses(Inconsistent, "share", "distances"):
         calibrate_target(RIG, frames)
 
 
@@ -291,7 +292,7 @@ def test_target_that_bends_a_little_is_not_rigid() -> None:
     frames = [
         see(T.apply(SCALENE + rng.normal(0, 0.3 * MM, (3, 3))), str(i), rng) for i, T in enumerate(poses(rng, 12))
     ]
-    with pytest.raises(Inconsistent, match="not rigid"):
+    with refuses(Inconsistent, "rigid"):
         calibrate_target(RIG, frames)
 
 
@@ -299,7 +300,7 @@ def test_target_shown_from_both_sides_leaves_the_sense_of_w_open() -> None:
     rng = np.random.default_rng(18)
     sides = [SCALENE, SCALENE * [1.0, -1.0, 1.0]]
     frames = [see(T.apply(sides[i % 2]), str(i), rng) for i, T in enumerate(poses(rng, 12))]
-    with pytest.raises(Ambiguous, match="one way round in 6 frames"):
+    with refuses(Ambiguous, "6 frames", "round"):
         calibrate_target(RIG, frames)
 
 
@@ -312,13 +313,13 @@ def test_exchanged_views_are_refused() -> None:
 
 def test_too_little_is_refused() -> None:
     frames = recording(SCALENE, np.random.default_rng(19), 2)
-    with pytest.raises(NotEnoughData, match="2 of 2 frames"):
+    with refuses(NotEnoughData, "2 of 2"):
         calibrate_target(RIG, frames)
-    with pytest.raises(NotEnoughData, match=r"0 of 2 frames show 4 lights.*3 of 4 lights"):
+    with refuses(NotEnoughData, "0 of 2", "3 of 4"):
         calibrate_target(RIG, frames, lights=4)
     with pytest.raises(UsageError, match="7 lights"):
         calibrate_target(RIG, frames, lights=7)
-    with pytest.raises(Inconsistent, match="no pairs"):
+    with refuses(Inconsistent, "no pairs"):
         LitFrame(name="odd", left=frames[0].left, right=frames[0].right.take([0]))
 
 
@@ -327,7 +328,7 @@ def test_a_target_that_stands_still_is_not_told_from_the_lamps_of_a_room() -> No
     lamps = np.array([[-0.5, -0.3, 1.6], [0.4, -0.35, 1.9], [0.1, 0.3, 1.4]])
     still = RigidTransform.from_components([0.02, 0.01, 0.6], Rotation.from_rotvec([0.1, 0.2, 0.0]))
     frames = [see(np.vstack([still.apply(SCALENE), lamps]), str(i), rng) for i in range(6)]
-    with pytest.raises(NotEnoughData, match="stands still"):
+    with refuses(NotEnoughData, "still"):
         calibrate_target(RIG, frames, lights=6)
 
 

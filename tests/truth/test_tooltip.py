@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.tooltip import MeasuredPoint, TipRecording, calibrate_tooltip, mean_tip
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from refusals import refuses
 
 DEG, MM = np.pi / 180, 1e-3
 TIP, POINT = np.array([0.01, -0.02, 0.08]), np.array([0.2, 1.2, 0.08])
@@ -61,15 +62,15 @@ def test_refusals() -> None:
     rng = np.random.default_rng(3)
     with pytest.raises(NotEnoughData, match="3 poses"):
         calibrate_tooltip(list(pivot(rng, 3)))
-    with pytest.raises(Degenerate, match="by only"):
+    with refuses(Degenerate, "by only"):
         calibrate_tooltip(pivot(rng, 30, tilt_deg=2.0))
     turns = Rotation.from_rotvec(np.outer(np.linspace(-0.5, 0.5, 20), [0, 0, 1.0]))
-    with pytest.raises(Degenerate, match="one axis only"):
+    with refuses(Degenerate, "one axis"):
         calibrate_tooltip(RigidTransform.from_components(POINT - turns.apply(TIP), turns))
     wandering = pivot(rng, 30)
     M = wandering.as_matrix().copy()
     M[::2, :3, 3] += rng.normal(0, 20 * MM, (15, 3))
-    with pytest.raises(Inconsistent, match="share one resting point"):
+    with refuses(Inconsistent, "resting"):
         calibrate_tooltip(RigidTransform.from_matrix(M))
 
 

@@ -9,6 +9,7 @@ from scipy.stats import chi2 as chi2_law
 
 from armsight.errors import Degenerate, Inconsistent
 from armsight.optics import Camera, Rig, Verdict, converged_rig, parallel_rig, triangulate, triangulate_closed
+from refusals import refuses
 
 CAMERA = Camera.pinhole(1280, 720, 1131.0, 1127.0, 643.5, 352.25, distortion=(-0.28, 0.09, 8e-4, -5e-4, -0.012))
 METHODS = [triangulate, triangulate_closed]
@@ -64,7 +65,7 @@ def test_behind_the_cameras(method) -> None:
     swapped = method(pair, right, left, COV, COV)
     assert (swapped.verdict == Verdict.BEHIND).all()
     assert np.isnan(swapped.xyz_m).all()
-    with pytest.raises(Degenerate, match="behind a camera"):
+    with refuses(Degenerate, "behind"):
         swapped.require_all()
 
 

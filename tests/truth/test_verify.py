@@ -20,6 +20,7 @@ from armsight.verify.alignment import align
 from armsight.verify.evidence import Linear, fit_linear, jackknife_std
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import sampling_times
+from refusals import refuses
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "ur10_tmac"
 QUARTER = np.pi / 2
@@ -232,7 +233,7 @@ def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:
         (Measured(xyz_m=good.xyz_m, rotation=turned), "inverted"),
         (Measured(xyz_m=good.xyz_m[::-1]), "misses half"),
     ):
-        with pytest.raises(Inconsistent, match=said):
+        with refuses(Inconsistent, said):
             verify(arm(), Reported(q=q), measured, Align.BOTH)
 
 
@@ -264,7 +265,7 @@ def test_time_offsets_are_found_from_anywhere(seed: int, offset: float, bursts: 
     assert times.bursts is bursts
     assert abs(clock.offset_s - offset) < min(2e-3, 5.0 * clock.std_s)
     assert len(result.task) + len(result.rejected) == kept.sum()
-    assert any("larger than the run" in text for text in result.doubts) == (abs(offset) > 20.0)
+    assert any("larger" in text for text in result.doubts) == (abs(offset) > 20.0)
 
 
 def test_rows_in_a_gap_of_the_joints_are_named() -> None:
@@ -273,18 +274,18 @@ def test_rows_in_a_gap_of_the_joints_are_named() -> None:
     there = (reported.t_s < 8.0) | (reported.t_s > 10.0)
     result = verify(arm(), Reported(q=reported.q[there], t_s=reported.t_s[there]), seen(TABLE, q, rng, t_m), Align.BOTH)
     assert len(result.rejected) == pytest.approx(200, abs=5)
-    assert all("in a gap of" in why for _, why in result.rejected)
+    assert all("gap" in why for _, why in result.rejected)
 
 
 def test_a_repeating_motion_another_motion_and_mirrored_streams_are_refused() -> None:
     reported, t_m, q, rng = stream(5, period=4.0)
     short = t_m < 9.0
-    with pytest.raises(Ambiguous, match="repeats itself"):
+    with refuses(Ambiguous, "repeats"):
         verify(arm(), reported, seen(TABLE, q[short], rng, t_m[short]), Align.BOTH)
     other, _, _, _ = stream(6)
     _, t_m, q, rng = stream(7)
     measured = seen(TABLE, q, rng, t_m + 500.0)
-    with pytest.raises(Inconsistent, match="do not overlap in time"):
+    with refuses(Inconsistent, "overlap"):
         verify(arm(), other, measured, Align.BOTH)
     own, t_m, q, rng = stream(8)
     mirrored = Measured(xyz_m=seen(TABLE, q, rng).xyz_m * [1.0, 1.0, -1.0], t_s=t_m)
@@ -293,9 +294,9 @@ def test_a_repeating_motion_another_motion_and_mirrored_streams_are_refused() ->
 
 
 def test_stamps_that_are_none_are_refused_and_uneven_bursts_followed() -> None:
-    with pytest.raises(Inconsistent, match="all 50 stamps"):
+    with refuses(Inconsistent, "all 50"):
         sampling_times(np.full(50, 3.0), "the rows")
-    with pytest.raises(Inconsistent, match="falls at row 4"):
+    with refuses(Inconsistent, "row 4", "falls"):
         sampling_times(np.array([0.0, 0.1, 0.2, 0.15, 0.3]), "the rows")
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(4000)
