@@ -23,6 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
 from armsight.optics import parallel_rig
+from refusals import refuses
 
 Same = dict[str, Any]
 
@@ -934,11 +935,11 @@ def test_a_cut_keeps_its_source_and_tells_that_nothing_was_recorded_then(tmp_pat
     run = tmp_path / "run.mcap"
     armsight.record(run, [LEFT] * 3, [RIGHT] * 3, rig=RIG, target=TARGET, fps=10.0)
     before = run.read_bytes()
-    with pytest.raises(armsight.UsageError, match="both source and result"):
+    with refuses(armsight.UsageError, "source", "result"):
         armsight.cut_recording(run, run, 0.0, 0.1, overwrite=True)
-    with pytest.raises(armsight.UsageError, match="before start_s"):
+    with refuses(armsight.UsageError, "start_s", "before"):
         armsight.cut_recording(run, tmp_path / "part.mcap", 0.2, 0.1)
-    with pytest.raises(armsight.NotEnoughData, match="between these times"):
+    with refuses(armsight.NotEnoughData, "between", "times"):
         armsight.cut_recording(run, tmp_path / "part.mcap", 5.0, 6.0)
     assert run.read_bytes() == before and list(tmp_path.iterdir()) == [run]
     assert armsight.cut_recording(run, tmp_path / "part.mcap", 0.05, 0.25).duration_s == pytest.approx(0.1)
@@ -963,7 +964,8 @@ def reach_compiled_code() -> None:
 
 def test_no_array_of_another_shape_reaches_compiled_code(tmp_path: Path) -> None:
     code = "import armsight.optics.kernels.camera, test_bad_input; test_bad_input.reach_compiled_code()"
-    paths = os.pathsep.join([str(Path(__file__).parent), str(Path(armsight.__file__).parents[1])])
+    here = Path(__file__).parent
+    paths = os.pathsep.join(map(str, (here, here.parents[1], Path(armsight.__file__).parents[1])))
     environment = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": paths}
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]

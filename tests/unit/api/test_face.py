@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
+from refusals import refuses
 
 CAMERA = armsight.Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0)
 LIGHTS = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
@@ -60,7 +61,7 @@ def test_every_public_name_resolves_and_type_checkers_see_the_same() -> None:
         for alias in node.names
     }
     assert typed == {name: module for module, names in armsight._MODULES.items() for name in names}
-    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+    with refuses(AttributeError, "nonsense", "attribute"):
         _ = armsight.nonsense
 
 
@@ -93,7 +94,7 @@ def test_a_tracker_keeps_its_poses_and_refuses_time_that_stands(tmp_path: Path) 
     for i in range(4):
         assert tracker.update(*images((0.05 + 0.001 * i, 0.0, 0.5)), 0.02 * i).ok
     assert tracker.consistency.verdict == "ok"
-    with pytest.raises(armsight.DataRefused, match="does not come after"):
+    with refuses(armsight.Inconsistent, "0.06 s"):
         tracker.update(*images(), 0.06)
     track = armsight.read_poses(tracker.track.save(tmp_path / "poses.csv"))
     np.testing.assert_allclose(track.T_parent_target, tracker.track.T_parent_target, atol=1e-12)
@@ -110,7 +111,7 @@ def test_poses_may_come_in_any_form() -> None:
     for form in forms:
         found = armsight.calibrate_hand_eye(form, B)
         np.testing.assert_allclose(found.T_flange_camera, X.as_matrix(), atol=1e-9)
-    with pytest.raises(armsight.DataRefused, match="belongs to eye-to-hand"):
+    with refuses(armsight.Inconsistent, "T_base_camera", "eye-in-hand"):
         _ = found.T_base_camera
 
 
@@ -133,7 +134,7 @@ def test_an_arm_solves_its_own_kinematics() -> None:
     assert len(solutions) == len(list(solutions)) == 8 and arm.jacobian(q).shape == (6, 6)
     far = np.eye(4)
     far[0, 3] = 2.0
-    with pytest.raises(IndexError, match="the arm reaches"):
+    with refuses(IndexError, "reaches"):
         _ = arm.ik(far)[0]
 
 
@@ -144,9 +145,9 @@ def test_an_arm_is_taken_as_a_record_by_its_name_and_as_a_file(tmp_path: Path) -
     for one in (arm, "ur10", arm.save(tmp_path / "arm.yaml")):
         assert armsight.calibrate_robot_world(one, q, seen).T_base_rig[2, 3] == pytest.approx(1.0)
         assert not armsight.calibrate_arm(one, q, seen).gain
-    with pytest.raises(armsight.UsageError, match="known by name"):
+    with refuses(armsight.UsageError, "ur99", "by name"):
         armsight.calibrate_arm("ur99", q, seen)
-    with pytest.raises(armsight.UsageError, match="of type ndarray"):
+    with refuses(armsight.UsageError, "ndarray"):
         armsight.calibrate_robot_world(q, q, seen)  # type: ignore[arg-type]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import armsight
+from refusals import refuses
 
 CELL = armsight.simulate("hand-cell", frames=3, room="dark")
 FRAMES = list(CELL)
@@ -83,18 +84,18 @@ def test_a_frame_is_an_image_too() -> None:
 
 def test_a_robot_moves_and_one_that_goes_nowhere_is_told() -> None:
     assert armsight.jog(Robot(), 2, 0.02, confirm=True).reached[1] == pytest.approx(-0.98)
-    with pytest.raises(armsight.DeviceFailed, match="goes nowhere"):
+    with refuses(armsight.DeviceFailed, "nowhere"):
         armsight.jog(Robot(held=True), 2, 0.02, confirm=True)
 
 
 @pytest.mark.parametrize(
     ("robot", "what"),
     [
-        (Robot, "is a class"),
-        (type("Half", (), {"step_joints": None})(), "has no __enter__"),
-        (type("Text", (Robot,), {"state": "ready"})(), "no RobotState"),
+        (Robot, "class"),
+        (type("Half", (), {"step_joints": None})(), "__enter__"),
+        (type("Text", (Robot,), {"state": "ready"})(), "RobotState"),
     ],
 )
 def test_a_robot_that_is_not_complete_is_refused(robot: Any, what: str) -> None:
-    with pytest.raises(armsight.UsageError, match=what):
+    with refuses(armsight.UsageError, what):
         armsight.jog(robot, 1, 0.01, confirm=True)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import armsight
+from refusals import refuses
 
 ROOT = Path(__file__).resolve().parents[3]
 CELL = armsight.simulate("hand-cell", frames=3)
@@ -31,7 +32,7 @@ def test_a_flag_without_a_name_is_noticed(monkeypatch: pytest.MonkeyPatch) -> No
     import python_flags
 
     monkeypatch.setattr(python_flags, "flags", lambda: iter([("measure", "--planted")]))
-    with pytest.raises(SystemExit, match="measure --planted"):
+    with refuses(SystemExit, "measure", "--planted"):
         python_flags.table()
 
 
@@ -119,7 +120,7 @@ def test_a_lost_pose_raises_the_reason_and_still_shows_itself() -> None:
     lost = armsight.estimate_pose(np.zeros_like(LEFT[0]), np.zeros_like(RIGHT[0]), CELL.rig, CELL.target)
     assert not lost.ok and lost.why and "lost" in repr(lost) and lost.to_dict()["T_rig_target"] is None
     for name in ("T_rig_target", "xyz_m", "covariance", "std"):
-        with pytest.raises(armsight.NotEnoughData, match="the pose is lost"):
+        with refuses(armsight.NotEnoughData, "lost"):
             getattr(lost, name)
 
 
@@ -127,9 +128,9 @@ def test_endings_decide_and_no_folder_is_made(tmp_path: Path) -> None:
     arm = armsight.presets.ur10()
     assert "<robot" in arm.save(tmp_path / "a.urdf").read_text()
     assert armsight.read_arm(tmp_path / "a.urdf").n == 6
-    with pytest.raises(armsight.UsageError, match=r"\.yaml or \.yml or \.urdf"):
+    with refuses(armsight.UsageError, ".yaml", ".yml", ".urdf"):
         arm.save(tmp_path / "a.txt")
-    with pytest.raises(armsight.UsageError, match="no folder"):
+    with refuses(armsight.UsageError, "no folder"):
         arm.save(tmp_path / "nowhere" / "a.yaml")
     assert not (tmp_path / "nowhere").exists()
 

@@ -15,6 +15,7 @@ from armsight.store.arm_file import arm_from_mapping
 from armsight.testing.clocks import GatedClock
 from armsight_sim.arms import Drive, SimArm, SimJoint
 from armsight_sim.robot import SimRobot
+from refusals import refuses
 
 
 class NoLog:
@@ -85,7 +86,7 @@ def test_a_driver_moves_the_robot_and_waits(served, flows):
 def test_motion_needs_an_enable_and_values_that_can_be(served):
     url, _ = served
     with armsight.connect(url) as robot, robot.drive() as driver:
-        with pytest.raises(DeviceFailed, match="not enabled"):
+        with refuses(DeviceFailed, "not enabled"):
             driver.move_joints([0.1, 0.2])
         driver.enable()
         with pytest.raises(Inconsistent, match="range"):
@@ -94,10 +95,10 @@ def test_motion_needs_an_enable_and_values_that_can_be(served):
             driver.move_joints([0.1])
         with pytest.raises(UsageError):
             driver.jog([float("nan"), 0.0])
-        with pytest.raises(UsageError, match="no poses"):
+        with refuses(UsageError, "no poses"):
             driver.twist([0.1, 0.0, 0.0])
         driver.disable()
-        with pytest.raises(DeviceFailed, match="not enabled"):
+        with refuses(DeviceFailed, "not enabled"):
             driver.jog([0.1, 0.0])
 
 
@@ -131,7 +132,7 @@ def test_a_motion_that_is_held_is_told(served, flows):
         driver.enable()
         driver.move_joints([0.5, 0.2], wait=False)
         driver._heart._enable = False  # the operator lets go
-        with pytest.raises(DeviceFailed, match=r"not enabled|does not go there"):
+        with pytest.raises(DeviceFailed, match=r"not enabled|go there"):
             driver.move_joints([0.5, 0.2])
 
 

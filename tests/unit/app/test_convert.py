@@ -13,6 +13,7 @@ from armsight.errors import BadFile, UsageError
 from armsight.optics import Camera, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.store import read_camera, read_poses, read_rig, write_camera, write_rig
+from refusals import refuses
 
 CAMERA = Camera.pinhole(640, 480, 612.5, 611.0, 318.2, 241.7, distortion=(-0.21, 0.07, 1e-4, -2e-4, 0.0))
 
@@ -56,7 +57,7 @@ def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
     write_rig(own, mirrors)
     assert read_rig(own).left.plate == mirrors.left.plate
     done = convert_rig([own], [foreign], to="kalibr")
-    assert "nearest pair of pinholes" in done.note
+    assert "pinholes" in done.note
     convert_rig([foreign], [back])
     X = np.array([[0.02, 0.01, 0.5], [-0.05, 0.03, 0.7]])
     T = read_rig(back).T_rig_left * mirrors.T_rig_left.inv()  # Kalibr's axes are those of its first camera
@@ -67,14 +68,14 @@ def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
 def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
     own = tmp_path / "own.yaml"
     write_camera(own, CAMERA)
-    with pytest.raises(UsageError, match="--to says nothing"):
+    with refuses(UsageError, "--to"):
         convert_camera(own, tmp_path / "out.yaml")
-    with pytest.raises(UsageError, match="'matlab' is not a kind"):
+    with refuses(UsageError, "matlab", "kind"):
         convert_camera(own, tmp_path / "out.yaml", to="matlab")
-    with pytest.raises(BadFile, match="armsight/camera, not armsight/rig"):
+    with refuses(BadFile, "armsight/camera", "armsight/rig"):
         convert_rig([own], [tmp_path / "out.yaml"])
     write_rig(own, rig())
-    with pytest.raises(UsageError, match="1 output files are given, ros takes 2"):
+    with refuses(UsageError, "1 output", "ros", "2"):
         convert_rig([own], [tmp_path / "out.yaml"], to="ros")
     assert not (tmp_path / "out.yaml").exists()
 
@@ -87,5 +88,5 @@ def test_poses_go_to_tum_and_back(tmp_path: Path) -> None:
     for one, two in zip(read_poses(source), read_poses(back), strict=True):
         assert one.t_s == two.t_s
         np.testing.assert_array_equal(one.pose.as_matrix(), two.pose.as_matrix())
-    with pytest.raises(UsageError, match="no conversion of poses"):
+    with refuses(UsageError, "conversion", "poses"):
         convert_poses(source, tmp_path / "poses.json")

@@ -8,6 +8,7 @@ import pytest
 from armsight.app.robot.opening import LinkArm, driver_settings
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
+from refusals import refuses
 
 Q = np.array([0.3, -1.1, 1.6, -0.9, 1.2, 0.4])
 
@@ -23,7 +24,7 @@ def test_a_pose_out_of_reach_is_refused() -> None:
     link = LinkArm(arm=presets.ur10())
     far = link.fk(Q).as_matrix().copy()
     far[:3, 3] *= 10.0
-    with pytest.raises(DataRefused, match="out of reach"):
+    with refuses(DataRefused, "reach"):
         link.ik(type(link.fk(Q)).from_matrix(far), near=Q)
 
 

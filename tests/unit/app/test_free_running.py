@@ -30,6 +30,7 @@ from armsight.store.covariances import (
     VELOCITY_STD,
 )
 from armsight.store.tracks import LIGHTS as MEAN
+from refusals import names_it, refuses
 
 Array = NDArray[np.float64]
 WIDTH, HEIGHT, F, BASE = 640, 480, 700.0, 0.1
@@ -126,7 +127,7 @@ def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_
     assert np.abs(found - true)[10:-10].max() < 0.03
     assert summary.timing.nearest_pairs_m == pytest.approx(DELAY * summary.timing.speed_m_s, rel=0.1)
     report = (tmp_path / "out" / "report.html").read_text()
-    assert "each view at its own time" in report and "between the frames nearest in time" in report
+    assert "own time" in report and "frames nearest" in report
 
 
 def test_poses_come_at_a_rate_or_at_given_times_and_not_where_nothing_was_seen(tmp_path: Path) -> None:
@@ -140,7 +141,7 @@ def test_poses_come_at_a_rate_or_at_given_times_and_not_where_nothing_was_seen(t
     assert (summary.n_ok, summary.n_lost) == (2, 1)
     assert summary.reasons == {"gap": 1}
     (tmp_path / "joints.csv").write_text("t_s,q1\n101.0,0.1\n102.5,0.2\n")
-    with pytest.raises(NotEnoughData, match="none of the times"):
+    with refuses(NotEnoughData, "none", "times"):
         measure(job(tmp_path, at=tmp_path / "joints.csv"))
 
 
@@ -200,17 +201,17 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
     ("more", "error", "says"),
     [
         ({"timing": "sometimes"}, UsageError, "auto, pairs, free"),
-        ({"timing": "pairs"}, UsageError, "cameras that run free"),
-        ({"rate_hz": 10.0, "at": Path("joints.csv")}, UsageError, "Give one of them"),
+        ({"timing": "pairs"}, UsageError, "run free"),
+        ({"rate_hz": 10.0, "at": Path("joints.csv")}, UsageError, ("--at", "--rate", "Give one")),
         ({"left": "somewhere"}, UsageError, "which frames"),
         ({"timing": "free", "stills": True}, UsageError, "--stills"),
         (
             {"left": "camera:0", "right": "camera:1", "left_spots": None, "right_spots": None},
             UsageError,
-            "Record first",
+            "Record",
         ),
-        ({"target": Path("checkerboard:9x6:0.025")}, UsageError, "three or more lights"),
-        ({"camera_settings": CameraSettings(gain=2.0)}, UsageError, "--gain is for live cameras, and a table of spots"),
+        ({"target": Path("checkerboard:9x6:0.025")}, UsageError, "three"),
+        ({"camera_settings": CameraSettings(gain=2.0)}, UsageError, ("--gain", "live", "table of spots")),
         (
             {
                 "left": "shots",
@@ -221,7 +222,7 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
                 "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
             },
             UsageError,
-            "--set-zoom is for live cameras, and shots",
+            ("--set-zoom", "live", "shots"),
         ),
         (
             {
@@ -232,7 +233,7 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
                 "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
             },
             UsageError,
-            "camera:0 is one camera, and two different zooms",
+            ("camera:0", "zooms"),
         ),
     ],
 )
@@ -241,7 +242,7 @@ def test_what_cannot_be_together_is_refused(
 ) -> None:
     timed_rig(tmp_path)
     spots(tmp_path, seconds=1.5)
-    with pytest.raises(error, match=says):
+    with refuses(error, says):
         measure(job(tmp_path, **more))
     assert not (tmp_path / "out").exists()
 
@@ -249,7 +250,7 @@ def test_what_cannot_be_together_is_refused(
 def test_a_rig_without_timing_is_told_what_to_run(tmp_path: Path) -> None:
     timed_rig(tmp_path, timed=False)
     spots(tmp_path, seconds=1.5)
-    with pytest.raises(UsageError, match="armsight calibrate timing"):
+    with refuses(UsageError, "armsight calibrate timing", "--timing pairs"):
         measure(job(tmp_path, timing="free"))
 
 
@@ -268,7 +269,7 @@ def test_a_target_that_is_not_there_gives_no_pose(tmp_path: Path) -> None:
     write_target(
         tmp_path / "target.yaml", spot_target({"A": (0.0, 0.0, 0.0), "B": (0.2, 0.0, 0.0), "C": (0.0, 0.3, 0.0)})
     )
-    with pytest.raises(NotEnoughData, match="followed in none"):
+    with refuses(NotEnoughData, "none", "followed"):
         measure(job(tmp_path))
 
 
@@ -276,14 +277,14 @@ def test_a_target_that_is_not_there_gives_no_pose(tmp_path: Path) -> None:
 def test_cameras_out_of_step_are_refused(tmp_path: Path, off_s: float) -> None:
     """The right camera's delay off by 5 to 20 ms: 1 to 5 mm between the views."""
     with_delay(tmp_path, DELAY + off_s)
-    with pytest.raises(Inconsistent, match="Calibrate the timing anew"):
+    with refuses(Inconsistent, "timing", "anew"):
         measure(job(tmp_path))
 
 
 def test_a_delay_that_is_a_little_off_makes_the_poses_doubtful(tmp_path: Path) -> None:
     with_delay(tmp_path, DELAY + 0.001)
     summary = measure(job(tmp_path))
-    assert summary.timing is not None and "no longer what was calibrated" in (summary.timing.note or "")
+    assert summary.timing is not None and names_it(summary.timing.note, "the delay", "no longer")
     all_doubtful(tmp_path, summary)
 
 

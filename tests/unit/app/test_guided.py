@@ -30,6 +30,7 @@ from armsight.optics import Camera, Rig, RigKind
 from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
+from refusals import refuses
 
 SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)
 
@@ -77,7 +78,7 @@ def test_what_was_measured_comes_with_its_whole_covariance_and_what_is_doubtful_
     station: Any = SimpleNamespace(shown_since=lambda t_s: SimpleNamespace(pose=pose))
     assert seen_pose(station, 0.0) is pose
     station.shown_since = lambda t_s: SimpleNamespace(pose=replace(pose, status=PoseStatus.DOUBTFUL, why="it shakes"))
-    with pytest.raises(NotEnoughData, match="it shakes"):
+    with refuses(NotEnoughData, "shakes"):
         seen_pose(station, 0.0)
 
 
@@ -158,7 +159,7 @@ def test_a_dropped_board_is_gone_with_its_pictures(boards: Any, tmp_path: Path) 
 
 def test_a_picture_without_the_board_is_not_taken(boards: Any, tmp_path: Path) -> None:
     step = BoardCalibration(board="checkerboard:9x6:0.02", folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    with pytest.raises(BadImage, match="left camera"):
+    with refuses(BadImage, "left camera"):
         step.accept(Pictures(boards.folder))  # type: ignore[arg-type]
     assert step.samples == ()
     assert not list((tmp_path / "p").rglob("*.png"))
@@ -275,13 +276,13 @@ def test_a_hand_that_hardly_turned_is_not_to_be_trusted_and_the_axis_is_named(tm
     assert 33.0 < float(dict(step.spread())["turned about its own z"].split()[0]) < 38.0
     verdict = step.run(Silent())
     assert not verdict.good
-    assert "tilted by 20 degrees" in verdict.words
+    assert "20 degrees" in verdict.words
 
 
 def test_no_pose_is_taken_while_the_robot_moves(tmp_path: Path) -> None:
     cell = CarriedCamera(tmp_path, np.tile(HOME, (2, 1)), moves_while_seen=True)
     step = cell.step()
-    with pytest.raises(NotEnoughData, match="moved while"):
+    with refuses(NotEnoughData, "moved"):
         step.accept(cell.station)
     assert step.samples == ()
 
@@ -289,7 +290,7 @@ def test_no_pose_is_taken_while_the_robot_moves(tmp_path: Path) -> None:
 def test_no_pose_is_taken_with_joints_older_than_the_picture(tmp_path: Path) -> None:
     cell = CarriedCamera(tmp_path, np.tile(HOME, (2000, 1)), hangs=True)
     step = replace(cell.step(), clock=ManualClock(10.0))
-    with pytest.raises(DeviceFailed, match="too late"):
+    with refuses(DeviceFailed, "late"):
         step.accept(cell.station)
     assert step.samples == ()
 
@@ -299,7 +300,7 @@ def test_a_board_that_was_not_moved_is_not_taken_twice(boards: Any, tmp_path: Pa
     station: Any = Pictures(boards.folder)
     station.pairs[1] = station.pairs[0]
     step.accept(station)
-    with pytest.raises(BadImage, match="where it was in picture 000"):
+    with refuses(BadImage, "picture 000"):
         step.accept(station)
     step.accept(station)
     assert [sample.name for sample in step.samples] == ["000", "001"]

@@ -25,6 +25,7 @@ from armsight.optics import Camera
 from armsight.records import Silent
 from armsight.store import read_rig, write_camera
 from armsight.store.cell_file import CellFile, CellMirrors, read_cell
+from refusals import refuses
 
 
 @dataclass
@@ -112,7 +113,7 @@ def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: A
     with pytest.raises(BadImage, match="once"):
         step.accept(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
     assert step.samples == () and not list(tmp_path.rglob("*.png"))
-    with pytest.raises(UsageError, match="two cameras"):
+    with refuses(UsageError, "two cameras"):
         step.accept(OnePicture(mirror_boards.straight, right="camera:1"))  # type: ignore[arg-type]
 
 
@@ -129,7 +130,7 @@ def test_the_lit_target_needs_the_lens_and_the_baseline(mirror_boards: Any, tmp_
     assert replace(step, built=CellMirrors(shown="target")).hint().what is Next.NEEDS_BASELINE
     assert step.hint().what is Next.SHOW_LIGHTS
     sample = step.accept(OnePicture(tmp_path / "cell" / "image"))  # type: ignore[arg-type]
-    assert sample.detail.startswith("3 lights in each view")
+    assert sample.detail.startswith("3 lights")
     assert step.hint().what is Next.TURN_LIGHTS and step.figures() == ()
     with pytest.raises(Inconsistent, match="640x480"):
         step.accept(OnePicture(mirror_boards.straight))  # type: ignore[arg-type]
@@ -178,7 +179,7 @@ def test_a_board_that_is_not_seen_is_told(mirror_boards: Any, boards: Any, tmp_p
     assert stand.check is None and "once" in stand.why and not stand.done
     bare = MirrorAlignment(job=MirrorsJob(board=job.board), folder=tmp_path)
     assert alignment.possible and not bare.possible
-    with pytest.raises(UsageError, match="nothing to hold"):
+    with refuses(UsageError, "hold"):
         bare.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
 
 
@@ -190,7 +191,7 @@ def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:
     assert console.mirror_alignment().job.baseline_m == 0.12
     two = Console(folder=tmp_path, cell=CellFile(left="camera:0", right="camera:1"))
     assert {"mirrors", "stereo"} <= set(steps_of(two)) <= set(texts.STEPS)
-    with pytest.raises(UsageError, match="two cameras"):
+    with refuses(UsageError, "two cameras"):
         two.step("mirrors")
 
 

@@ -17,7 +17,16 @@ from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import RobotState
-from armsight.errors import BadFile, Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import (
+    BadFile,
+    Cancelled,
+    DeviceFailed,
+    DeviceLost,
+    Inconsistent,
+    NotEnoughData,
+    StaleData,
+    UsageError,
+)
 from armsight.records import Frame
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import read_arm
@@ -25,6 +34,7 @@ from armsight.store.sweeps import read_sweeps
 from armsight.store.worlds import World, write_world
 from armsight_sim.live import live_cell
 from armsight_sim.scenario_builder import build_world
+from refusals import refuses
 
 LIMITS = np.array([[-0.5, 5.2], [-0.4, 1.9], [0.3, 1.1]])
 TEXT = "-0.5:5.2,-0.4:1.9,0.3:1.1"
@@ -118,7 +128,7 @@ def test_the_arm_is_found_within_its_deviations(complete: Any) -> None:
         assert std < 2e-3, (j, key)
     assert read_arm(cell.folder / "arm.yaml").n == 3
     seen = read_sweeps(cell.folder / "arm.sweep.csv")
-    left_out = [note for note in content["notes"] if "left out: what is behind the beacon" in note]
+    left_out = [note for note in content["notes"] if "behind the beacon" in note]
     assert seen.std_px is not None and len(seen) == 30 - len(left_out) >= 24
     for name in ("arm.probe.csv", "arm.report.html"):
         assert (cell.folder / name).stat().st_size > 0
@@ -163,7 +173,7 @@ def test_a_lost_beacon_stops_the_robot_and_what_was_read_stays(tmp_path: Path) -
         stop()
 
     cell.robot.stop = noted_stop  # type: ignore[method-assign]
-    with pytest.raises(NotEnoughData, match=r"beacon is lost while joint \d moved") as caught:
+    with refuses(NotEnoughData, "beacon", "lost") as caught:
         cell.run(progress=progress, model=model, pace=Pace(speed=0.2, frames=1))
     assert "10 readings" in caught.value.consequence and "stopped" in caught.value.consequence
     assert len(read_sweeps(tmp_path / "arm.sweep.csv")) == 10
@@ -187,14 +197,14 @@ def nearly_right(folder: Path) -> Path:
     ("fault", "kind", "said"),
     [
         ({"fault": "link_lost"}, DeviceLost, "lost"),
-        ({"fault": "frozen"}, DeviceFailed, "old"),
-        ({"fault": "jump", "by": [0.0, 0.3, 0.0]}, DeviceFailed, "joint 2 was sent to .* and stands at"),
+        ({"fault": "frozen"}, StaleData, "old"),
+        ({"fault": "jump", "by": [0.0, 0.3, 0.0]}, DeviceFailed, ("joint 2", "sent", "stands")),
     ],
 )
 def test_a_robot_that_fails_is_stopped(fault: dict[str, Any], kind: type[Exception], said: str, tmp_path: Path) -> None:
     cell = Cell(tmp_path)
     progress = when(lambda n: n == 3, lambda: cell.robot.fault(**fault))
-    with pytest.raises(kind, match=said):
+    with refuses(kind, said):
         cell.run(progress=progress, model=nearly_right(tmp_path))
     sent = len(cell.asked)
     cell.clock.advance(5.0)
@@ -239,18 +249,18 @@ def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path
 
 def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
-    with pytest.raises(DeviceFailed, match=r"joint 3 does not go from .*range of j3"):
+    with refuses(DeviceFailed, "joint 3", "range", "j3"):
         cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"), model=nearly_right(tmp_path))
     assert np.max(np.array(cell.asked)[:, 2]) <= 1.2
 
 
 def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
-    with pytest.raises(Cancelled, match="not confirmed"):
+    with refuses(Cancelled, "confirmed"):
         cell.run(OperatorCallbacks())
-    with pytest.raises(Inconsistent, match=r"joint 2 stands at 1\.66"):
+    with refuses(Inconsistent, "joint 2", "stands"):
         cell.run(limits=read_limits("-0.5:5.2,-0.4:1.2,0.3:1.1"))
-    with pytest.raises(UsageError, match="limits do not give 3 joints"):
+    with refuses(UsageError, "limits", "3 joints", "lower"):
         cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9"))
     plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True).plan
     assert len(plan.sweeps) == 3 and plan.expected_std[1].a_m < 2e-3
@@ -266,7 +276,7 @@ def test_ctrl_c_stops_it(tmp_path: Path) -> None:
         return calls.n > 100
 
     progress = SimpleNamespace(update=lambda *_: None, cancelled=cancelled)
-    with pytest.raises(Cancelled, match="stopped while"):
+    with refuses(Cancelled, "stopped"):
         cell.run(progress=progress)
     assert calls.n == 101
 
@@ -328,7 +338,7 @@ def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Pat
     words += [f"--limits={TEXT}", "--world", str(tmp_path / "world.yaml")]
     assert CliRunner().invoke(app, [*words, *out, "--increments", "order"]).exit_code == 2
     asked = CliRunner().invoke(app, [*words, *out], input="n\n")
-    assert asked.exit_code == 130 and "by 5% of its travel" in asked.output
+    assert asked.exit_code == 130 and "5%" in asked.output
     planned = CliRunner().invoke(app, [*words, "--model", str(tmp_path / "arm.yaml"), "--propose", *out])
     assert planned.exit_code == 0 and "Accuracy to expect" in planned.output
     assert not (tmp_path / "found.yaml").exists()

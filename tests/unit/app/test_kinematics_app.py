@@ -22,6 +22,7 @@ from armsight.kinematics import Coupling, fk, pose, preset
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.store import read_joints, read_poses, read_table, write_joints, write_poses
 from armsight.store.arm_file import write_arm
+from refusals import refuses
 
 Q = np.array([[0.1, -0.5, 0.7, 0.2, 0.6, 0.3], [0.15, -0.55, 0.75, 0.15, 0.55, 0.25], [0.2, -0.6, 0.8, 0.1, 0.5, 0.2]])
 
@@ -89,7 +90,7 @@ def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joi
     np.testing.assert_allclose(J[:3], ((moved[0] - moved[1]) / 2e-6).T, atol=1e-8)
     run("convert", "arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.urdf", code=3)
     run("kinematics", "formulas", "--arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.py", code=3)
-    with pytest.raises(Inconsistent, match="no joint before it"):
+    with refuses(Inconsistent, "no joint"):
         replace(arm, couplings=(Coupling(joint="j2", by="j3"),))
 
 
@@ -161,7 +162,7 @@ def test_arms_are_converted_both_ways(tmp_path: Path) -> None:
 
 
 def test_what_is_refused(tmp_path: Path, joints: Path) -> None:
-    with pytest.raises(UsageError, match="korayem6r, puma761"):
+    with refuses(UsageError, "korayem6r", "puma761"):
         load_arm("puma")
     fault = run("kinematics", "fk", "--arm", "stanford-rrp", "--joints", joints, "-o", tmp_path / "p.csv", code=2)
     assert "3 joints" in fault["error"]["cause"]

@@ -29,6 +29,7 @@ from armsight.records import NotSeen, PoseStatus, spot_target
 from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
 from armsight_sim.lens import Lens
 from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
+from refusals import names_it, refuses
 
 Array = NDArray[np.float64]
 Tilts = tuple[tuple[float, float], ...]
@@ -154,22 +155,20 @@ def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None
     code, content = run("--image", str(rig.parent / "image"), "--board", BOARD)
     assert code == 2
     code, content = run("--image", str(rig.parent / "left"), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 3 and "none of 9 images" in content["error"]["cause"]  # one view only: a path is dark
+    assert code == 3 and "9 images" in content["error"]["cause"]  # one view only: a path is dark
     assert "only once" in content["error"]["cause"] and "--left-only" in content["error"]["cure"]
     code, content = run("--image", str(rig.parent / "image"), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert (
-        code == 3 and "2 of 2 images show" in content["error"]["cause"] and "3 are needed" in content["error"]["cause"]
-    )
+    assert code == 3 and names_it(content["error"]["cause"], "2 of 2", "3")
     code, content = run("--left-only", "left", "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 2 and "--left-only is given without --right-only" in content["error"]["cause"]
+    assert code == 2 and "without --right-only" in content["error"]["cause"]
     code, content = run("--right-only", "right", "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 2 and "--right-only is given without --left-only" in content["error"]["cause"]
+    assert code == 2 and "without --left-only" in content["error"]["cause"]
     pictures(tmp_path, 8, 2, complex_only=False)
     code, content = run(
         "--left-only", str(tmp_path / "left"), "--right-only", str(rig.parent / "right"), "--board", BOARD,
         "-o", str(tmp_path / "x.yaml"),
     )  # fmt: skip
-    assert code == 3 and "do not pair up" in content["error"]["cause"]
+    assert code == 3 and "pair up" in content["error"]["cause"]
     assert not (tmp_path / "x.yaml").exists()
     code, content = run("--check", "--image", str(rig.parent / "image"), "--board", BOARD)
     assert code == 2 and "--rig" in content["error"]["cure"]
@@ -207,7 +206,7 @@ def test_complex_frames_of_a_room_are_measured(tmp_path: Path) -> None:
     claimed = np.array(summary.std.total.translation_m)
     assert (errors < 2.5 * claimed).all()  # the room behind the target, and what it does, is the same in all frames
     assert claimed[2] < 3e-4
-    with pytest.raises(NotEnoughData, match="no arrangement of them is the target's"):
+    with refuses(NotEnoughData, "arrangement"):
         measured_complex(tmp_path, "seed")
 
 
@@ -215,7 +214,7 @@ def test_a_board_is_measured_in_a_complex_image(rig: Path, tmp_path: Path) -> No
     job = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "m", image=str(rig.parent / "image"))
     assert measure(job).n_ok == 2
     dark = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "d", image=str(rig.parent / "left"), limit=1)
-    with pytest.raises(NotEnoughData, match="none of the 1 pairs"):
+    with refuses(NotEnoughData, "1 pairs"):
         measure(dark)
 
 
@@ -304,7 +303,7 @@ def test_every_cause_has_its_cure_and_the_commonest_reason_is_one_whatever_its_n
 def test_lit_images_that_cannot_be_sorted_say_why(lit: Path, tmp_path: Path) -> None:
     out = ["-o", str(tmp_path / "x.yaml")]
     code, content = run(*lit_options(lit, "dark"), "--baseline-mm", "100", *out)
-    assert code == 3 and "path may be dark (in 1" in content["error"]["cause"]
+    assert code == 3 and "dark (in 1" in content["error"]["cause"]
     assert "both paths" in content["error"]["cure"]
     blank = tmp_path / "none"
     blank.mkdir()
@@ -319,7 +318,7 @@ def test_lit_images_that_cannot_be_sorted_say_why(lit: Path, tmp_path: Path) -> 
     code, content = run(*lit_options(lit), *out)
     assert code == 2 and "--baseline-mm is missing" in content["error"]["cause"]
     code, content = run("--target", str(lit / "target.yaml"), "--baseline-mm", "100", *out)
-    assert code == 2 and "--camera and --image are missing" in content["error"]["cause"]
+    assert code == 2 and names_it(content["error"]["cause"], "--camera", "--image")
     code, content = run(*lit_options(lit), "--baseline-mm", "100", "--board", BOARD, *out)
     assert code == 2 and "--target and --board" in content["error"]["cause"]
     assert not (tmp_path / "x.yaml").exists()
@@ -345,7 +344,7 @@ def test_the_size_tells_how_an_image_holds_two_views(lit: Path, tmp_path: Path) 
     with pairs:
         ((left, right),) = pairs
     assert not overlaid and left.width == right.width == WIDTH
-    with pytest.raises(Inconsistent, match=f"{WIDTH - 40}x{HEIGHT} px.*{WIDTH}x{HEIGHT} px.*{2 * WIDTH}x{HEIGHT} px"):
+    with refuses(Inconsistent, f"{WIDTH - 40}x{HEIGHT}", f"{WIDTH}x{HEIGHT}", f"{2 * WIDTH}x{HEIGHT}"):
         source("odd")
 
 

@@ -8,6 +8,7 @@ from armsight.app.robot.opening import open_robot
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import BadFile, DeviceNotFound, UsageError
+from refusals import refuses
 
 
 def test_a_simulated_robot_stands_at_its_scenarios_home() -> None:
@@ -19,7 +20,7 @@ def test_a_simulated_robot_stands_at_its_scenarios_home() -> None:
 
 @pytest.mark.parametrize("text", ["sim", "sim:", ":x", ""])
 def test_what_is_no_driver_and_device_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="DRIVER:DEVICE"):
+    with refuses(UsageError, "DRIVER:DEVICE"):
         open_robot(text, ManualClock())
 
 

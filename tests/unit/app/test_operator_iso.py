@@ -19,6 +19,7 @@ from armsight.records import JointReading, PoseStatus, Silent, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
+from refusals import refuses
 
 HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
 SCATTER_M, OFF_M = 60e-6, np.array([0.4e-3, 0.0, -0.3e-3])
@@ -134,14 +135,14 @@ def test_the_run_tells_accuracy_and_repeatability(cell, tmp_path):
 
 def test_a_run_that_ends_early_is_judged_by_what_there_is(cell, tmp_path):
     plan, visits, ended, robot = made(cell, tmp_path, blind=260)
-    assert "a hand is before it" in ended and robot.stopped == 1
+    assert "a hand" in ended and robot.stopped == 1
     done = iso_run.judged(plan, cell.asked, visits, ended, tmp_path / "iso")
     assert 3 <= done.cycles < 8 and done.ended == ended
 
 
 def test_too_few_visits_are_kept_and_not_judged(cell, tmp_path):
     plan, visits, ended, _ = made(cell, tmp_path, blind=60)
-    with pytest.raises(NotEnoughData, match="cycles were made"):
+    with refuses(NotEnoughData, "cycles"):
         iso_run.judged(plan, cell.asked, visits, ended, tmp_path / "iso")
     assert (tmp_path / "iso" / "visits.csv").exists() and not (tmp_path / "iso" / "verify.json").exists()
 
@@ -153,7 +154,7 @@ def test_a_robot_that_is_stopped_ends_the_run(cell):
     plan = iso_run.plan(cell.asked, cell.robot)
     visits, ended = iso_run.visited(plan, cell.asked, robot, Cameras(cell, robot), clock, Silent())
     assert not visits and "is stopped" in ended
-    with pytest.raises(NotEnoughData, match="is stopped"):
+    with refuses(NotEnoughData, "stopped"):
         iso_run.judged(plan, cell.asked, visits, ended, cell.folder / "never")
 
 
@@ -166,7 +167,7 @@ def test_a_robot_that_does_not_go_on_is_told(cell):
     robot = Stuck(clock, np.random.default_rng(3))
     plan = iso_run.plan(cell.asked, cell.robot)
     _, ended = iso_run.visited(plan, cell.asked, robot, Cameras(cell, robot), clock, Silent())
-    assert "does not go on towards" in ended and "the fence" in ended
+    assert "towards" in ended and "the fence" in ended
 
 
 @pytest.mark.parametrize(
@@ -191,5 +192,5 @@ def test_the_cell_has_to_be_known(cell):
 
 def test_a_station_that_ends_is_told():
     station = SimpleNamespace(shown=None, failure="the left camera is gone")
-    with pytest.raises(DeviceFailed, match="left camera is gone"):
+    with refuses(DeviceFailed, "left camera", "gone"):
         iso_run.StationPoses(station, ManualClock()).observe("at P2")

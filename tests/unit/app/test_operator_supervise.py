@@ -18,6 +18,7 @@ from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
 from armsight.verify.supervision import Level
+from refusals import refuses
 
 HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
 STD = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)
@@ -93,7 +94,7 @@ def test_an_arm_that_is_where_it_says_raises_nothing_and_one_that_is_not_is_stop
     assert run.state.level is Level.GOOD and run.state.error_mm == pytest.approx(0.0, abs=1e-6)
     cell.show(run, off_m=(0.0, 0.0035, 0.0), times=3)
     assert run.state.level is Level.WARN and not cell.stops
-    assert run.state.error_mm == pytest.approx(3.5, abs=1e-6) and "the level is 2 mm" in run.state.why
+    assert run.state.error_mm == pytest.approx(3.5, abs=1e-6) and "2 mm" in run.state.why
     cell.show(run, off_m=(0.0, 0.009, 0.0), times=2)
     assert run.state.level is Level.STOP and len(cell.stops) == 1 and cell.stops[0].who == "supervision"
     done = run.end()
@@ -107,7 +108,7 @@ def test_a_target_that_is_hidden_is_told_and_compared_with_nothing(cell):
     cell.show(run)
     cell.show(run, status="lost", times=2)
     state = run.state
-    assert state.error_mm is None and state.why == "a hand is before it" and not cell.stops
+    assert state.error_mm is None and "a hand" in state.why and not cell.stops
     assert run.end().n_compared == 1
 
 
@@ -122,11 +123,11 @@ def test_what_cannot_be_supervised_is_refused(cell):
     with pytest.raises(UsageError, match="above"):
         limits_of(5.0, 2.0)
     unplaced = read_cell(cell.folder).model_copy(update={"handeye": ""})
-    with pytest.raises(NotEnoughData, match="not known"):
+    with refuses(NotEnoughData, "not known"):
         StationSupervisor(cell.folder, unplaced, cell.robot, lambda: cell.station, limits_of(1.0, 2.0))
     carried = read_cell(cell.folder).model_copy(update={"cameras": "carried"})
-    with pytest.raises(UsageError, match="ride on the arm"):
+    with refuses(UsageError, "ride"):
         StationSupervisor(cell.folder, carried, cell.robot, lambda: cell.station, limits_of(1.0, 2.0))
     run = cell.supervised()
-    with pytest.raises(NotEnoughData, match="showed nothing"):
+    with refuses(NotEnoughData, "showed"):
         run.end()

@@ -25,6 +25,7 @@ from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughDat
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_times
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter
+from refusals import refuses
 
 
 def frame(number: int, side: int = 0, t_s: float | None = None) -> Frame:
@@ -98,7 +99,7 @@ def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path)
     with Recording(path) as recording:
         assert recording.count("/left/calibration") == 1
     rig = read_rig(tmp_path / "out" / "rig.yaml")
-    with pytest.raises(Inconsistent, match=r"the rig's left camera 1280x720 px.*nothing was recorded"):
+    with refuses(Inconsistent, "1280x720", "recorded"):
         record_pairs(RecordJob(out=tmp_path / "b.mcap"), Fake(fakes(2)), live=False, rig=rig)
     assert not (tmp_path / "b.mcap").exists()
 
@@ -160,7 +161,7 @@ def test_what_the_cameras_missed_is_counted(tmp_path: Path) -> None:
 
 def test_a_camera_that_goes_leaves_what_was_recorded(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(DeviceLost, match=r"What was recorded until then is in .*a\.mcap"):
+    with refuses(DeviceLost, "a.mcap"):
         record_pairs(RecordJob(out=path), Fake(fakes(7), DeviceLost("camera:0 is gone")), live=True)
     with Recording(path) as recording:
         assert recording.finished
@@ -170,7 +171,7 @@ def test_a_camera_that_goes_leaves_what_was_recorded(tmp_path: Path) -> None:
 def test_time_that_runs_backwards_ends_it_readably(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     pairs = [*fakes(5), (frame(5, t_s=0.01), frame(5, 1, t_s=0.01))]
-    with pytest.raises(Inconsistent, match="time runs backwards"):
+    with refuses(Inconsistent, "backwards"):
         record_pairs(RecordJob(out=path, kind=ImageFormat.RAW), Fake(pairs), live=False)
     with open_pairs(str(path), None) as back:
         assert len(list(back)) == 5
@@ -182,7 +183,7 @@ def test_a_file_size_limit_ends_it_with_exit_code_4(tmp_path: Path) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))
     try:
-        with pytest.raises(DeviceFailed, match="cannot be written any further") as caught:
+        with refuses(DeviceFailed, "written") as caught:
             record_pairs(RecordJob(out=path, kind=ImageFormat.RAW), Fake(fakes(300)), live=False)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
@@ -207,25 +208,25 @@ def test_a_broken_recording_is_mended_in_its_place(tmp_path: Path) -> None:
     assert (tmp_path / "a.broken.mcap").read_bytes() == whole[:-300]
     with Recording(path) as recording:
         assert recording.finished
-    with pytest.raises(UsageError, match="there already"):
+    with refuses(UsageError, "already"):
         mend(path)
-    with pytest.raises(UsageError, match="both source and result"):
+    with refuses(UsageError, "source", "result"):
         mend(path, path)
 
 
 def test_which_camera_is_meant_must_be_said(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record_pairs(RecordJob(out=path), Fake(fakes(3)), live=False)
-    with pytest.raises(Inconsistent, match="cameras left, right"), open_source(str(path)):
+    with refuses(Inconsistent, "left, right"), open_source(str(path)):
         pass
     with open_source(f"{path}:right") as source:
         assert source.total == 3
         np.testing.assert_array_equal(next(iter(source)).image, frame(0, 1).image)
-    with pytest.raises(UsageError, match="one is a recording"):
+    with refuses(UsageError, "recording"):
         open_pairs(str(path), str(tmp_path))
-    with pytest.raises(UsageError, match="brings its own times"):
+    with refuses(UsageError, "own times"):
         open_pairs(str(path), None, fps=30.0)
-    with pytest.raises(UsageError, match="both source and result"):
+    with refuses(UsageError, "source", "result"):
         record(replace(RecordJob(out=path), left=str(path)))
 
 
@@ -233,9 +234,9 @@ def test_a_recording_without_frames_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with RecordingWriter(path) as writer:
         writer.joints(JointReading(q=np.zeros(2), t_s=0.5, sequence=0, source="robot"))
-    with pytest.raises(NotEnoughData, match="no channel /left/image"), open_pairs(str(path), str(path)) as pairs:
+    with refuses(NotEnoughData, "/left/image"), open_pairs(str(path), str(path)) as pairs:
         list(pairs)
-    with pytest.raises(NotEnoughData, match="no channel /target/measured"):
+    with refuses(NotEnoughData, "/target/measured"):
         export(path, tmp_path / "poses.csv")
     assert not (tmp_path / "poses.csv").exists()
     assert export(path, tmp_path / "out").n == {"joints.csv": 1}

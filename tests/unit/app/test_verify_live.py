@@ -25,6 +25,7 @@ from armsight.verify.supervision import Limits
 from armsight_sim.live import live_cell
 from armsight_sim.robot import RobotFault
 from armsight_sim.scenario_builder import build_world
+from refusals import refuses
 
 
 class Ticking(ManualClock):
@@ -131,7 +132,7 @@ def test_what_is_lost_is_told_and_never_counted_as_good(tmp_path: Path) -> None:
     done = run_verify_live(given, show, clock=cell.clock, devices=devices).to_dict()
     assert done["n_lost"] >= 40 and done["n_compared"] <= 20 and done["blind_s"] >= 0.8
     assert [alarm["level"] for alarm in done["alarms"]] == ["blind", "stop"] and done["stopped"]
-    assert "could not be compared" in done["verdict"]
+    assert f"{done['n_lost']} of {done['n_lost'] + done['n_compared']} pairs" in done["verdict"]
 
 
 def test_joints_that_stand_still_in_the_link_are_stale_not_good(tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_joints_that_stand_still_in_the_link_are_stale_not_good(tmp_path: Path) 
 def test_a_robot_by_its_own_program_takes_no_commands_until_stopped(tmp_path: Path) -> None:
     robot = Cell(tmp_path, []).cell.robot
     with robot:
-        with pytest.raises(DeviceFailed, match="own program"):
+        with refuses(DeviceFailed, "own program"):
             robot.step_joints(np.zeros(6))
         robot.stop()
         robot.reset()

@@ -21,9 +21,10 @@ from armsight.app.servo.run_servo import run_servo
 from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
-from armsight.errors import ArmsightError, BadFile, Cancelled, Inconsistent, UsageError
+from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint, preset
 from armsight.store.limits_file import limits_from_mapping, read_limits
+from refusals import names_it, refuses
 
 SIM = "sim:webcam-cell"
 HEAD = "format: armsight/limits\nversion: 1\n"
@@ -35,89 +36,89 @@ def six(row: str) -> str:
 
 
 WRONG = {  # what the file holds, and what is told of it
-    "empty": ("", "is empty"),
-    "only remarks": ("# to be filled in\n", "is empty"),
-    "an arm": ("format: armsight/arm\nversion: 1\njoints: []\n", "says format 'armsight/arm'.*begins with"),
-    "another program's": ("joint_limits: {j1: {max_velocity: 2.0}}\n", "says no format"),
-    "a list": ("- 1\n", "a list, not a mapping"),
-    "another version": ("format: armsight/limits\nversion: 2\n", "version 2 is not known here"),
-    "five joints": (HEAD + "joints:\n" + 5 * "- {lower: -1, upper: 1}\n", "5 joints, webcam-cell has 6"),
-    "no joints": (HEAD + "joints: []\n", "joints: .*at least 1"),
-    "names of joints": (HEAD + six("name: axis_1"), r"unknown key joints\[0\].name"),
-    "a range the arm has not": (HEAD + six("lower: 6.5, upper: 7.0"), "joint 1: the limits 6.5 to 7 and the arm's own"),
-    "a range inside out": (HEAD + six("lower: 1, upper: -1"), "joint 1: .* 1 to -1"),
-    "less than nothing": (HEAD + "speed_m_s: -0.1\n", "speed_m_s: .*greater than 0"),
-    "nothing": (HEAD + "speed_m_s: 0\n", "speed_m_s: .*greater than 0"),
-    "a joint below nothing": (HEAD + six("speed: -1"), r"joints\[0\].speed: .*greater than 0"),
-    "infinite": (HEAD + "speed_m_s: .inf\n", "speed_m_s is inf"),
-    "not a number": (HEAD + six("upper: .nan"), r"joints\[0\].upper is nan"),
-    "a word": (HEAD + "speed_m_s: fast\n", "speed_m_s: .*number, not 'fast'"),
-    "a number as text": (HEAD + "speed_m_s: '0.1'\n", "speed_m_s: .*number, not '0.1'"),
-    "a unit in it": (HEAD + "speed_m_s: 100 mm/s\n", "not '100 mm/s'"),
-    "yes": (HEAD + "speed_m_s: true\n", "speed_m_s: .*not True"),
-    "no value": (HEAD + "forbidden:\n", "forbidden has no value"),
-    "no value of a joint": (HEAD + six("lower: null"), r"joints\[0\].lower has no value"),
-    "range in degrees": (HEAD + six("lower: -170, upper: 170"), "look like degrees.*lower: -2.967, upper: 2.967"),
-    "small range in degrees": (HEAD + six("lower: -10, upper: 10"), "look like degrees.*lower: -0.1745"),
-    "turning in degrees": (HEAD + "turn_rad_s: 60\n", "looks like deg/s.*turn_rad_s: 1.047"),
-    "joint speed in degrees": (HEAD + six("speed: 60"), "speed 60 .*looks like one in degrees.*speed: 1.047"),
-    "joint acceleration": (HEAD + six("acceleration: 2000"), "acceleration 2000 .*degrees"),
-    "joint jerk": (HEAD + six("jerk: 60000"), "jerk 60000 .*degrees"),
-    "turning's acceleration": (HEAD + "turn_acceleration_rad_s2: 1200\n", "looks like deg/s.2"),
-    "turning's jerk": (HEAD + "turn_jerk_rad_s3: 60000\n", "looks like deg/s.3"),
-    "speed in mm": (HEAD + "speed_m_s: 100\n", "speed_m_s is 100 m/s.*looks like mm/s.*speed_m_s: 0.1"),
-    "acceleration in mm": (HEAD + "acceleration_m_s2: 2000\n", "looks like mm/s.2"),
-    "jerk in mm": (HEAD + "jerk_m_s3: 100000\n", "looks like mm/s.3"),
+    "empty": ("", "empty"),
+    "only remarks": ("# to be filled in\n", "empty"),
+    "an arm": ("format: armsight/arm\nversion: 1\njoints: []\n", ("armsight/arm", "armsight/limits")),
+    "another program's": ("joint_limits: {j1: {max_velocity: 2.0}}\n", "format"),
+    "a list": ("- 1\n", "a list"),
+    "another version": ("format: armsight/limits\nversion: 2\n", "version 2"),
+    "five joints": (HEAD + "joints:\n" + 5 * "- {lower: -1, upper: 1}\n", ("5 joints", "webcam-cell", "6")),
+    "no joints": (HEAD + "joints: []\n", ("joints", "at least 1")),
+    "names of joints": (HEAD + six("name: axis_1"), "joints[0].name"),
+    "a range the arm has not": (HEAD + six("lower: 6.5, upper: 7.0"), ("joint 1", "6.5 to 7", "arm's own")),
+    "a range inside out": (HEAD + six("lower: 1, upper: -1"), ("joint 1", "1 to -1")),
+    "less than nothing": (HEAD + "speed_m_s: -0.1\n", ("speed_m_s", "greater than 0")),
+    "nothing": (HEAD + "speed_m_s: 0\n", ("speed_m_s", "greater than 0")),
+    "a joint below nothing": (HEAD + six("speed: -1"), ("joints[0].speed", "greater than 0")),
+    "infinite": (HEAD + "speed_m_s: .inf\n", ("speed_m_s", "inf")),
+    "not a number": (HEAD + six("upper: .nan"), ("joints[0].upper", "nan")),
+    "a word": (HEAD + "speed_m_s: fast\n", ("speed_m_s", "number", "fast")),
+    "a number as text": (HEAD + "speed_m_s: '0.1'\n", ("speed_m_s", "number", "'0.1'")),
+    "a unit in it": (HEAD + "speed_m_s: 100 mm/s\n", ("speed_m_s", "100 mm/s")),
+    "yes": (HEAD + "speed_m_s: true\n", ("speed_m_s", "True")),
+    "no value": (HEAD + "forbidden:\n", ("forbidden", "no value")),
+    "no value of a joint": (HEAD + six("lower: null"), ("joints[0].lower", "no value")),
+    "range in degrees": (HEAD + six("lower: -170, upper: 170"), ("degrees", "lower: -2.967, upper: 2.967")),
+    "small range in degrees": (HEAD + six("lower: -10, upper: 10"), ("degrees", "lower: -0.1745")),
+    "turning in degrees": (HEAD + "turn_rad_s: 60\n", ("deg/s", "turn_rad_s: 1.047")),
+    "joint speed in degrees": (HEAD + six("speed: 60"), ("speed 60", "degrees", "speed: 1.047")),
+    "joint acceleration": (HEAD + six("acceleration: 2000"), ("acceleration 2000", "degrees")),
+    "joint jerk": (HEAD + six("jerk: 60000"), ("jerk 60000", "degrees")),
+    "turning's acceleration": (HEAD + "turn_acceleration_rad_s2: 1200\n", ("turn_acceleration_rad_s2", "deg/s^2")),
+    "turning's jerk": (HEAD + "turn_jerk_rad_s3: 60000\n", ("turn_jerk_rad_s3", "deg/s^3")),
+    "speed in mm": (HEAD + "speed_m_s: 100\n", ("speed_m_s", "100 m/s", "mm/s", "speed_m_s: 0.1")),
+    "acceleration in mm": (HEAD + "acceleration_m_s2: 2000\n", ("acceleration_m_s2", "mm/s^2")),
+    "jerk in mm": (HEAD + "jerk_m_s3: 100000\n", ("jerk_m_s3", "mm/s^3")),
     "workspace in mm": (
         HEAD + "workspace: {lower_m: [-800, -800, 0], upper_m: [800, 800, 1200]}\n",
-        r"workspace: a corner at 1200 m .*looks like mm.*upper_m: \[0.8, 0.8, 1.2\]",
+        ("workspace", "1200 m", "mm", "upper_m: [0.8, 0.8, 1.2]"),
     ),
     "box in mm": (
         HEAD + "forbidden: [{name: table, lower_m: [300, -500, -100], upper_m: [900, 500, 200]}]\n",
-        r"forbidden\[0\] table: a corner at 900 m .*looks like mm",
+        ("forbidden[0] table", "900 m", "mm"),
     ),
-    "margin in mm": (HEAD + "margin_m: 5\n", "margin_m .*looks like mm.*margin_m: 0.005"),
-    "jump in mm": (HEAD + "jump_m: 20\n", "jump_m .*looks like mm"),
-    "jump in degrees": (HEAD + "jump_rad: 6\n", "jump_rad .*looks like degrees"),
-    "following in degrees": (HEAD + "following: 1.1\n", "following .*looks like degrees"),
-    "following in mm": (HEAD + "following_m: 5\n", "following_m .*looks like mm"),
-    "target's age in ms": (HEAD + "target_age_s: 150\n", "looks like ms.*target_age_s: 0.15"),
-    "lost in ms": (HEAD + "lost_s: 500\n", "lost_s .*looks like ms"),
-    "lag in ms": (HEAD + "lag_s: 300\n", "lag_s .*looks like ms"),
-    "retreat after ms": (HEAD + "retreat_after_s: 1000\n", "retreat_after_s .*looks like ms"),
-    "silence without end": (HEAD + "silent_cycles: 5000\n", "silent_cycles is 5000 cycles"),
-    "lateness without end": (HEAD + "late_cycles: 5000\n", "late_cycles is 5000 cycles"),
-    "singularity in percent": (HEAD + "singularity: 3\n", "looks like percent.*singularity: 0.03"),
-    "enable's age": (HEAD + "enable_age_s: 150\n", "enable_age_s is 150, longer than 0.15"),
-    "retreat in degrees": (HEAD + "retreat: [0, -90, 90, 0, 90, 0]\n", "-90 rad of joint 2 looks like degrees.*-1.571"),
-    "retreat beyond": (HEAD + "retreat: [0, -7, 0, 0, 0, 0]\n", "-7 rad of joint 2 is beyond its range"),
-    "retreat of two joints": (HEAD + "retreat: [0, 1]\n", "2 joints, webcam-cell has 6"),
+    "margin in mm": (HEAD + "margin_m: 5\n", ("margin_m", "mm", "margin_m: 0.005")),
+    "jump in mm": (HEAD + "jump_m: 20\n", ("jump_m", "mm")),
+    "jump in degrees": (HEAD + "jump_rad: 6\n", ("jump_rad", "degrees")),
+    "following in degrees": (HEAD + "following: 1.1\n", ("following", "degrees")),
+    "following in mm": (HEAD + "following_m: 5\n", ("following_m", "mm")),
+    "target's age in ms": (HEAD + "target_age_s: 150\n", ("ms", "target_age_s: 0.15")),
+    "lost in ms": (HEAD + "lost_s: 500\n", ("lost_s", "ms")),
+    "lag in ms": (HEAD + "lag_s: 300\n", ("lag_s", "ms")),
+    "retreat after ms": (HEAD + "retreat_after_s: 1000\n", ("retreat_after_s", "ms")),
+    "silence without end": (HEAD + "silent_cycles: 5000\n", ("silent_cycles", "5000")),
+    "lateness without end": (HEAD + "late_cycles: 5000\n", ("late_cycles", "5000")),
+    "singularity in percent": (HEAD + "singularity: 3\n", ("percent", "singularity: 0.03")),
+    "enable's age": (HEAD + "enable_age_s: 150\n", ("enable_age_s", "150", "0.15")),
+    "retreat in degrees": (HEAD + "retreat: [0, -90, 90, 0, 90, 0]\n", ("-90 rad", "joint 2", "degrees", "-1.571")),
+    "retreat beyond": (HEAD + "retreat: [0, -7, 0, 0, 0, 0]\n", ("-7 rad", "joint 2", "range")),
+    "retreat of two joints": (HEAD + "retreat: [0, 1]\n", ("2 joints", "webcam-cell", "6")),
     "workspace inside out": (
         HEAD + "workspace: {lower_m: [0.8, -0.8, 0], upper_m: [-0.8, 0.8, 1.2]}\n",
-        "workspace: .*is not below its upper one .* in x",
+        ("workspace", "below", "in x"),
     ),
     "workspace out of reach": (
         HEAD + "workspace: {lower_m: [5, 5, 0], upper_m: [6, 6, 1]}\n",
-        "begins 7.08 m from the base, and webcam-cell reaches 1.68 m",
+        ("7.08 m", "webcam-cell", "1.68 m"),
     ),
     "workspace without space": (
         HEAD + "workspace: {lower_m: [0, 0, 0], upper_m: [0.009, 0.8, 0.8]}\n",
-        "thinner than twice margin_m",
+        ("thinner", "margin_m"),
     ),
     "box over all": (
         HEAD + "forbidden: [{name: floor, lower_m: [-2, -2, -2], upper_m: [2, 2, 2]}]\n",
-        "floor covers all that the arm reaches",
+        ("floor", "covers"),
     ),
     "box over the workspace": (
         HEAD + f"workspace: {HALL}\nforbidden: [{{name: all, lower_m: [-1, -1, -1], upper_m: [1, 1, 2]}}]\n",
-        "all covers the whole workspace",
+        ("all covers", "workspace"),
     ),
-    "unknown key": (HEAD + "sped_m_s: 0.1\n", "unknown key sped_m_s .*did you mean 'speed_m_s'"),
-    "unknown key of a joint": (HEAD + six("speeed: 1"), r"joints\[0\].speeed .*did you mean 'speed'"),
-    "unknown key of a box": (HEAD + "workspace: {lowr_m: [0, 0, 0], upper_m: [1, 1, 1]}\n", "did you mean 'lower_m'"),
-    "a key twice": (HEAD + "speed_m_s: 0.1\nspeed_m_s: 0.2\n", "'speed_m_s' stands twice"),
-    "deep": (HEAD + "joints: " + 3000 * "[" + 3000 * "]" + "\n", "nested too deeply"),
-    "huge": (HEAD + "x: " + 600_000 * "a", "larger than 0.5 MB"),
+    "unknown key": (HEAD + "sped_m_s: 0.1\n", ("sped_m_s", "speed_m_s")),
+    "unknown key of a joint": (HEAD + six("speeed: 1"), ("joints[0].speeed", "speed")),
+    "unknown key of a box": (HEAD + "workspace: {lowr_m: [0, 0, 0], upper_m: [1, 1, 1]}\n", ("lowr_m", "lower_m")),
+    "a key twice": (HEAD + "speed_m_s: 0.1\nspeed_m_s: 0.2\n", ("speed_m_s", "twice")),
+    "deep": (HEAD + "joints: " + 3000 * "[" + 3000 * "]" + "\n", "deeply"),
+    "huge": (HEAD + "x: " + 600_000 * "a", "0.5 MB"),
     "many": (HEAD + "joints:\n" + 20_000 * "- {}\n", "20000 joints"),
 }
 
@@ -130,9 +131,8 @@ def test_a_wrong_file_is_told_in_words_and_nothing_moves(tmp_path: Path, name: s
     asked: list[str] = []
     robot = open_robot(SIM, clock := ManualClock())
     job = JogJob(robot=SIM, joint=1, by=0.02, limits=path)
-    with pytest.raises(ArmsightError, match=told) as caught:
+    with refuses((BadFile, Inconsistent, UsageError), told) as caught:
         jog_robot(job, lambda question: bool(asked.append(question)), clock=clock, opened=robot)
-    assert isinstance(caught.value, BadFile | Inconsistent | UsageError)
     assert caught.value.cause.startswith(str(path))
     assert caught.value.consequence and caught.value.cure
     assert not asked and clock.now_s() == 0.0
@@ -142,7 +142,7 @@ def test_every_value_of_the_file_that_has_a_unit_has_a_largest_one() -> None:
     for key, field in Limits.__dataclass_fields__.items():
         if field.type != "float" or key in ("retreat_speed", "enable_age_s"):
             continue  # a share up to 1, and what Limits itself bounds
-        with pytest.raises(BadFile, match=key):
+        with refuses(BadFile, key):
             limits_from_mapping({"format": "armsight/limits", key: 9e5})
 
 
@@ -184,9 +184,9 @@ def test_honest_limits_are_taken(tmp_path: Path) -> None:
 
 def test_a_served_robot_is_not_begun_with_limits_in_degrees() -> None:
     """The loop of serve and console makes its guard without guard_for."""
-    with pytest.raises(Inconsistent, match="look like degrees"):
+    with refuses(Inconsistent, "degrees"):
         Guard(preset("ur10"), Limits(joints=(JointLimit(lower=-170.0, upper=170.0),) * 6), 0.008)
-    with pytest.raises(Inconsistent, match="looks like one in degrees"):
+    with refuses(Inconsistent, "degrees"):
         Guard(preset("ur10"), Limits(joints=(JointLimit(speed=60.0),) * 6), 0.008)
 
 
@@ -199,11 +199,11 @@ def test_a_share_of_the_speed_does_not_hide_degrees(tmp_path: Path) -> None:
 def test_slides_are_in_metres() -> None:
     arm = Arm(name="gantry", joints=(Joint(name="x", type="prismatic", lower=0.0, upper=2.0),))
     for row, told in (
-        (JointLimit(upper=1500.0), "look like mm"),
+        (JointLimit(upper=1500.0), "mm"),
         (JointLimit(speed=100.0), "mm"),
         (JointLimit(acceleration=2000.0), "mm"),
     ):
-        with pytest.raises(Inconsistent, match=told):
+        with refuses(Inconsistent, told):
             Guard(arm, Limits(joints=(row,)), 0.008)
 
 
@@ -212,7 +212,7 @@ def test_a_tool_longer_than_the_workspace_has_no_place() -> None:
     box = Box(lower_m=np.array([0.3, 0.0, 0.3]), upper_m=np.array([0.4, 0.1, 0.4]))
     Guard(arm, Limits(workspace=box), 0.008)
     long = replace(arm, T_flange_tool=RigidTransform.from_translation([0.0, 0.0, 0.3]))
-    with pytest.raises(Inconsistent, match="from flange to tool"):
+    with refuses(Inconsistent, "flange", "tool"):
         Guard(long, Limits(workspace=box), 0.008)
 
 
@@ -230,11 +230,9 @@ def test_an_arm_that_stands_outside_is_told_before_it_moves(tmp_path: Path) -> N
         assert all(part in text for part in told.split(" .* "))
     path.write_text(HEAD + "joints:\n- {lower: 0.5, upper: 1.5}\n" + 5 * "- {}\n")
     away = run(app, [*jog, "1", "--by", "-0.02"])
-    assert (
-        away.exit_code == 3 and "range of joint 1 (lower) by 0.5" in away.stderr and "--by 0.5 and more" in away.stderr
-    )
+    assert away.exit_code == 3 and "joint 1 (lower) by 0.5" in away.stderr and "--by 0.5 and more" in away.stderr
     back = run(app, [*jog, "1", "--by", "0.02"])
-    assert back.exit_code == 0 and "range of joint 1 (lower) by 0.5" in json.loads(back.stdout)["outside"]
+    assert back.exit_code == 0 and "joint 1 (lower) by 0.5" in json.loads(back.stdout)["outside"]
     path.write_text(HEAD)
     assert json.loads(run(app, [*jog, "1", "--by", "0.01"]).stdout)["outside"] == ""
 
@@ -268,10 +266,10 @@ def test_servo_and_play_tell_of_an_arm_that_stands_outside(tmp_path: Path) -> No
     servo = ServoJob(robot=SIM, rig=rig, target=target, handeye=handeye, out=tmp_path / "servo", at="tool", limits=path)
     with pytest.raises(Cancelled):
         run_servo(servo, lambda question: bool(asked.append(question)))
-    assert "Note: the arm stands outside its limits" in asked[0]
+    assert names_it(asked[0], "Note", "outside")
     rows = [f"{k},,{-0.78 + 0.001 * k},-0.163941,0.255445,0.5,-0.5,-0.5,0.5,0.02," for k in range(11)]
     (tmp_path / "path.csv").write_text("index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n" + "\n".join(rows) + "\n")
     play = PlayJob(robot=SIM, path=tmp_path / "path.csv", out=tmp_path / "play", limits=path)
-    with pytest.raises(Inconsistent, match="the arm stands outside its limits"):
+    with refuses(Inconsistent, "outside", "limits"):
         run_play(play, lambda question: bool(asked.append(question)))
     assert len(asked) == 1

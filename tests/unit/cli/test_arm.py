@@ -16,6 +16,7 @@ from armsight.kinematics import Coupling, fk, moved, preset
 from armsight.store.arm_file import read_arm
 from armsight.store.urdf import read_urdf
 from armsight.store.worlds import read_world
+from refusals import names_it
 
 ERRORS = {"mean_m", "rms_m", "max_m"}
 
@@ -77,7 +78,7 @@ def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.nda
     given = ["--points", write_rows(tmp_path / "p.csv", HEADER, measured[:40])]
     given += ["--holdout", write_rows(tmp_path / "h.csv", HEADER, measured[39:])]
     done = armsight("calibrate", "arm", "--model", "irb120", *given, *out)
-    assert done.code == 3 and "1 of 21 rows of the holdout" in str(done.json["error"])
+    assert done.code == 3 and names_it(done.json["error"], "1 of 21", "holdout")
     assert not (tmp_path / "arm.yaml").exists()
 
 

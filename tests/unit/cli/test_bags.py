@@ -24,6 +24,7 @@ from armsight.app.sources.frames import open_pairs
 from armsight.errors import ArmsightError, BadFile, BadImage, Inconsistent, UsageError
 from armsight.kinematics.presets import preset
 from armsight.store.bags import bag_topic
+from refusals import refuses
 
 COUNT = 12
 BEGIN_NS = 1_700_000_000_123_456_789
@@ -191,10 +192,10 @@ GREY = np.full((24, 32), 7, np.uint8)
 @pytest.mark.parametrize(
     ("make", "kind", "words"),
     [
-        (lambda ros: [ros.image(GREY.repeat(2, 1), stamp(0), "mono16")], IMAGE, "encoding 'mono16'"),
-        (lambda ros: [ros.image(GREY, stamp(0), cut=40)], IMAGE, "has 728 bytes"),
-        (lambda ros: [ros.compressed(b"no picture", stamp(0))], COMPRESSED, "not a whole image"),
-        (lambda ros: [ros.compressed(b"", stamp(0))], COMPRESSED, "it is empty"),
+        (lambda ros: [ros.image(GREY.repeat(2, 1), stamp(0), "mono16")], IMAGE, "mono16"),
+        (lambda ros: [ros.image(GREY, stamp(0), cut=40)], IMAGE, "728 bytes"),
+        (lambda ros: [ros.compressed(b"no picture", stamp(0))], COMPRESSED, "whole image"),
+        (lambda ros: [ros.compressed(b"", stamp(0))], COMPRESSED, "empty"),
         (
             lambda ros: [ros.compressed(cv2.imencode(".jpg", GREY)[1].tobytes()[:-20], stamp(0))],
             COMPRESSED,
@@ -205,7 +206,7 @@ GREY = np.full((24, 32), 7, np.uint8)
 )
 def test_images_that_cannot_be_used_are_named(tmp_path: Path, ros: Ros, make: Any, kind: str, words: str) -> None:
     text = one_topic(ros, tmp_path, *make(ros), kind=kind)
-    with pytest.raises(BadImage, match=words) as info:
+    with refuses(BadImage, words) as info:
         frames(text)
     assert "message 1" in info.value.cause and info.value.consequence and info.value.cure
 
@@ -216,7 +217,7 @@ def test_stamps_that_do_not_increase_are_refused_after_the_frames_before(
 ) -> None:
     text = one_topic(ros, tmp_path, *(ros.image(GREY, stamp(0) + ns) for ns in (0, 5, 5 + later)))
     got = []
-    with BagFrames(text) as source, pytest.raises(Inconsistent, match=f"message 3: its stamp .* {words}"):
+    with BagFrames(text) as source, refuses(Inconsistent, "message 3", "stamp", words):
         got.extend(frame.sequence for frame in source)
     assert got == [0, 1]
 
@@ -232,16 +233,16 @@ def test_a_topic_that_is_not_there_or_of_another_type_is_answered_with_those_tha
     joints = ros.joints(["a"], [0.1], stamp(0))
     path = ros.write(tmp_path, [*images_of(ros, scene)[:2], ("/joint_states", JOINTS, stamp(0), joints)])
     for topic, cause in (
-        (":/nosuch", "has no topic /nosuch"),
-        (":/joint_states", "/joint_states of .* is sensor_msgs/msg/JointState"),
-        ("", "names no topic"),
+        (":/nosuch", "/nosuch"),
+        (":/joint_states", ("/joint_states", "sensor_msgs/msg/JointState")),
+        ("", "no topic"),
     ):
-        with pytest.raises(UsageError, match=cause) as info, BagFrames(f"bag:{path}{topic}"):
+        with refuses(UsageError, cause) as info, BagFrames(f"bag:{path}{topic}"):
             pass
         assert f"/left/image ({IMAGE}); /right/image ({IMAGE})" in info.value.cure.replace(
             f"/joint_states ({JOINTS}); ", ""
         )
-    with pytest.raises(UsageError, match="is sensor_msgs/msg/Image"):
+    with refuses(UsageError, "sensor_msgs/msg/Image"):
         joint_states(f"bag:{path}:/left/image")
     sides = ["--left", f"bag:{path}:/left/image", "--right", f"bag:{path}:/nosuch", "-o", tmp_path / "out"]
     assert armsight("measure", *scene.inputs, *sides).code == 2
@@ -254,7 +255,7 @@ def test_what_is_no_whole_bag_is_refused(tmp_path: Path, ros: Ros) -> None:
     (tmp_path / "text.bag").write_text("not a bag")
     (tmp_path / "folder").mkdir()
     for name in ("nosuch.bag", "text.bag", "folder"):
-        with pytest.raises(BadFile, match=name) as info, BagFrames(f"bag:{tmp_path / name}:{topic}"):
+        with refuses(BadFile, name) as info, BagFrames(f"bag:{tmp_path / name}:{topic}"):
             pass
         assert info.value.consequence and info.value.cure
     data = path if path.is_file() else next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
@@ -283,13 +284,13 @@ def test_joint_states_are_put_in_the_arm_s_order_by_name(tmp_path: Path, ros: Ro
     np.testing.assert_array_equal(found.q, arm.values(q))
     np.testing.assert_array_equal(found.t_s, np.arange(5) * STEP_NS / 1e9)
     strange = one_topic(ros, tmp_path / "b", ros.joints(["x", *names[1:]], q[0], stamp(0)), kind=JOINTS)
-    with pytest.raises(Inconsistent, match="the bag's x,"):
+    with refuses(Inconsistent, "bag's x"):
         read_values(arm, Path(strange))
 
 
 def test_joint_states_of_several_publishers_on_one_topic_are_refused(tmp_path: Path, ros: Ros) -> None:
     rows = [ros.joints(["a", "b"], [0.1, 0.2], stamp(0)), ros.joints(["gripper"], [0.0], stamp(1))]
-    with pytest.raises(Inconsistent, match=r"message 2 has positions .* of the joints gripper"):
+    with refuses(Inconsistent, "message 2", "gripper"):
         joint_states(one_topic(ros, tmp_path, *rows, kind=JOINTS))
 
 

@@ -27,6 +27,7 @@ from armsight.fields import Doc
 from armsight.geometry import pose_from_quat
 from armsight.records.output import Output, output
 from armsight.records.result_parts import PoseStd
+from refusals import names_it
 
 HEAVY = ("numba", "cv2", "plotly", "scipy", "numpy", "markdown_it", "pygments")
 """What takes longer to load than help may take; pydantic, which reads flags' values, is not needed for the overview."""
@@ -246,7 +247,7 @@ def test_a_quantity_in_another_unit_is_refused(unit: str, text: str) -> None:
 def test_a_number_that_is_none_is_refused_at_every_command(words: tuple[str, ...], given: str) -> None:
     done = run(*words[:-1], f"{words[-1]}={given}")
     assert done.exit_code == 2
-    assert f"'{words[-1]}': {given} is no finite number" in done.stderr
+    assert names_it(done.stderr, words[-1], given, "finite")
 
 
 def test_sizes_that_cannot_be_are_refused() -> None:

@@ -94,7 +94,7 @@ def test_the_wrong_lens_is_told(armsight: Any, pictures: Path, tmp_path: Path) -
     words = ["calibrate", "camera", pictures / "left", "--board", BOARD, "-o", tmp_path / "camera.yaml"]
     done = armsight(*words)
     assert done.code == 3
-    assert "looks like a fisheye lens" in done.text
+    assert "fisheye lens" in done.text
     assert not (tmp_path / "camera.yaml").exists()
     done = armsight(*words, "--lens", "fisheye,pinhole")
     assert done.code == 2

@@ -21,6 +21,7 @@ from armsight.drivers.aravis import AravisCamera, genicam_cameras
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.records import Frame
 from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing
+from refusals import refuses
 
 COUNT = 12
 CAMERA = f"camera:aravis:{ADDRESS}"
@@ -83,15 +84,15 @@ def test_what_the_camera_has_not_is_refused_with_what_it_has(stock: object) -> N
 
 @needs_aravis
 def test_a_second_program_is_refused(stock: object) -> None:
-    with AravisCamera(ADDRESS), pytest.raises(DeviceFailed, match=r"controlled by another|in use"), AravisCamera(""):
+    with AravisCamera(ADDRESS), pytest.raises(DeviceFailed, match=r"controlled|in use"), AravisCamera(""):
         pass
-    with AravisCamera(ADDRESS), pytest.raises(DeviceFailed, match="in use"), AravisCamera(ADDRESS):
+    with AravisCamera(ADDRESS), refuses(DeviceFailed, "in use"), AravisCamera(ADDRESS):
         pass
 
 
 @needs_aravis
 def test_a_camera_that_is_not_there_is_answered_with_those_that_are(stock: object) -> None:
-    with pytest.raises(DeviceNotFound, match="camera:aravis:nosuch cannot be opened") as info, AravisCamera("nosuch"):
+    with refuses(DeviceNotFound, "camera:aravis:nosuch") as info, AravisCamera("nosuch"):
         pass
     assert "camera:aravis:Aravis-Fake-GV01" in info.value.cure
 
@@ -99,7 +100,7 @@ def test_a_camera_that_is_not_there_is_answered_with_those_that_are(stock: objec
 @needs_aravis
 def test_a_camera_that_goes_is_lost_even_while_it_waits_for_its_trigger(stock: subprocess.Popen[bytes]) -> None:
     settings = CameraSettings(trigger="Line0")
-    with pytest.raises(DeviceLost, match="no longer answers"), AravisCamera(ADDRESS, settings=settings) as camera:
+    with refuses(DeviceLost, "answers"), AravisCamera(ADDRESS, settings=settings) as camera:
         stock.kill()
         list(camera)
 
@@ -115,7 +116,7 @@ def test_without_aravis_the_cure_says_what_to_install() -> None:
     def absent() -> Any:
         raise DeviceNotFound("Aravis cannot be loaded", cure="Install the extra")
 
-    with pytest.raises(DeviceNotFound, match="cannot be loaded"), AravisCamera("x", load=absent):
+    with refuses(DeviceNotFound, "loaded"), AravisCamera("x", load=absent):
         pass
     with pytest.raises(UsageError, match="--focus"):
         AravisCamera("x", settings=CameraSettings(focus=1.0))
@@ -126,7 +127,7 @@ def test_stamps_follow_the_camera_s_clock_and_numbers_count_lost_frames() -> Non
     got = [stamps.of(10**18 + ns, number, 5.0) for ns, number in ((0, 65534), (40_000_000, 65535), (120_000_000, 2))]
     assert [t_s for t_s, _ in got] == pytest.approx([4.995, 5.035, 5.115])  # the exposure ended on arrival, at 5.0
     assert [number for _, number in got] == [0, 1, 3]  # 65535 is followed by 1, which was lost
-    with pytest.raises(DeviceFailed, match="not after the one before"):
+    with refuses(DeviceFailed, "after"):
         stamps.of(10**18, 3, 6.0)
 
 
@@ -186,7 +187,7 @@ def test_what_was_measured_before_the_camera_went_is_kept(scene: Any, tmp_path: 
     job = MeasureJob(rig=scene.folder / "rig.yaml", target=scene.folder / "target.yaml", out=out, image=CAMERA)
     with (
         fake_genicam_camera(side_by_side(scene, tmp_path / "both")) as process,
-        pytest.raises(DeviceLost, match="sent no frame") as info,
+        refuses(DeviceLost, "no frame") as info,
     ):
         run_measure(job, PullThePlug(process, 5))
     assert info.value.exit_code == 4

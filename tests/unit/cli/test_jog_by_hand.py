@@ -18,6 +18,7 @@ from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import GamepadInput, JogAxes, KeyboardInput, open_jog_input
 from armsight.errors import Cancelled, DeviceFailed, DeviceNotFound, UsageError
+from refusals import refuses
 
 SIM = "sim:webcam-cell"
 
@@ -72,7 +73,7 @@ def test_sticks_count_with_the_enable_and_a_gamepad_pulled_out_is_an_error(pipe)
     os.write(pipe[1], event(1, 7, 1))
     assert pad.wait(1.0).ended
     os.close(pipe[1])
-    with pytest.raises(DeviceFailed, match="gamepad is gone"):
+    with refuses(DeviceFailed, "gamepad", "gone"):
         pad.wait(1.0)
 
 
@@ -138,7 +139,7 @@ def test_an_input_that_fails_brings_the_arm_to_rest_and_is_told():
     def gone() -> JogAxes:
         raise DeviceFailed("the gamepad is gone", consequence="The robot came to rest", cure="Plug it in")
 
-    with pytest.raises(DeviceFailed, match="gamepad is gone"):
+    with refuses(DeviceFailed, "gamepad", "gone"):
         moved(gone)
 
 
@@ -149,7 +150,7 @@ def test_nothing_moves_unasked_or_by_what_is_not_there():
         moved(ended, frame="wrist")
     with pytest.raises(UsageError, match="--with"), open_jog_input("joystick", 6):
         pass
-    with pytest.raises(DeviceNotFound, match="/dev/input/js99"), open_jog_input("gamepad:/dev/input/js99", 6):
+    with refuses(DeviceNotFound, "/dev/input/js99"), open_jog_input("gamepad:/dev/input/js99", 6):
         pass
     with pytest.raises(UsageError, match="9 axes"):
         KeyboardInput(0, 9)

@@ -20,6 +20,7 @@ from armsight.drivers.sources import open_video
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, Inconsistent
 from armsight.records import Frame
 from armsight_sim.backdrops import picture_backdrop
+from refusals import refuses
 
 JOINTS = "q1,q2,q3,q4,q5,q6\n0,0,0,0,0,0\n"
 FK = "kinematics fk --arm ur10 --joints joints.csv -o poses.csv --json"
@@ -127,7 +128,7 @@ def test_opencv_is_given_no_name_that_it_crashes_at(tmp_path: Path) -> None:
     with pytest.raises(DeviceNotFound, match="UTF-8"):
         open_camera(name)
     camera: Any = SimpleNamespace(backdrop=np.zeros((4, 6, 1)))
-    with pytest.raises(Inconsistent, match="is not a picture"):
+    with refuses(Inconsistent, "picture"):
         picture_backdrop(f"{name}.png", camera)
 
 
@@ -136,7 +137,7 @@ def test_a_full_disk_leaves_no_half_of_a_frame(tmp_path: Path) -> None:
     path = tmp_path / "000000.png"
     path.symlink_to("/dev/full")
     frame = Frame(image=np.full((4, 6), 7, np.uint8), t_s=0.0, sequence=0, source="test")
-    with pytest.raises(DeviceFailed, match="No space left"):
+    with refuses(DeviceFailed, "No space"):
         write_png(path, frame)
     assert not os.path.lexists(path)
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile
 from armsight.store import read_target, write_target
+from refusals import refuses
 
 Run = Callable[..., Any]
 COUNT = 10
@@ -124,5 +125,5 @@ def test_deviations_in_the_file_name_the_same_lights(tmp_path: Path) -> None:
     write_target(path, target, std_m={"A": [1e-5, 1e-5, 1e-5]})
     assert "std_m" in path.read_text() and read_target(path).names == ("A",)
     write_target(path, target, std_m={"B": [1e-5, 1e-5, 1e-5]})
-    with pytest.raises(BadFile, match="std_m names B"):
+    with refuses(BadFile, "std_m", "B"):
         read_target(path)

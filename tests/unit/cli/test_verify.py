@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import BadFile
 from armsight.kinematics import fk, moved, preset
 from armsight.store.verify_files import read_commanded, read_measured, read_reported_joints
+from refusals import names_it, refuses
 
 AGAIN = "--overwrite"
 
@@ -77,7 +78,7 @@ def test_an_arm_is_verified_with_every_promised_key(
     rms = np.sqrt(np.mean([float(row["error_m"]) ** 2 for row in rows]))
     assert rms == pytest.approx(content["after"]["rms_m"], rel=1e-9)
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Cause: joint 2" in page and "@page" in page and "Errors over joint angles" in page
+    assert "Cause: joint 2" in page and "@page" in page and "over joint angles" in page
 
 
 def test_joints_may_be_columns_and_runs_are_compared(
@@ -90,7 +91,7 @@ def test_joints_may_be_columns_and_runs_are_compared(
     assert done.code == 0
     assert done.json["compared"]["after"] == done.json["after"]
     assert any("temperature_c" in text for text in done.json["doubts"])
-    assert "Beside the other run" in (tmp_path / "again" / "report.html").read_text()
+    assert "the other run" in (tmp_path / "again" / "report.html").read_text()
     assert armsight(*words, "--compare", tmp_path / "nothing").code == 3
 
 
@@ -135,9 +136,9 @@ def test_torn_rows_are_left_out_and_the_others_keep_their_numbers(tmp_path: Path
     )
     found = read_measured(path)
     assert found.measured.rows.tolist() == [1, 3] and found.n == 5
-    assert dict(found.rejected)[2] == "line 3 holds NUL bytes"
-    assert "a position only" in dict(found.rejected)[5]
-    assert any("1 rows are lost" in note for note in found.notes)
+    assert names_it(dict(found.rejected)[2], "line 3", "NUL")
+    assert "position only" in dict(found.rejected)[5]
+    assert any(names_it(note, "1 rows", "lost") for note in found.notes)
     path.write_bytes(b"q1,q2\n1,2\n\x00\x00\n3,4\n")
     q = read_reported_joints(path).q
     assert q is not None and np.isnan(q[1]).all() and q[2].tolist() == [3.0, 4.0]
@@ -157,12 +158,12 @@ def test_trackers_files_are_read(tmp_path: Path) -> None:
     reported, turned = told.reported, told.turned
     assert not turned and reported.T is not None and reported.T[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
     for text, said in (
-        ("x_m,y_m\n1,2\n", "z_m is missing"),
-        ("x_m,y_m,z_m,qx\n1,2,3,0\n", "only qx is there"),
-        ("x_m,y_m,z_m\n1,2,three\n", "line 2, column z_m"),
+        ("x_m,y_m\n1,2\n", ("z_m", "missing")),
+        ("x_m,y_m,z_m,qx\n1,2,3,0\n", ("qx", "only")),
+        ("x_m,y_m,z_m\n1,2,three\n", ("line 2", "z_m")),
     ):
         path.write_text(text)
-        with pytest.raises(BadFile, match=said):
+        with refuses(BadFile, said):
             read_measured(path)
 
 
@@ -194,9 +195,9 @@ def test_repeats_alone_tell_repeatability_and_no_accuracy(
     away = np.linalg.norm(xyz - xyz.mean(axis=0), axis=1)
     assert iso["RP_m P2"]["value"] == pytest.approx(away.mean() + 3.0 * away.std(ddof=1), rel=1e-12)
     assert (iso["RP_m"]["n"], iso["RP_m"]["wanted"]) == (6, 30)
-    assert iso["AP_m"]["withheld"] == "no commanded pose is known" and iso["AP_m"]["value"] is None
+    assert "commanded pose" in iso["AP_m"]["withheld"] and iso["AP_m"]["value"] is None
     assert done.json["after"] is None and done.json["alignment"]["T_measured_base"] is None
-    assert "Visits about their mean" in (tmp_path / "out" / "report.html").read_text()
+    assert "about their mean" in (tmp_path / "out" / "report.html").read_text()
     with (tmp_path / "out" / "errors.csv").open() as stream:
         assert len(list(csv.DictReader(stream))) == 18
 

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from armsight.store import read_rig
+from refusals import names_it
 
 FOCALS = {100: 400.0, 200: 460.0, 300: 540.0}
 
@@ -60,7 +61,7 @@ def test_settings_are_added_and_replaced(armsight: Any, boards: Any, tmp_path: P
     assert out.read_bytes() == before
     (tmp_path / "plain.yaml").write_text("format: armsight/camera\nversion: 1\nwidth: 640\nheight: 480\n")
     done = armsight(*words[:-3], "-o", tmp_path / "plain.yaml", "--zoom", 400)
-    assert done.code == 3 and "without zoom settings" in done.text
+    assert done.code == 3 and "zoom settings" in done.text
 
 
 def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path: Path) -> None:
@@ -82,11 +83,11 @@ def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path:
     done = armsight(*words)
     assert done.code == 2 and "--zoom-left" in done.json["error"]["cure"]
     done = armsight(*words, "--zoom-left", 301, "--zoom-right", 100)
-    assert done.code == 3 and "outside the calibrated range, 100 to 300" in done.json["error"]["cause"]
+    assert done.code == 3 and names_it(done.json["error"]["cause"], "outside", "100", "300")
     done = armsight(*words, "--zoom-left", 100, "--zoom-right", 100, "--set-zoom")
-    assert done.code == 2 and "--set-zoom is for live cameras" in done.text
+    assert done.code == 2 and names_it(done.text, "--set-zoom", "live")
     done = armsight(*words, "--set-zoom")
-    assert done.code == 2 and "no zoom to set" in done.text
+    assert done.code == 2 and "no zoom" in done.text
 
 
 def test_a_setting_taken_out_of_a_rig_is_a_plain_rig(armsight: Any, rig: Path, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.correspondence import PatchSettings, StereoViews, find_in_other_view
 from armsight.optics import Camera, Rig, RigKind
+from refusals import refuses
 
 WIDTH, HEIGHT, FOCAL, BASELINE, TURN = 320, 240, 400.0, 0.1, math.radians(-6)
 K1 = -0.15
@@ -123,15 +124,15 @@ def test_the_pick_s_own_error_moves_the_point_along_the_surface(textured):
     [
         (flat, (160, 120), Degenerate, "no texture"),
         (stripes, (160, 120), Ambiguous, "two places"),
-        (edge_along, (160, 120), Degenerate, "along its epipolar line"),
-        (waves, (3, 120), Inconsistent, "outside the image"),
-        (waves, (1000, 120), Inconsistent, "outside the image"),
+        (edge_along, (160, 120), Degenerate, "epipolar line"),
+        (waves, (3, 120), Inconsistent, "outside"),
+        (waves, (1000, 120), Inconsistent, "outside"),
         (waves, (12, 120), DataRefused, "."),
     ],
     ids=["flat", "repeating", "edge along the line", "border", "outside", "seen by one camera alone"],
 )
 def test_what_cannot_be_told_is_refused(texture, px, kind, why):
-    with pytest.raises(kind, match=why):
+    with refuses(kind, why):
         find_in_other_view(views(texture), "left", np.array(px, float), SETTINGS)
 
 

@@ -17,6 +17,7 @@ from armsight_sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoint
 from armsight_sim.scenario_builder import robotics
 from armsight_sim.scenario_schema import Scenario
 from armsight_sim.scene import Rest
+from refusals import refuses
 
 NAMES = ("korayem2018-circle", "kapucu2005-rrp", "webcam-cell", "pachidis2005-static")
 
@@ -61,7 +62,7 @@ def test_reach_comes_back_to_the_pose_and_refuses_what_is_too_far() -> None:
     assert np.abs(arm.frames(found)[-1] - arm.frames(q)[-1]).max() < 1e-8
     far = arm.frames(q)[-1].copy()
     far[:3, 3] *= 3.0
-    with pytest.raises(Inconsistent, match="does not reach"):
+    with refuses(Inconsistent, "reach"):
         arm.reach(far, q)
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight_sim.twins.urscript import Pose, Program, ScriptError, complete
+from refusals import refuses
 
 SAID: list[tuple[Any, ...]] = []
 
@@ -130,16 +131,16 @@ def test_what_is_no_urscript_is_refused(body: str) -> None:
 @pytest.mark.parametrize(
     ("body", "match"),
     [
-        ("open(1)", "no function open"),
-        ("exec(1)", "no function exec"),
-        ("x = y", "name 'y' is not defined"),
-        ("x = 1 / 0", "division by zero"),
-        ("while True:\nx = 1\nend", "never waits"),
+        ("open(1)", ("function", "open")),
+        ("exec(1)", ("function", "exec")),
+        ("x = y", ("y", "defined")),
+        ("x = 1 / 0", "zero"),
+        ("while True:\nx = 1\nend", "waits"),
         ("def f():\nf()\nend\nf()", "recursion"),
     ],
 )
 def test_a_program_that_fails_says_why(body: str, match: str) -> None:
-    with pytest.raises(ScriptError, match=match):
+    with refuses(ScriptError, match):
         run(body)
 
 
