@@ -186,7 +186,7 @@ def test_sweeps_that_cannot_tell_an_arm_are_refused() -> None:
 
     both = sweeps.q.copy()
     both[10:20, 0] += np.linspace(0.0, 0.3, 10)
-    with refuses(Inconsistent, "joint 1", "sweep", "joint 2"):
+    with refuses(Inconsistent, "joint 1 moves", "sweep", "joint 2"):
         identify(changed(q=both), rig=RIG)
     with pytest.raises(NotEnoughData, match="2 readings"):
         identify(sweeps.take(np.r_[0:20, 20:22]), rig=RIG)
@@ -249,5 +249,5 @@ def test_several_sweeps_of_a_joint_are_pooled() -> None:
     assert np.median(claimed, axis=0)[0] < 0.5 * np.median(alone)
     drifting = q.copy()
     drifting[24:, 0] += np.linspace(0.0, 0.2, 10)
-    with refuses(Inconsistent, "joint 1", "sweep", "joint 2"):
+    with refuses(Inconsistent, "joint 1 moves", "sweep", "joint 2"):
         identify(Sweeps(joint=joint, q=drifting, xyz_m=tip(rows, drifting)))

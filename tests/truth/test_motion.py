@@ -181,10 +181,10 @@ def test_views_out_of_order_are_refused() -> None:
     rng = np.random.default_rng(8)
     way = path(rng, 0.1)
     seen = views(way, rng, 1.0)
-    with refuses(Inconsistent, "order"):
+    with refuses(Inconsistent, "order", "a track"):
         smooth(PACKED, LIGHTS, seen[::-1], [start(way)], np.array([0.5]))
     causal = MotionFilter.begin(PACKED, LIGHTS, 0.5, start(way).T, start(way).covariance)
-    with refuses(Inconsistent, "order"):
+    with refuses(Inconsistent, "comes after"):
         causal.add(seen[0])
 
 

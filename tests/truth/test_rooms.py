@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import binom
 
-from armsight.errors import Unseen
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Frame, PoseStatus, spot_target
+from refusals import names_it
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -232,5 +232,5 @@ def test_a_search_that_stopped_early_is_told() -> None:
     grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (HEIGHT, WIDTH)), (0, 0), 1.5)
     image = np.clip(128.0 + 70.0 * grain / grain.std(), 0, 255).astype(np.uint8)
     frames = [Frame(image=image, t_s=0.0, sequence=0, source="grain") for _ in range(2)]
-    found = measure_pair(SETUP, frames[0], frames[1])
-    assert found.pose.status is PoseStatus.LOST and found.cause is Unseen.CROWD
+    pose = measure_pair(SETUP, frames[0], frames[1]).pose
+    assert pose.status is PoseStatus.LOST and names_it(pose.why, "search for spots", "stopped")

@@ -212,7 +212,7 @@ def test_files_hold_what_was_found() -> None:
     assert right.clock_std_s([found.middle_s])[0] < right.clock_std_s([found.middle_s + 1000.0])[0]
 
 
-def refused(kind: type[DataRefused], name: str, rig: Rig, left: SpotTrack, right: SpotTrack) -> None:
+def refused(kind: type[DataRefused], name: str | tuple[str, ...], rig: Rig, left: SpotTrack, right: SpotTrack) -> None:
     with refuses(kind, name) as caught:
         calibrate_timing(rig, left, right)
     assert caught.value.consequence and caught.value.cure
@@ -233,21 +233,21 @@ def test_a_target_at_rest_is_refused() -> None:
 def test_recordings_of_different_times_are_refused() -> None:
     rig, left, _ = record(Truth(delay_s=0.0), np.random.default_rng(1))
     _, _, right = record(Truth(delay_s=0.0), np.random.default_rng(2))
-    refused(Inconsistent, "no delay", rig, left, right)
+    refused(Inconsistent, "no delay up", rig, left, right)
     later = replace(right, t_s=right.t_s + 3600.0)
     refused(Inconsistent, "in common", rig, left, later)
 
 
 def test_a_rig_of_other_cameras_is_refused() -> None:
     rig, left, right = record(Truth(), np.random.default_rng(1))
-    for angle, name in ((0.008, "fit"), (0.1, "no delay")):
+    for angle, name in ((0.008, "fit"), (0.1, "no delay up")):
         turned = RigidTransform.from_components(rig.T_rig_right.translation, Rotation.from_euler("x", angle))
         refused(Inconsistent, name, replace(rig, T_rig_right=turned), left, right)
 
 
 def test_one_recording_given_twice_is_refused() -> None:
     rig, left, _ = record(Truth(), np.random.default_rng(1))
-    refused(Inconsistent, "the same", rig, left, left)
+    refused(Inconsistent, "the same spots", rig, left, left)
 
 
 def test_lights_without_names_are_told_apart_by_their_motion() -> None:
@@ -301,7 +301,9 @@ def test_too_few_frames_and_no_common_light_are_refused() -> None:
     seen = replace(left, frame=left.frame[few], names=names, **kept)
     refused(NotEnoughData, "20 left", rig, seen, right)
     rig, left, right = record(Truth(), np.random.default_rng(1))
-    refused(NotEnoughData, "both cameras", rig, left, right.renamed("X") if right.alone else _other(right))
+    refused(
+        NotEnoughData, ("no light", "both cameras"), rig, left, right.renamed("X") if right.alone else _other(right)
+    )
 
 
 def _other(track: SpotTrack) -> SpotTrack:

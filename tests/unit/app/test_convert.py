@@ -68,7 +68,7 @@ def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
 def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
     own = tmp_path / "own.yaml"
     write_camera(own, CAMERA)
-    with refuses(UsageError, "--to"):
+    with refuses(UsageError, "--to", "armsight's own"):
         convert_camera(own, tmp_path / "out.yaml")
     with refuses(UsageError, "matlab", "kind"):
         convert_camera(own, tmp_path / "out.yaml", to="matlab")

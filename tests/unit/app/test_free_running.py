@@ -201,7 +201,7 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
     ("more", "error", "says"),
     [
         ({"timing": "sometimes"}, UsageError, "auto, pairs, free"),
-        ({"timing": "pairs"}, UsageError, "run free"),
+        ({"timing": "pairs"}, UsageError, ("--left-spots", "run free")),
         ({"rate_hz": 10.0, "at": Path("joints.csv")}, UsageError, ("--at", "--rate", "Give one")),
         ({"left": "somewhere"}, UsageError, "which frames"),
         ({"timing": "free", "stills": True}, UsageError, "--stills"),

@@ -119,7 +119,7 @@ def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[Mom
 def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
     with refuses(UsageError, "rig", "two"):
         LiveMeasurement(LiveJob(left=str(scene.folder / "left"), rig=scene.folder / "rig.yaml"), ManualClock())
-    with refuses(UsageError, "mirrors"):
+    with refuses(UsageError, "has mirrors"):
         LiveMeasurement(LiveJob(left="a", right="b", rig=cell / "rig.yaml"), ManualClock())
     with refuses(UsageError, "left camera", "missing"):
         Console(folder=cell).job_of(CellFile(right="camera:0"))

@@ -210,7 +210,7 @@ def test_a_broken_recording_is_mended_in_its_place(tmp_path: Path) -> None:
         assert recording.finished
     with refuses(UsageError, "already"):
         mend(path)
-    with refuses(UsageError, "source", "result"):
+    with refuses(UsageError, "source", "result", "-o"):
         mend(path, path)
 
 
@@ -222,11 +222,11 @@ def test_which_camera_is_meant_must_be_said(tmp_path: Path) -> None:
     with open_source(f"{path}:right") as source:
         assert source.total == 3
         np.testing.assert_array_equal(next(iter(source)).image, frame(0, 1).image)
-    with refuses(UsageError, "recording"):
+    with refuses(UsageError, "paired", "recording"):
         open_pairs(str(path), str(tmp_path))
     with refuses(UsageError, "own times"):
         open_pairs(str(path), None, fps=30.0)
-    with refuses(UsageError, "source", "result"):
+    with refuses(UsageError, "source", "result", "another name"):
         record(replace(RecordJob(out=path), left=str(path)))
 
 

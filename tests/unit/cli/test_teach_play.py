@@ -168,7 +168,7 @@ def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path, weav
     [
         ({"approach_speed_m_s": 50.0}, ("--approach-speed 50", "m/s")),
         ({"path_speed_m_s": 10.0}, ("--path-speed 10", "m/s")),
-        ({"stop_m": 10.0}, ("--stop-at 10", "m")),
+        ({"stop_m": 10.0}, ("--stop-at 10", "0.01")),
     ],
 )
 def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, why: str) -> None:

@@ -146,7 +146,7 @@ def test_an_image_of_both_views_must_have_the_rig_s_size(tmp_path: Path) -> None
 def test_sources_that_cannot_be_what_is_meant_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="both"):
         open_pairs("a", "a")
-    with refuses(UsageError, "live"):
+    with refuses(UsageError, "camera:0", "paired", "live"):
         open_pairs("camera:0", "a")
     with refuses(UsageError, "time stamps"):
         open_source("camera:0", times_s=[1.0])

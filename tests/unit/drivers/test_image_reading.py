@@ -47,7 +47,7 @@ def test_bits_are_asked_for_and_checked_against_the_image(tmp_path: Path) -> Non
     with refuses(BadImage, "8 bits", "12"):
         read_image(tmp_path / "b.png", bits=12)
     for bits in (8, 17):
-        with refuses(UsageError, "--bits", bits):
+        with refuses(UsageError, f"--bits {bits}"):
             ImageReading(bits=bits)
 
 

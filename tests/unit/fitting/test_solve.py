@@ -157,7 +157,7 @@ def test_why_it_stopped_is_told() -> None:
     def impossible(shared: np.ndarray, local: np.ndarray) -> Evaluation:
         return Evaluation(residuals=np.full((1, 3), np.nan), shared=np.ones((1, 3, 1)), local=np.zeros((1, 3, 0)))
 
-    with refuses(NotConverged, "starting guess"):
+    with refuses(NotConverged, "evaluated", "starting guess"):
         solve(Problem(names=("p",), guess=np.zeros(1), evaluate=impossible, n_residuals=3))
 
 

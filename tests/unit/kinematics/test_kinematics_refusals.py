@@ -67,7 +67,7 @@ def test_joints_that_cannot_be(fields: dict[str, object], words: str) -> None:
 def test_arms_that_cannot_be() -> None:
     with refuses(Inconsistent, "one joint"):
         Arm(name="none", joints=())
-    with refuses(Inconsistent, "repeat"):
+    with refuses(Inconsistent, "joint names"):
         Arm(name="twice", joints=(Joint(name="j"), Joint(name="j")))
 
 

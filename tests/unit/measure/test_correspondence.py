@@ -122,12 +122,12 @@ def test_the_pick_s_own_error_moves_the_point_along_the_surface(textured):
 @pytest.mark.parametrize(
     ("texture", "px", "kind", "why"),
     [
-        (flat, (160, 120), Degenerate, "no texture"),
+        (flat, (160, 120), Degenerate, ("no texture", "grey levels")),
         (stripes, (160, 120), Ambiguous, "two places"),
         (edge_along, (160, 120), Degenerate, "epipolar line"),
-        (waves, (3, 120), Inconsistent, "outside"),
-        (waves, (1000, 120), Inconsistent, "outside"),
-        (waves, (12, 120), DataRefused, "."),
+        (waves, (3, 120), Inconsistent, "outside the image"),
+        (waves, (1000, 120), Inconsistent, "outside the image"),
+        (waves, (12, 120), NotEnoughData, ("epipolar line", "correlation")),
     ],
     ids=["flat", "repeating", "edge along the line", "border", "outside", "seen by one camera alone"],
 )

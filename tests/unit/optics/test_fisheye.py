@@ -99,7 +99,7 @@ def test_a_lens_that_folds_ends_where_it_folds() -> None:
 def test_what_a_fisheye_cannot_be_is_refused() -> None:
     with pytest.raises(Inconsistent, match="5 coefficients"):
         Camera.fisheye(640, 480, 300.0, 300.0, 320.0, 240.0, distortion=[0.0] * 5)
-    with refuses(Inconsistent, "glass plate"):
+    with refuses(Inconsistent, "fisheye", "glass plate"):
         replace(CAMERA, plate=Plate(thickness_m=0.001))
     assert not CAMERA.is_close(replace(CAMERA, lens=LensKind.PINHOLE), tol=1e9)
 

@@ -273,7 +273,7 @@ def test_what_is_no_room_is_refused_by_its_key() -> None:
         ({"preset": "plain", "sede": 3}, "room.sede"),
         ({"preset": "plain", "picture": "a.png"}, "room"),
         ({"seed": 3}, "seed"),
-        ({"preset": "plain", "occluders": [{"kind": "ghost"}]}, "kind"),
+        ({"preset": "plain", "occluders": [{"kind": "ghost"}]}, "room.occluders.0.kind"),
     ):
         with refuses(UsageError, says):
             checked_room(wrong)

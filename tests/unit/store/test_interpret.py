@@ -55,7 +55,7 @@ def test_degrees_where_radians_are_said_are_told(file) -> None:
 def test_radians_where_degrees_are_said_are_told(file) -> None:
     q = RNG.uniform(-1.5, 1.5, (8, 3))
     path = file("q1_deg,q2_deg,q3_deg\n" + rows(q))
-    with refuses(Inconsistent, "radians"):
+    with refuses(Inconsistent, "like radians"):
         read_joints(path, timed=False)
     assert read_joints(path, TableFormat(as_stated=True), timed=False).q[0, 0] == pytest.approx(np.radians(q[0, 0]))
     few = file("q1_deg,q2_deg\n0.5,1.0\n0.2,0.1\n")  # two rows near zero are nothing odd
@@ -69,7 +69,7 @@ def test_mm_and_m_are_told_apart(file) -> None:
     with pytest.raises(Inconsistent, match="612 m") as refused:  # and not told to be named x_mm, which they are
         read_poses(file("t_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n" + f"0,612000,20,300,{QUAT}\n"))
     assert "_mm" not in refused.value.cure
-    with refuses(Inconsistent, "metres"):
+    with refuses(Inconsistent, "like metres"):
         read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), xyz)))
     points = read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), 1e3 * xyz)))
     np.testing.assert_allclose(points.xyz_m, xyz, atol=1e-15)

@@ -89,7 +89,7 @@ def test_a_chain_is_named_with_the_file(tmp_path: Path) -> None:
     assert [j.name for j in load_arm(arm_source(str(path), base="l_upper")).joints] == ["l2"]
     assert arm_file(named) == path
     assert arm_file("ur5") is None
-    with refuses(UsageError, "chain"):
+    with refuses(UsageError, "its chain"):
         arm_source(named, tip="r_hand")
     with refuses(UsageError, "ur10", "URDF"):
         load_arm("ur10#tool0")

@@ -212,7 +212,7 @@ def test_wrong_input_is_refused():
         Iso9283Test(poses=[visits()], distance=("P1", "P9"))
     with refuses(Inconsistent, "vertices"):
         CommandedPath(xyz_m=[[0, 0, 0], [0, 0, 0]])
-    with refuses(Inconsistent, "positive"):
+    with refuses(Inconsistent, "speed", "positive"):
         CommandedPath(xyz_m=[[0, 0, 0], [1, 0, 0]], speed_m_s=0.0)
     with refuses(Inconsistent, "limit band"):
         ArrivalTest(pose="P1", traces=(), band_m=0.0)
