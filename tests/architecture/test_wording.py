@@ -5,9 +5,13 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+
+from armsight.errors import BadFile, DataRefused
+from refusals import refuses
 
 TESTS = Path(__file__).resolve().parents[1]
 OF_MESSAGES = {"unit/test_errors.py", "unit/test_messages.py", "architecture/test_wording.py"}
@@ -81,3 +85,20 @@ def test_a_sentence_is_seen(planted: str) -> None:
 )
 def test_names_and_fields_are_none(planted: str) -> None:
     assert not list(sentences(planted))
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "fields", "seen"),
+    [
+        (BadFile, ("a.yaml", "line 15"), {"consequence": "It is not read"}, True),
+        (DataRefused, ("a.yaml",), {}, False),
+        (BadFile, ("a.yaml", "line 5"), {}, False),
+        (BadFile, (), {"consequence": "It is read"}, False),
+    ],
+    ids=["the same", "another class", "another name", "another field"],
+)
+def test_another_refusal_is_not_taken_for_the_one_expected(
+    kind: type[Exception], names: tuple[str, ...], fields: dict[str, str], seen: bool
+) -> None:
+    with nullcontext() if seen else pytest.raises(AssertionError), refuses(kind, *names, **fields):
+        raise BadFile("a.yaml, line 15: empty", consequence="It is not read")
