@@ -68,7 +68,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/command.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",
         "kinematics/dynamics.py": "an extra that is not always there",
-        "records/by_value.py": "`record.save(path)` of the public face: records know of no files",
     },
     "types of a result": {
         "*": "reckoned with values that may be missing or infinite, and told as null: decision 0031",
