@@ -20,7 +20,6 @@ from armsight.app.calibrate.results import (
     MirrorCheckOutput,
     MirrorsOutput,
     NoiseOutput,
-    StereoOutput,
     ZoomRigOutput,
 )
 from armsight.app.compare.run import CompareOutput
@@ -46,6 +45,7 @@ from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
+from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetCalibration
 from armsight.calibrate.timing import TimingCalibration
@@ -63,7 +63,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "demo": DemoOutput,
     "calibrate-camera": CameraOutput,
     "calibrate-camera-noise": NoiseOutput,
-    "calibrate-stereo": StereoOutput,
+    "calibrate-stereo": StereoCalibration,
     "calibrate-zoom-rig": ZoomRigOutput,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,

@@ -16,6 +16,7 @@ class Files:
 
     save: Callable[[object, str | os.PathLike[str]], Path]
 
+
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """A pipe that nobody writes into opens at once, to be refused, in place of never."""
 

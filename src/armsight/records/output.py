@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from functools import cache
 from html import escape
@@ -30,7 +30,7 @@ from armsight.fields import Doc
 from armsight.geometry import xyz_quat
 from armsight.records.by_value import ByValue
 
-Value = TypeVar("Value")
+Value = TypeVar("Value", covariant=True)
 Kind = TypeVar("Kind")
 More = TypeVar("More", bound="Output")
 Row = tuple[str, str]
@@ -154,7 +154,7 @@ def _keys(kind: Any) -> tuple[Key, ...]:
         hint = hints[one.name]
         doc = next((part for part in get_args(hint) if isinstance(part, Doc)), None)
         if get_origin(hint) is Annotated and doc is not None:
-            optional = one.default is not MISSING
+            optional = one.default is None
             found.append(Key(one.name, hint, doc, optional))
     worked_out: dict[str, Figure[Any]] = {}
     mro: tuple[type, ...] = kind.__mro__

@@ -75,8 +75,7 @@ class PoseStd(PointStd):
         return self.rx_rad, self.ry_rad, self.rz_rad
 
 
-@output
-class RejectedFile(Output):
+class RejectedFile(NamedTuple):
     """An image that was left out."""
 
     file: Annotated[str, Doc("The image's file or source.")]

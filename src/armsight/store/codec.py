@@ -198,7 +198,8 @@ def _held(hint: Any) -> Any:
     """Return the type of what a file holds for a field of a record."""
     parts = typing.get_args(hint)
     if typing.get_origin(hint) is Annotated:
-        return _limited(*parts)
+        limit = next((one for one in parts if isinstance(one, Shape | Bounds)), None)
+        return _held(parts[0]) if limit is None else _limited(parts[0], limit)
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         return typing.Union[tuple(map(_held, parts))]  # noqa: UP007  # of a tuple that is known at run time only
     if typing.get_origin(hint) is tuple:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from numpy.typing import NDArray
 from armsight.calibrate.camera_noise.stationary import Survey, survey
 from armsight.calibrate.camera_noise.stills import BLOCK_PX, Image, Stills, block_sums, require_change, to_pixels
 from armsight.errors import Degenerate, NotEnoughData
+from armsight.fields import Doc
 from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
+from armsight.records.output import extended, output
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -62,28 +65,23 @@ LINE_RANGE = 3.0
 """... and where there are four knots, the highest at three times the lowest level: else any curve is a line."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseCalibration:
-    """A camera's noise and how it was found.
-
-    n_frames: given. n_copies: frames equal to the one before, left out. brightness_rms: relative change of brightness
-    from frame to frame, taken off. shift_px_rms: of the image from frame to frame, taken off. moving, frozen: shares of
-    the blocks of 16 x 16 px left out because something moves or nothing changes at all. unusable: share of the pixels
-    that are black or clipped. frame_ratio: see Survey. line_deviation: largest relative deviation of a knot
-    from the line. advice: what to know about it, as sentences.
-    """
+@output
+class NoiseCalibration(NoiseModel):
+    """A camera's noise as still frames show it, and how it was found. noise: what files keep of it."""
 
     noise: NoiseModel
-    n_frames: int
-    n_copies: int
-    brightness_rms: float
-    shift_px_rms: float
-    moving: float
-    frozen: float
-    unusable: float
-    frame_ratio: float
-    line_deviation: float | None
-    advice: tuple[str, ...]
+    n_given: Annotated[int, Doc("Still frames given.")]
+    n_copies: Annotated[int, Doc("Frames equal to the one before, left out.")]
+    brightness_rms: Annotated[float, Doc("Relative change of brightness between frames, RMS, taken off.")]
+    shift_px_rms: Annotated[float, Doc("Shift of the image between frames, RMS, px, taken off.", unit="px")]
+    moving: Annotated[float, Doc("Share of the image, 0 to 1, left out because something moves in it.")]
+    frozen: Annotated[float, Doc("Share of the image, 0 to 1, left out because it does not change at all.")]
+    unusable: Annotated[float, Doc("Share of the pixels, 0 to 1, that are black or clipped.")]
+    frame_ratio: Annotated[
+        float, Doc("Mean square change over two frames relative to that over one; 1 for independent frames.")
+    ]
+    line_deviation: Annotated[float | None, Doc("Largest relative deviation from the line.")]
+    advice: Annotated[tuple[str, ...], Doc("What to know about it.")]
 
 
 def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
@@ -118,9 +116,11 @@ def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
         n_frames=len(stills.frames),
         linear=linear,
     )
-    return NoiseCalibration(
+    return extended(
+        noise,
+        NoiseCalibration,
         noise=noise,
-        n_frames=stills.n_given,
+        n_given=stills.n_given,
         n_copies=stills.n_given - len(stills.frames),
         brightness_rms=seen.brightness_rms,
         shift_px_rms=seen.shift_px_rms,
