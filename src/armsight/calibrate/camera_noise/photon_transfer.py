@@ -10,7 +10,7 @@ general), the variance is kept as a table.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
@@ -67,9 +67,8 @@ LINE_RANGE = 3.0
 
 @output
 class NoiseCalibration(NoiseModel):
-    """A camera's noise as still frames show it, and how it was found. noise: what files keep of it."""
+    """A camera's noise as still frames show it, and how it was found."""
 
-    noise: NoiseModel
     n_given: Annotated[int, Doc("Still frames given.")]
     n_copies: Annotated[int, Doc("Frames equal to the one before, left out.")]
     brightness_rms: Annotated[float, Doc("Relative change of brightness between frames, RMS, taken off.")]
@@ -82,6 +81,11 @@ class NoiseCalibration(NoiseModel):
     ]
     line_deviation: Annotated[float | None, Doc("Largest relative deviation from the line.")]
     advice: Annotated[tuple[str, ...], Doc("What to know about it.")]
+
+    @property
+    def noise(self) -> NoiseModel:
+        """What files keep of it."""
+        return NoiseModel(**{one.name: getattr(self, one.name) for one in fields(NoiseModel)})
 
 
 def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
@@ -119,7 +123,6 @@ def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
     return extended(
         noise,
         NoiseCalibration,
-        noise=noise,
         n_given=stills.n_given,
         n_copies=stills.n_given - len(stills.frames),
         brightness_rms=seen.brightness_rms,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,91 +11,20 @@ from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
+from armsight.calibrate.cameras.observations import BoardOptions, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
+from armsight.calibrate.cameras.result import CameraCalibration
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.fields import Doc
-from armsight.optics import Camera, LensKind
+from armsight.optics import LensKind
 from armsight.records import BoardView, NamedCovariance, Progress, Target, TargetKind
-from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import RejectedFile
 
 Array = NDArray[np.float64]
 
 DOUBTFUL_FOCAL = 0.02
 """A focal length less sure than this share of itself is worth a word."""
-
-UNITS = {
-    **dict.fromkeys(("fx", "fy", "cx", "cy", "skew"), "px"),
-    **dict.fromkeys(("tx", "ty", "tz"), "m"),
-    **dict.fromkeys(("rx", "ry", "rz"), "rad"),
-}
-"""Of the parameters by name; those of distortion have none."""
-
-
-@output
-class CameraCalibration(Output):
-    """armsight calibrate camera: a camera, how sure it is, and what it rests on.
-
-    covariance: of the free intrinsics, by name (px; none for distortion). holdout_rms_px: None where there were too few
-    views. sources, view_rms_px: of the views used. uv_px, residual_px (n, 2): every point used and its residual (model
-    minus detected). used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board.
-    """
-
-    rms_px: Annotated[float, Doc("Reprojection residual of the fit, RMS, px.")]
-    n_used: Annotated[int, Doc("Images that the result rests on.")]
-    rejected: Annotated[tuple[RejectedFile, ...], Doc("Images left out.")]
-    holdout_rms_px: Annotated[float | None, Doc("Reprojection residual on images left out of the fit, RMS, px.")]
-    advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
-    camera: Camera
-    covariance: NamedCovariance
-    view_rms_px: tuple[float, ...]
-    sources: tuple[str, ...]
-    uv_px: Array
-    residual_px: Array
-    used: Observations
-    T_camera_board: Array
-
-    @figure("Images read.")
-    def n_images(self) -> int:
-        return self.n_used + len(self.rejected)
-
-    @figure("Focal length along x, px.")
-    def fx_px(self) -> float:
-        return float(self.camera.intrinsics[0])
-
-    @figure("Focal length along y, px.")
-    def fy_px(self) -> float:
-        return float(self.camera.intrinsics[1])
-
-    @figure("Column of the principal point, px from the centre of the top left pixel.")
-    def cx_px(self) -> float:
-        return float(self.camera.intrinsics[2])
-
-    @figure("Row of the principal point, px from the centre of the top left pixel.")
-    def cy_px(self) -> float:
-        return float(self.camera.intrinsics[3])
-
-    @figure("k1, k2, p1, p2, k3 (Brown); of a fisheye lens k1, k2, k3, k4.")
-    def distortion(self) -> tuple[float, float, float, float, float] | tuple[float, float, float, float]:
-        return tuple(self.camera.distortion.tolist())
-
-    @figure("Where the lens is a fisheye; a pinhole is not named.", optional=True)
-    def lens(self) -> Literal["fisheye"] | None:
-        return None if self.camera.lens is LensKind.PINHOLE else "fisheye"
-
-    @figure("Standard deviations by name: fx_px, fy_px, cx_px, cy_px, k1 ... k3.")
-    def std(self) -> dict[str, float]:
-        return std_by_key(self.covariance)
-
-
-def std_by_key(covariance: NamedCovariance | None) -> dict[str, float]:
-    """Return standard deviations by name with the unit in the key: left.fx_px."""
-    known = {} if covariance is None else covariance.std()
-    units = {name: UNITS.get(name.rpartition(".")[2]) for name in known}
-    return {f"{name}_{units[name]}" if units[name] else name: value for name, value in known.items()}
 
 
 def calibrate_camera(

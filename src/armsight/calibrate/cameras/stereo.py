@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
-from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms, left_out, metric_of
+from armsight.calibrate.cameras.cross_validation import left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
 from armsight.calibrate.cameras.monocular import (
     caveats,
@@ -18,84 +17,22 @@ from armsight.calibrate.cameras.monocular import (
     require_views,
     required,
     rms,
-    std_by_key,
     view_rms,
 )
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
 from armsight.calibrate.cameras.pairing import Paired, baseline_std, of_one_lens, pair_views, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
+from armsight.calibrate.cameras.result import StereoCalibration
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.fields import Doc
-from armsight.optics import SIDES, LensKind, Rig
-from armsight.optics.parallelism import Parallelism, parallelism
+from armsight.optics import SIDES, LensKind
 from armsight.records import BoardView, Progress, Target
-from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import RejectedFile
 
 Array = NDArray[np.float64]
 
 
 NO_PAIR = "the two images do not show the board at one moment: they are no pair, or it moved"
-
-
-@output
-class StereoCalibration(Output):
-    """armsight calibrate stereo: a rig (its covariance inside, its reference the left camera), and what it rests on.
-
-    holdout_*: None where there were too few pairs. metric: on left-out pairs; where there were too few,
-    metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. used: the
-    observations in the fit; T_left_board (G, 4, 4): where they show the board. residual_px: of every point used (n, 2),
-    model minus detected, by side.
-    """
-
-    rms_px: Annotated[float, Doc("Reprojection residual of the fit, RMS, px.")]
-    n_pairs: Annotated[int, Doc("Pairs of images read.")]
-    n_used: Annotated[int, Doc("Pairs that the result rests on.")]
-    rejected: Annotated[tuple[RejectedFile, ...], Doc("Images left out.")]
-    holdout_rms_px: Annotated[float | None, Doc("Reprojection residual on pairs left out of the fit, RMS, px.")]
-    holdout_epipolar_rms_px: Annotated[float | None, Doc("Epipolar distance on pairs left out, RMS, px.")]
-    metric: Annotated[
-        dict[MetricKey, float | None],
-        Doc(
-            "Distance of neighbouring corners after triangulation, m: as built, mean, RMS of the error; "
-            "board_rms_m: RMS distance from the printed board laid onto them."
-        ),
-    ]
-    metric_is_left_out: Annotated[bool, Doc("Whether `metric` is of pairs left out of the fit.")]
-    advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
-    rig: Rig
-    baseline_std_m: float
-    view_rms_px: tuple[float, ...]
-    used: Observations
-    residual_px: Mapping[str, Array]
-    T_left_board: Array
-
-    @figure("Distance of the corners from their epipolar lines, RMS, px.")
-    def epipolar_rms_px(self) -> float:
-        return epipolar_rms([(self.used, self.rig)])
-
-    @figure("Distance of the two centres of projection, m.")
-    def baseline_m(self) -> float:
-        return self.rig.baseline_m
-
-    @figure("Standard deviations by name: left.fx_px ... right.k3, right.tx_m ... right.rz_rad, baseline_m.")
-    def std(self) -> dict[str, float]:
-        return {**std_by_key(self.rig.covariance), "baseline_m": self.baseline_std_m}
-
-    @figure("How parallel the two views stand.")
-    def alignment(self) -> Parallelism:
-        return parallelism(self.rig)
-
-    @property
-    def sources(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the two images of each pair used."""
-        return self.used.sources
-
-    @property
-    def uv_px(self) -> dict[str, Array]:
-        """Every point used (n, 2), by side."""
-        return {side: self.used.uv[:, c][self.used.weight[:, c] > 0.0] for c, side in enumerate(SIDES)}
 
 
 def calibrate_stereo(
