@@ -59,6 +59,11 @@ class Key:
         """What programs call it."""
         return self.doc.key or self.attribute
 
+    def of(self, record: object) -> Any:
+        """Return what a record has there, None for a number that is not finite and told as null."""
+        value = getattr(record, self.attribute)
+        return None if self.doc.nullable and not math.isfinite(value) else value
+
 
 class Figure(Generic[Value]):
     """A property that programs get beside the fields; made by `figure`."""
@@ -102,7 +107,7 @@ class Output(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain numbers, texts, lists and dictionaries, keys as in the JSON object."""
-        held = ((key, getattr(self, key.attribute)) for key in keys(type(self)))
+        held = ((key, key.of(self)) for key in keys(type(self)))
         return {key.name: _plain(value, key.hint) for key, value in held if not (key.optional and value is None)}
 
     def to_json(self) -> str:

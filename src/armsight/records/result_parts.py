@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 from armsight.fields import Doc
-from armsight.records.output import Output, output
+from armsight.records.output import Output, figure, output
 
 
 @output
@@ -88,3 +88,31 @@ class RejectedRow(Output):
 
     row: Annotated[int, Doc("The row of the input table, from 1.")]
     why: Annotated[str, Doc("Why it was left out, in words.")]
+
+
+@output
+class Difference(Output):
+    """One number of two results, in the unit given beside it."""
+
+    name: Annotated[str, Doc("Its name.")]
+    unit: Annotated[str, Doc("m, rad, px, m/s, s, or 1 for a plain number.")]
+    a: Annotated[float, Doc("In A.", unit="as unit says")]
+    b: Annotated[float, Doc("In B.", unit="as unit says")]
+    difference: Annotated[float, Doc("B less A.", unit="as unit says")]
+    std: Annotated[
+        float | None,
+        Doc(
+            "Standard deviation of the difference, A and B independent; null where neither tells its own.",
+            unit="as unit says",
+        ),
+    ]
+
+    @figure("Difference over std; null where there is no std.")
+    def sigmas(self) -> float | None:
+        return None if self.std is None else self.difference / self.std
+
+    def in_unit(self, unit: str, size: float) -> Difference:
+        """Return it in another unit; size: of that one, in the unit it is in."""
+        a, b, difference = (value / size for value in (self.a, self.b, self.difference))
+        std = None if self.std is None else self.std / size
+        return Difference(name=self.name, unit=unit, a=a, b=b, difference=difference, std=std)

@@ -133,7 +133,7 @@ def _output_model(kind: Any) -> type[BaseModel]:
     for key in keys(kind):
         extra: Any = {"unit": key.doc.unit} if key.doc.unit else None
         field = Field(None if key.optional else ..., description=key.doc.text, json_schema_extra=extra)
-        held[key.name] = (_shown(key.hint), field)
+        held[key.name] = (_shown(key.hint) | None if key.doc.nullable else _shown(key.hint), field)
     about = (kind.__doc__ or "").splitlines()[0]
     return create_model(kind.__name__, __doc__=about, __config__=ConfigDict(extra="forbid"), **held)
 

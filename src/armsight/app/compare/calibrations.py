@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.compare.parameters import Difference, Value, differences
+from armsight.app.compare.parameters import Value, differences
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, pose
 from armsight.optics import INTRINSICS, SIDES, Camera, Rig, triangulate
 from armsight.records import NamedCovariance
+from armsight.records.result_parts import Difference
 from armsight.store.arm_file import read_arm
 from armsight.store.handeye_file import read_handeye
 from armsight.store.rigs import read_camera_file, read_rig

@@ -6,8 +6,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
 from armsight.app.play.play_job import tipped
@@ -24,19 +22,6 @@ from armsight.store.path_file import read_path
 
 
 @output
-class PathIssueOutput(Output):
-    """Trouble at a row of a path, or on the way to it."""
-
-    row: Annotated[int, Doc("The row, from 0.")]
-    trouble: Annotated[
-        str, Doc("unreached, limits, jump, speed, turn, joint_speed, singular, branch, workspace or forbidden.")
-    ]
-    value: Annotated[float | None, Doc("How much there, rad, m, or per s; of a singularity its distance.")]
-    limit: Annotated[float | None, Doc("What is allowed, in the same unit.")]
-    text: Annotated[str, Doc("The same in words.")]
-
-
-@output
 class PathCheckOutput(Output):
     """armsight path check."""
 
@@ -47,7 +32,7 @@ class PathCheckOutput(Output):
     length_m: Annotated[float, Doc("Length of the path, m.")]
     duration_s: Annotated[float, Doc("How long it takes at its speeds, s.")]
     troubles: Annotated[dict[str, int], Doc("How many issues there are of each kind.")]
-    issues: Annotated[list[PathIssueOutput], Doc("All trouble, row by row.")]
+    issues: Annotated[tuple[PathIssue, ...], Doc("All trouble, row by row.")]
     start_q: Annotated[list[float] | None, Doc("Readings at the first row, rad or m; null where not reached.")]
 
 
@@ -87,11 +72,6 @@ def _output(path: TaughtPath, arm: Arm, found: PathCheck) -> PathCheckOutput:
         length_m=float(path.length_m[-1]),
         duration_s=float(found.t_s[-1]),
         troubles=dict(Counter(issue.trouble.value for issue in found.issues)),
-        issues=[_issue(issue) for issue in found.issues],
+        issues=found.issues,
         start_q=found.q[0].tolist() if len(found.q) else None,
     )
-
-
-def _issue(issue: PathIssue) -> PathIssueOutput:
-    value, limit = (x if np.isfinite(x) else None for x in (issue.value, issue.limit))
-    return PathIssueOutput(row=issue.row, trouble=issue.trouble.value, value=value, limit=limit, text=issue.text)
