@@ -60,9 +60,9 @@ def test_the_method_of_the_paper_is_refused_where_it_is_useless(tmp_path: Path) 
     with pytest.raises(
         Inconsistent, match=r"misses its own readings by \d+ standard deviations.*--method ml"
     ) as refusal:
-        identified(IdentifyJob(out=out, method="paper"), noisy, None)
+        identified(IdentifyJob(out=out, method="paper"), noisy, None, None, None)
     assert refusal.value.exit_code == 3 and not out.exists()
-    assert identified(IdentifyJob(out=out), noisy, None).misfit < 2.0 and out.exists()
+    assert identified(IdentifyJob(out=out), noisy, None, None, None).misfit < 2.0 and out.exists()
     clean = identify(swept(0.0, 1e-6), method="paper")
     assert not clean.useless
 

@@ -6,11 +6,14 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
 from armsight.app.play.play_job import tipped
 from armsight.control.guard import Limits
-from armsight.control.paths import PathCheck, PathIssue, check_path
+from armsight.control.paths import PathIssue, check_path
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
@@ -19,6 +22,8 @@ from armsight.report.path_report import path_report
 from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
+
+Array = NDArray[np.float64]
 
 
 @output
@@ -53,17 +58,26 @@ def check(
     the path leaves it open. start: readings where the arm stands, as 0,-1.2,0.4 or a joints.csv. Raises BadFile,
     UsageError, NotEnoughData.
     """
-    path = read_path(source, parent=parent)
     model = tipped(load_arm(arm), tip)
     kept = Limits() if limits is None else read_limits(limits)
-    first = None if start is None else reading_values(model, start)
-    found = check_path(path, model, kept, speed_m_s=speed_m_s, start=first)
+    path, first = read_path(source, parent=parent), None if start is None else reading_values(model, start)
+    return checked(path, model, kept, speed_m_s=speed_m_s, start=first, out=out, name=source.name)
+
+
+def checked(
+    path: TaughtPath,
+    arm: Arm,
+    limits: Limits,
+    *,
+    speed_m_s: float | None = None,
+    start: Array | None = None,
+    out: Path | None = None,
+    name: str,
+) -> PathCheckOutput:
+    """Tell what is wrong with a path of this name for an arm that stands at start (n,), as check does."""
+    found = check_path(path, arm, limits, speed_m_s=speed_m_s, start=start)
     if out is not None:
-        write_text(out, path_report(path, model, kept, found, name=source.name))
-    return _output(path, model, found)
-
-
-def _output(path: TaughtPath, arm: Arm, found: PathCheck) -> PathCheckOutput:
+        write_text(out, path_report(path, arm, limits, found, name=name))
     return PathCheckOutput(
         arm=arm.name,
         ok=found.ok,
