@@ -103,20 +103,13 @@ def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
     pooled = _pool(stills, seen)
     levels, variance, std = _table(pooled)
     linear, deviation = fit_line(levels, variance, std)
-    correlation, correlation_std = _correlation(pooled)
+    correlation = _correlation(pooled)
     _require_grain(correlation)
     noise = NoiseModel(
         levels=levels,
         variance_levels2=variance,
         std_levels2=std,
-        correlation=NeighbourCorrelation(
-            x=correlation[:2],
-            y=correlation[2:4],
-            diagonal=float(correlation[4]),
-            std_x=correlation_std[:2],
-            std_y=correlation_std[2:4],
-            std_diagonal=float(correlation_std[4]),
-        ),
+        correlation=correlation,
         n_frames=len(stills.frames),
         linear=linear,
     )
@@ -264,10 +257,10 @@ def _smooth(values: Array) -> Array:
     return np.convolve(values, np.ones(15), mode="same")
 
 
-def _correlation(pooled: _Pooled) -> tuple[Array, Array]:
-    """Return the correlations (5,) x1, x2, y1, y2, diagonal and their standard deviations."""
+def _correlation(pooled: _Pooled) -> NeighbourCorrelation:
+    """Return what neighbours share."""
 
-    def solve(products: Array, pairs: Array) -> Array:
+    def solve(products: Array, pairs: Array) -> Array:  # (5,) x1, x2, y1, y2, diagonal
         mean = products / np.maximum(pairs, 1.0)  # (7,)
         found = mean[1:] / mean[0]
         return np.append(found[:4], found[4:].mean())
@@ -275,15 +268,24 @@ def _correlation(pooled: _Pooled) -> tuple[Array, Array]:
     products, pairs = pooled.products.sum(axis=1), pooled.pairs.sum(axis=1)
     of_all = solve(products, pairs)
     without = np.array([solve(products - pooled.products[:, g], pairs - pooled.pairs[:, g]) for g in range(GROUPS)])
-    return np.clip(of_all, -1.0, 1.0), _jackknife(without)
+    found, std = np.clip(of_all, -1.0, 1.0), _jackknife(without)
+    return NeighbourCorrelation(
+        x=found[:2],
+        y=found[2:4],
+        diagonal=float(found[4]),
+        std_x=std[:2],
+        std_y=std[2:4],
+        std_diagonal=float(std[4]),
+    )
 
 
-def _require_grain(correlation: Array) -> None:
-    """Raise Degenerate where what changes is alike over neighbourhoods: correlations (5,) x1, x2, y1, y2, diagonal."""
-    if min(correlation[1], correlation[3]) > NO_GRAIN:
+def _require_grain(correlation: NeighbourCorrelation) -> None:
+    """Raise Degenerate where what changes is alike over neighbourhoods."""
+    along_x, along_y = correlation.x[1], correlation.y[1]
+    if min(along_x, along_y) > NO_GRAIN:
         raise Degenerate(
-            f"what changes from frame to frame is alike over several pixels (correlation {correlation[1]:.2f} and "
-            f"{correlation[3]:.2f} of pixels two apart)",
+            f"what changes from frame to frame is alike over several pixels (correlation {along_x:.2f} and "
+            f"{along_y:.2f} of pixels two apart)",
             consequence="It is light or things that move, and noise cannot be told from it",
             cure="Give frames of one scene that stands still, under light that does not change",
         )

@@ -50,10 +50,8 @@ class PathIssue(Output):
         PathTrouble,
         Doc("unreached, limits, jump, speed, turn, joint_speed, singular, branch, workspace or forbidden."),
     ]
-    value: Annotated[float, Doc("How much there, rad, m, or per s; of a singularity its distance.", nullable=True)] = (
-        np.nan
-    )
-    limit: Annotated[float, Doc("What is allowed, in the same unit.", nullable=True)] = np.nan
+    value: Annotated[float, Doc("How much there, rad, m, or per s; of a singularity its distance.", nullable=True)]
+    limit: Annotated[float, Doc("What is allowed, in the same unit.", nullable=True)]
     text: Annotated[str, Doc("The same in words.")]
 
 

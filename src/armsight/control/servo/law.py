@@ -94,7 +94,7 @@ class Gain(Output):
     stable: Annotated[float, Doc("From this one on the arm would swing up, 1/s; it is refused.")]
     cycle_s: Annotated[float, Doc("The servo's cycle: the cameras' or the controller's, the longer one, s.")]
     n: Annotated[int, Doc("Cycles of delay, begun ones counted whole.", key="n_delay")]
-    note: Annotated[str, Doc("What to know about the gain; empty for nothing.")] = ""
+    note: Annotated[str, Doc("What to know about the gain; empty for nothing.")]
 
 
 def chosen_gain(asked: float | None, cycle_s: float, delay_s: float) -> Gain:
