@@ -58,9 +58,10 @@ def check(
     the path leaves it open. start: readings where the arm stands, as 0,-1.2,0.4 or a joints.csv. Raises BadFile,
     UsageError, NotEnoughData.
     """
+    path = read_path(source, parent=parent)
     model = tipped(load_arm(arm), tip)
     kept = Limits() if limits is None else read_limits(limits)
-    path, first = read_path(source, parent=parent), None if start is None else reading_values(model, start)
+    first = None if start is None else reading_values(model, start)
     return checked(path, model, kept, speed_m_s=speed_m_s, start=first, out=out, name=source.name)
 
 

@@ -350,13 +350,13 @@ def run_play(
         raise UsageError(
             f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
-    path, model = (opened and opened.path) or read_path(job.path, parent=job.frame), given_arm(job.arm)
-    watcher: Watcher | None = None
-    if job.watched:
-        watcher = monitor = TargetMonitor(job, devices)
+    monitor = TargetMonitor(job, devices) if job.watched else None
+    watcher: Watcher | None = monitor
+    model, path = given_arm(job.arm), None
+    if monitor is not None:
         robot, clock = monitor.devices.robot, monitor.devices.clock
     elif opened is not None:
-        robot, clock, watcher, _ = opened
+        robot, clock, watcher, path = opened
     else:
         clock = SystemClock()
         robot = open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=None))
@@ -367,9 +367,9 @@ def run_play(
             consequence="Where its tip goes is not known, and nothing is moved",
             cure="Give the arm's file (--arm)",
         )
+    guard, path = tipped_guard(guard, job.tip), path or read_path(job.path, parent=job.frame)
     if job.watched:
         prepare(progress)  # before the robot is opened: at its first picture the arm would wait for compilers
-    guard = tipped_guard(guard, job.tip)
     done = PlaySession(job, path, robot, clock, guard, watcher).run(confirm, show, progress, begun, enabled)
     write_json(job.out / SUMMARY, done.to_dict())
     return done

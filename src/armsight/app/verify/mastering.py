@@ -44,8 +44,7 @@ TILT_RAD = np.deg2rad(40.0)
 
 def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
     """Return the poses to measure; write mastering.csv. Raises UsageError, DataRefused."""
-    world = None if job.world is None else read_world(job.world)
-    arm, how = _arm(job, world)
+    arm, how, world = _arm(job)
     middle = _middle(job, arm)
     notes = ["nobody looked for obstacles: check every pose before driving to it"]
     q = _drawn(arm, middle, job.span_rad)
@@ -70,8 +69,7 @@ def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
 
 def run_mastering(job: MasteringJob) -> MasteringOutput:
     """Return what the poses measured say; write verify.json and report.html. Raises UsageError, DataRefused."""
-    world = None if job.world is None else read_world(job.world)
-    arm, how = _arm(job, world)
+    arm, how, world = _arm(job)
     if job.measured is None:
         raise UsageError("no measured poses", cure="Give --measured poses.csv")
     file = read_measured(job.measured)
@@ -93,16 +91,17 @@ def _slides(arm: Arm) -> list[int]:
     return [k for k, joint in enumerate(arm.joints, 1) if joint.type is JointType.PRISMATIC]
 
 
-def _arm(job: MasteringJob, world: World | None) -> tuple[Arm, Align]:
-    """Return the arm in the frame of the measurements, and what is free of base and tool."""
+def _arm(job: MasteringJob) -> tuple[Arm, Align, World | None]:
+    """Return the arm in the frame of the measurements, what is free of base and tool, and where the rig is."""
     if job.tool is not None and job.tool not in TOOLS:
         raise UsageError(f"--tool {job.tool}", cure=f"Give one of {', '.join(TOOLS)}")
     arm = load_arm(job.arm)
-    if world is None:
-        return arm, Align.BASE if job.tool == "fixed" else Align.BOTH
+    if job.world is None:
+        return arm, Align.BASE if job.tool == "fixed" else Align.BOTH, None
+    world = read_world(job.world)
     if world.parent == "base":
         arm = arm.based()
-    return arm, Align.TOOL if job.tool == "free" else Align.NONE
+    return arm, Align.TOOL if job.tool == "free" else Align.NONE, world
 
 
 def _reported(job: MasteringJob, file: MeasuredFile, arm: Arm) -> Reported:
