@@ -74,7 +74,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "app/identify/results.py:JointStd": "an arm's entries have the same names everywhere",
         "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
         "app/requests/verify.py:LimitsFlags": FLAGS,
-        "app/verify/plan.py:VerifyPlanOutput": "a part of the plan, by name, with the files that were written",
         "verify/results.py:IsoFigure": "a figure of the standard, which an earlier run's file holds without its symbol",
     },
     "files": {

@@ -116,3 +116,13 @@ class Difference(Output):
         a, b, difference = (value / size for value in (self.a, self.b, self.difference))
         std = None if self.std is None else self.std / size
         return Difference(name=self.name, unit=unit, a=a, b=b, difference=difference, std=std)
+
+
+@output
+class Skew(Output):
+    """How far apart in time the frames of live pairs were: right minus left."""
+
+    mean_s: Annotated[float, Doc("Mean, s.")]
+    largest_s: Annotated[float, Doc("Largest, s.")]
+    n_pairs: int
+    n_dropped: Annotated[int, Doc("Frames without a partner.")]

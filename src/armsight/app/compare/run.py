@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from armsight.app.compare.calibrations import (
     Compared,
+    Effect,
     compare_arms,
     compare_cameras,
     compare_handeyes,
@@ -50,15 +51,6 @@ SHOWN: Mapping[str, tuple[float, str]] = {"m": (MM, "mm"), "rad": (DEG, "°"), "
 
 
 @output
-class ComparedEffect(Output):
-    """What the differences come to where the result is used."""
-
-    name: Annotated[str, Doc("What it is.")]
-    value: Annotated[float, Doc("How much.", unit="as unit says")]
-    unit: Annotated[str, Doc("m, rad, px, or 1 for a share.")]
-
-
-@output
 class CompareOutput(Output):
     """armsight compare."""
 
@@ -73,7 +65,7 @@ class CompareOutput(Output):
         float | None, Doc("How often chance alone would part two such results as far; null where it cannot be told.")
     ]
     parameters: Annotated[tuple[Difference, ...], Doc("Number by number.")]
-    effects: Annotated[list[ComparedEffect], Doc("What the differences come to.")]
+    effects: Annotated[tuple[Effect, ...], Doc("What the differences come to.")]
     n: Annotated[int | None, Doc("Poses that stand in both; of measurements.")] = None
     same_rig: Annotated[bool | None, Doc("Whether both were measured with one rig; left out where not recorded.")] = (
         None
@@ -108,7 +100,7 @@ def compare(job: CompareJob) -> CompareOutput:
         verdict=_told(found, judgement, tracks),
         p=judgement.p,
         parameters=tuple(found.differences),
-        effects=[ComparedEffect(name=one.name, value=one.value, unit=one.unit) for one in found.effects],
+        effects=tuple(found.effects),
         n=None if tracks is None else len(tracks.t_s),
         same_rig=None if tracks is None else tracks.shared.rig,
         same_target=None if tracks is None else tracks.shared.target,
