@@ -331,6 +331,6 @@ def question(robot: Robot, guard: Guard, gain: Gain, source: ServoSource) -> str
     noted = f" Note: {gain.note}." if gain.note else ""
     return (
         f"{robot.name} follows the target with gain {gain.used:.3g} 1/s ({mount}, delay "
-        f"{(gain.n * gain.cycle_s) / MS:.0f} ms, arm's lag taken as {source.arm_lag_s / MS:.0f} ms), at up to "
+        f"{(gain.n_delay * gain.cycle_s) / MS:.0f} ms, arm's lag taken as {source.arm_lag_s / MS:.0f} ms), at up to "
         f"{limits.speed_m_s / MM:.0f} mm/s and {limits.turn_rad_s / DEG:.0f} deg/s.{noted} It may start at once. Move?"
     )

@@ -93,7 +93,7 @@ class Gain(Output):
     no_overshoot: Annotated[float, Doc("Up to this one the error decays without overshoot, 1/s.")]
     stable: Annotated[float, Doc("From this one on the arm would swing up, 1/s; it is refused.")]
     cycle_s: Annotated[float, Doc("The servo's cycle: the cameras' or the controller's, the longer one, s.")]
-    n: Annotated[int, Doc("Cycles of delay, begun ones counted whole.", key="n_delay")]
+    n_delay: Annotated[int, Doc("Cycles of delay, begun ones counted whole.")]
     note: Annotated[str, Doc("What to know about the gain; empty for nothing.")]
 
 
@@ -116,7 +116,7 @@ def chosen_gain(asked: float | None, cycle_s: float, delay_s: float) -> Gain:
     note = ""
     if used > OVERSHOOT_SLACK * calm:
         note = f"a gain of {used:g} 1/s overshoots at a delay of {n} cycles; up to {calm:.4g} 1/s it would not"
-    return Gain(used=used, no_overshoot=calm, stable=stable, cycle_s=cycle_s, n=n, note=note)
+    return Gain(used=used, no_overshoot=calm, stable=stable, cycle_s=cycle_s, n_delay=n, note=note)
 
 
 LIKELY, FEW = 4.0, 8.0
