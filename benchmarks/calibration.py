@@ -168,7 +168,7 @@ def claims(n: int, board: Target, X: np.ndarray) -> None:
         lengths.append((np.linalg.norm(values[16:19]) - baseline, std["baseline_m"]))
         one = calibrate_camera(views(uv[0], "left"), board, BoardOptions(folds=0))
         mono.append(one.camera.intrinsics[[0, 1, 2, 3, 5, 6, 7, 8]] - LEFT)
-        claimed_mono.append([one.std[name] for name in NAMES])
+        claimed_mono.append([one.covariance.std()[name] for name in NAMES])
     rows = []
     for names, errors, claim in ((SHARED, stereo, claimed), ([f"one camera: {n}" for n in NAMES], mono, claimed_mono)):
         spread = np.sqrt(np.mean(np.square(errors), axis=0))

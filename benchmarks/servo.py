@@ -139,7 +139,7 @@ def servo_run(
         predict=predict,
     )
     source = ServoSource(arm, rig, setup.target, settings, cycle_s)
-    run = Run(name=name, gain=gain.used, n=gain.n)
+    run = Run(name=name, gain=gain.used, n=gain.n_delay)
     robot = TimedRobot(cell.robot)
     guard = Guard(arm, limits or Limits(), cycle_s)
     loop = ControlLoop(robot, guard, source, clock, enabled=lambda: True)

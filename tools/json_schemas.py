@@ -20,7 +20,6 @@ from armsight.app.calibrate.results import (
     MirrorCheckOutput,
     MirrorsOutput,
     NoiseOutput,
-    StereoOutput,
     ZoomRigOutput,
 )
 from armsight.app.compare.run import CompareOutput
@@ -36,7 +35,7 @@ from armsight.app.path.picks import PathPicksOutput
 from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
 from armsight.app.play.play_path import PlayOutput
 from armsight.app.record.export import ExportOutput
-from armsight.app.record.record import RecordOutput, RepairOutput
+from armsight.app.record.record import RecordOutput
 from armsight.app.reproduce.run import ReproduceOutput
 from armsight.app.robot.jog import JogOutput
 from armsight.app.robot.link_test import RobotTestOutput
@@ -46,6 +45,7 @@ from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
+from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetCalibration
 from armsight.calibrate.timing import TimingCalibration
@@ -56,6 +56,7 @@ from armsight.measure.results import MeasureOutput
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
+from armsight.store.recording import Repaired
 from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput, VerifyOutput
 
 OUTPUTS: Mapping[str, type[Output]] = {
@@ -63,7 +64,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "demo": DemoOutput,
     "calibrate-camera": CameraOutput,
     "calibrate-camera-noise": NoiseOutput,
-    "calibrate-stereo": StereoOutput,
+    "calibrate-stereo": StereoCalibration,
     "calibrate-zoom-rig": ZoomRigOutput,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
@@ -82,7 +83,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "verify-mastering": MasteringOutput,
     "verify-mastering-poses": MasteringPlanOutput,
     "record": RecordOutput,
-    "record-repair": RepairOutput,
+    "record-repair": Repaired,
     "convert-recording": ExportOutput,
     "convert": ConvertOutput,
     "convert-table": ConvertTableOutput,

@@ -68,10 +68,13 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/command.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",
         "kinematics/dynamics.py": "an extra that is not always there",
-        "records/by_value.py": "`record.save(path)` of the public face: records know of no files",
     },
     "types of a result": {
-        "*": "reckoned with values that may be missing or infinite, and told as null: decision 0031",
+        "app/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
+        "app/identify/results.py:JointStd": "an arm's entries have the same names everywhere",
+        "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
+        "app/requests/verify.py:LimitsFlags": FLAGS,
+        "verify/results.py:IsoFigure": "a figure of the standard, which an earlier run's file holds without its symbol",
     },
     "files": {
         "measure/spots/kernels/scan.py": "thresholds and connected components of one pass over an image",

@@ -9,8 +9,12 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from os import PathLike
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from armsight._files import Files
 
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
@@ -298,6 +302,15 @@ class _Face(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Face
+
+
+def _save(record: object, path: str | PathLike[str]) -> Path:
+    from armsight.store.saving import save  # with all kinds of files, when the first is written
+
+    return save(record, path)
+
+
+Files.save = _save
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
     __all__ = sorted(_PLACES)

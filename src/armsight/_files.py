@@ -6,8 +6,16 @@ import contextlib
 import errno
 import os
 import stat
+from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path
+
+
+class Files:
+    """What writes a record's own kind of file: given by the public face, since records are below those that know."""
+
+    save: Callable[[object, str | os.PathLike[str]], Path]
+
 
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """A pipe that nobody writes into opens at once, to be refused, in place of never."""

@@ -21,12 +21,14 @@ from typing import Annotated, Any, Protocol, Union, get_args, get_origin, get_ty
 class Doc:
     """What a field means, as the help of its flag says it, or the schema of a result.
 
-    unit: of a result's, where its name does not end in it; key: its name in JSON, where that is another.
+    unit: of a result's, where its name does not end in it; key: its name in JSON, where that is another. nullable: a
+    number that is told as null where it is not finite.
     """
 
     text: str
     unit: str = ""
     key: str = ""
+    nullable: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,8 +128,8 @@ def test_noise_that_the_detector_underrates_is_seen_in_the_residuals(truth: np.n
     uv = clean + rng.normal(0.0, 10.0 * SIGMA_PX, clean.shape)
     found = calibrate_stereo(views(uv[0]), views(uv[1]), BOARD, BoardOptions(folds=0))
     honest = 10.0 * np.sqrt(np.diag(bound(truth)))
-    assert found.std["left.fx"] == pytest.approx(honest[0], rel=0.15)
-    assert found.std["right.tx"] == pytest.approx(honest[16], rel=0.15)
+    assert found.std["left.fx_px"] == pytest.approx(honest[0], rel=0.15)
+    assert found.std["right.tx_m"] == pytest.approx(honest[16], rel=0.15)
 
 
 def wavy(rng: np.random.Generator, std_m: float) -> np.ndarray:

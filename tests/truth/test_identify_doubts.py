@@ -59,9 +59,9 @@ def test_the_method_of_the_paper_is_refused_where_it_is_useless(tmp_path: Path) 
     out = tmp_path / "arm.yaml"
     noisy = swept(0.0, 1e-3, arc=0.3)
     with refuses(Inconsistent, "readings", "--method ml") as refusal:
-        identified(IdentifyJob(out=out, method="paper"), noisy, None)
+        identified(IdentifyJob(out=out, method="paper"), noisy, None, None, None)
     assert refusal.value.exit_code == 3 and not out.exists()
-    assert identified(IdentifyJob(out=out), noisy, None).misfit < 2.0 and out.exists()
+    assert identified(IdentifyJob(out=out), noisy, None, None, None).misfit < 2.0 and out.exists()
     clean = identify(swept(0.0, 1e-6), method="paper")
     assert not clean.useless
 

@@ -103,7 +103,7 @@ def test_the_rig_is_found_with_its_plate() -> None:
         k = done.rig.right.intrinsics
         assert np.array_equal(k, done.rig.left.intrinsics)
         std = done.pair.std
-        assert abs(k[0] - 1000.0) < 4.0 * std["left.fx"] and abs(k[2] - 645.0) < 4.0 * std["left.cx"]
+        assert abs(k[0] - 1000.0) < 4.0 * std["left.fx_px"] and abs(k[2] - 645.0) < 4.0 * std["left.cx_px"]
         assert done.rig.T_rig_right.translation == pytest.approx([0.05, 0.0, -0.05], abs=3e-4)
     assert np.abs(seen).max() < 4.0 and np.std(seen) > 0.1
 

@@ -229,7 +229,7 @@ def test_frames_without_noise_are_refused() -> None:
     with pytest.raises(Degenerate, match="unchanged"):
         calibrate_noise(partly)
     found = calibrate_noise([frame for frame in frames for _ in range(2)])
-    assert (found.n_frames, found.n_copies, found.noise.n_frames) == (12, 6, 6)
+    assert (found.n_given, found.n_copies, found.n_frames) == (12, 6, 6)
     assert any("copies" in text for text in found.advice)
     assert_is_the_line(found)
 

@@ -91,7 +91,7 @@ def test_delays_count_begun_cycles_whole():
 def test_the_gain_is_the_largest_without_overshoot_unless_asked_for():
     gain = chosen_gain(None, 0.07, 0.14)
     assert gain.used == pytest.approx(2.116, abs=1e-3)
-    assert (gain.n, gain.note) == (2, "")
+    assert (gain.n_delay, gain.note) == (2, "")
     assert "overshoots" in chosen_gain(4.0, 0.07, 0.14).note
 
 

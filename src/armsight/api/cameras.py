@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import NoneType
@@ -14,9 +14,7 @@ import numpy as np
 from armsight.api.arrays import Image, ImageLike, as_images
 from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
-from armsight.app.calibrate.cameras import camera_output, stereo_output
 from armsight.app.calibrate.mirrors import mirrors_output
-from armsight.app.calibrate.results import CameraOutput, StereoOutput
 from armsight.app.calibrate.zoom import add_setting
 from armsight.app.requests.calibrate_cameras import ZoomValue
 from armsight.calibrate import cameras as solvers
@@ -27,6 +25,7 @@ from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import DETECTORS, find_two_boards
 from armsight.optics import Camera, Rig
 from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Target, require_kind, require_number
+from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, write_camera
 from armsight.store.saving import YAML, file_to_write
 
@@ -35,39 +34,43 @@ if TYPE_CHECKING:
 
 Images = ImageLike | Iterable[ImageLike]
 Detector = Literal["auto", "classic", "sectors", "xcorner"]
-Rejected = tuple[tuple[str, str], ...]
+Rejected = tuple[RejectedFile, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class _BoardResult(Result):
-    """What calibrations from boards share: `rejected` names each image left out, and why."""
+    """What calibrations from boards share."""
 
-    rejected: Rejected
-    output: CameraOutput | StereoOutput
+    detail: CameraCalibration | StereoCalibration
+
+    @property
+    def rejected(self) -> Rejected:
+        """(file, why) of each image left out."""
+        return self.detail.rejected
 
     @property
     def rms_px(self) -> float:
         """Root mean square reprojection residual in px."""
-        return self.output.rms_px
+        return self.detail.rms_px
 
     @property
     def left_out_rms_px(self) -> float | None:
         """The same on images left out of the fit; None where there were too few."""
-        return self.output.holdout_rms_px
+        return self.detail.holdout_rms_px
 
     @property
     def std(self) -> dict[str, float]:
         """Standard deviations by name, the unit in the name."""
-        return dict(self.output.std)
+        return self.detail.std
 
     @property
     def advice(self) -> tuple[str, ...]:
         """What would make the result surer."""
-        return tuple(self.output.advice)
+        return self.detail.advice
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate ... --json` gives them."""
-        return self.output.to_dict()
+        return self.detail.to_dict()
 
     def _fit_rows(self) -> list[Row]:
         left_out = "" if self.left_out_rms_px is None else f"; {self.left_out_rms_px:.3g} px on images left out"
@@ -77,11 +80,14 @@ class _BoardResult(Result):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CameraResult(_BoardResult):
-    """One camera's calibration. camera: what it gives; detail: residuals, covariance and all else."""
+    """One camera's calibration. detail: residuals, covariance and all else."""
 
-    camera: Camera
     detail: CameraCalibration
-    output: CameraOutput
+
+    @property
+    def camera(self) -> Camera:
+        """What was found."""
+        return self.detail.camera
 
     @property
     def title(self) -> str:
@@ -91,7 +97,7 @@ class CameraResult(_BoardResult):
     def rows(self) -> list[Row]:
         """Return the intrinsics with standard deviations, and how well they fit."""
         names = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")
-        std = self.detail.std
+        std = self.detail.covariance.std()
         values = zip(names, self.camera.intrinsics.tolist(), strict=True)
         rows = [(name, with_std(v, std.get(name), "px" if i < 5 else "")) for i, (name, v) in enumerate(values)]
         return rows + self._fit_rows()
@@ -130,7 +136,6 @@ class RigResult(_BoardResult):
 
     rig: Rig
     detail: StereoCalibration
-    output: StereoOutput
 
     @property
     def title(self) -> str:
@@ -144,7 +149,7 @@ class RigResult(_BoardResult):
         for side in ("left", "right"):
             values = zip(("fx", "fy", "cx", "cy"), self.rig.camera(side).intrinsics[:4].tolist(), strict=True)
             rows += [(f"{side} {name}", with_std(v, std.get(f"{side}.{name}_px"), "px")) for name, v in values]
-        return [*rows, ("epipolar", f"{self.output.epipolar_rms_px:.3g} px RMS"), *self._fit_rows()]
+        return [*rows, ("epipolar", f"{self.detail.epipolar_rms_px:.3g} px RMS"), *self._fit_rows()]
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write rig.yaml with the covariance, and return its path."""
@@ -196,11 +201,10 @@ def calibrate_camera(
     target, options = _board(board), _options(options)
     seen = _seen(as_images(images, "image", bits), target, _detector(detector))
     views = [view for _, view in seen if isinstance(view, BoardView)]
-    missed = tuple((name, view.why) for name, view in seen if isinstance(view, NotSeen))
+    missed = tuple(RejectedFile(name, view.why) for name, view in seen if isinstance(view, NotSeen))
     _require(views, missed)
     done = solvers.calibrate_camera(views, target, options)
-    output = camera_output(done, missed)
-    return CameraResult(camera=done.camera, detail=done, rejected=(*missed, *done.rejected), output=output)
+    return CameraResult(detail=replace(done, rejected=(*missed, *done.rejected)))
 
 
 def calibrate_stereo(
@@ -236,8 +240,8 @@ def calibrate_stereo(
     left, right, missed = _both(_seen(pairs[0], target, how), _seen(pairs[1], target, how))
     _require(left, missed)
     done = solvers.calibrate_stereo(left, right, target, options)
-    output = stereo_output(done, missed, n_pairs=len(pairs[0]))
-    return RigResult(rig=done.rig, detail=done, rejected=(*missed, *done.rejected), output=output)
+    done = replace(done, n_pairs=len(pairs[0]), rejected=(*missed, *done.rejected))
+    return RigResult(rig=done.rig, detail=done)
 
 
 def calibrate_mirrors(
@@ -269,14 +273,13 @@ def calibrate_mirrors(
     if thickness_m is not None:
         require_number("thickness_m", thickness_m)
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
-    missed = tuple((name, views.why) for name, views in seen if isinstance(views, NotSeen))
+    missed = tuple(RejectedFile(name, views.why) for name, views in seen if isinstance(views, NotSeen))
     found = [views for _, views in seen if not isinstance(views, NotSeen)]
     _require([left for left, _ in found], missed)
     done: MirrorCalibration = mirror_solver.calibrate_mirrors(
         [left for left, _ in found], [right for _, right in found], target, thickness_m=thickness_m, options=options
     )
-    output = mirrors_output(done, missed, n_pairs=len(seen))
-    return RigResult(rig=done.rig, detail=done.pair, rejected=(*missed, *done.pair.rejected), output=output)
+    return RigResult(rig=done.rig, detail=mirrors_output(done, missed))
 
 
 def _board(board: str | Target) -> Target:
@@ -331,12 +334,13 @@ def _both(
     left: list[tuple[str, Seen]], right: list[tuple[str, Seen]]
 ) -> tuple[list[BoardView], list[BoardView], Rejected]:
     views: tuple[list[BoardView], list[BoardView]] = [], []
-    missed: list[tuple[str, str]] = []
+    missed: list[RejectedFile] = []
     for (left_name, a), (right_name, b) in zip(left, right, strict=True):
         if isinstance(a, BoardView) and isinstance(b, BoardView):
             views[0].append(a)
             views[1].append(b)
-        missed += [(name, view.why) for name, view in ((left_name, a), (right_name, b)) if isinstance(view, NotSeen)]
+        both = ((left_name, a), (right_name, b))
+        missed += [RejectedFile(name, view.why) for name, view in both if isinstance(view, NotSeen)]
     return views[0], views[1], tuple(missed)
 
 

@@ -24,7 +24,6 @@ from armsight.app.convert import (
 from armsight.app.kinematics import FormulasOutput, ShowOutput, draw_arm
 from armsight.app.kinematics import write_formulas as write_formulas_of
 from armsight.app.record.export import ExportOutput, export
-from armsight.app.record.record import RepairOutput
 from armsight.app.tables import convert_table
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
@@ -33,7 +32,7 @@ from armsight.records import Progress, checked_array, require_number
 from armsight.records.output import Output
 from armsight.store.foreign import FrameNames
 from armsight.store.interpret import OURS, TableFormat
-from armsight.store.recording import Recording, cut
+from armsight.store.recording import Recording, Repaired, cut
 from armsight.store.saving import file_to_write
 from armsight.store.yamls import read_yaml
 
@@ -60,9 +59,7 @@ def open_recording(path: PathText) -> Recording:
 
 
 @speaks_python
-def cut_recording(
-    path: PathText, out: PathText, start_s: float, end_s: float, *, overwrite: bool = False
-) -> RepairOutput:
+def cut_recording(path: PathText, out: PathText, start_s: float, end_s: float, *, overwrite: bool = False) -> Repaired:
     """Copy what was recorded from start_s to end_s, with rig and target, into a new recording.
 
     Raises BadFile, NotEnoughData where nothing was recorded then, UsageError.
@@ -84,14 +81,7 @@ def cut_recording(
         )
     with Recording(source) as recording:
         ends = [recording.origin_ns + round(1e9 * t_s) for t_s in (start_s, end_s)]
-    done = cut(source, file, ends[0], ends[1], overwrite=overwrite)
-    return RepairOutput(
-        file=str(file),
-        messages=done.messages,
-        duration_s=done.seconds_s,
-        lost_bytes=done.lost_bytes,
-        damaged_chunks=done.damaged_chunks,
-    )
+    return cut(source, file, ends[0], ends[1], overwrite=overwrite)
 
 
 @speaks_python

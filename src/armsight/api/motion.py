@@ -20,7 +20,7 @@ from armsight.api.given import (
     TargetLike,
 )
 from armsight.api.links import Confirm, RobotLike, as_question, name_of
-from armsight.app.play.play_path import PlayOutput, run_play
+from armsight.app.play.play_path import Opened, PlayOutput, run_play
 from armsight.app.requests.motion import LATENCY_S, PlayJob, ServoJob, StandingJob, TeachJob
 from armsight.app.servo.run_servo import run_servo
 from armsight.app.servo.servo_job import ServoDevices
@@ -269,7 +269,7 @@ def play(
             return run_play(job, as_question(confirm), progress=progress)
         if job.watched:
             return run_play(job, as_question(confirm), progress=progress, devices=_devices(robot, job.cameras()))
-        return run_play(job, as_question(confirm), progress=progress, opened=(robot, SystemClock(), None))
+        return run_play(job, as_question(confirm), progress=progress, opened=Opened(robot, SystemClock()))
 
 
 def _servo_job(given: Given, values: dict[str, Any]) -> tuple[ServoJob, ServoDevices | None]:

@@ -29,7 +29,7 @@ from armsight.app.join import JoinOutput
 from armsight.app.join import join as run_join
 from armsight.app.measure.outputs import POSES
 from armsight.app.measure.run import measure as run_measure
-from armsight.app.record.record import RecordOutput, RepairOutput, mend
+from armsight.app.record.record import RecordOutput, mend
 from armsight.app.record.record import record as run_record
 from armsight.app.requests.files import CompareJob, JoinJob
 from armsight.app.requests.measure import MeasureJob, RecordJob
@@ -45,7 +45,7 @@ from armsight.records.output import extended, output
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
-from armsight.store.recording import ImageFormat
+from armsight.store.recording import ImageFormat, Repaired
 from armsight.store.saving import file_to_write
 from armsight.verify.results import VerifyOutput
 
@@ -215,7 +215,7 @@ def record(
 
 
 @speaks_python
-def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: bool = False) -> RepairOutput:
+def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: bool = False) -> Repaired:
     """Make a readable recording of one that was cut off: as out, or in its place with the broken one kept beside it.
 
     Raises BadFile for what is no recording, UsageError where a file would be lost.

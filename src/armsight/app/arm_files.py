@@ -33,6 +33,11 @@ class ConvertArmOutput(Output):
     convention: Annotated[str, Doc("standard or craig.")]
 
 
+def given_arm(arm: Path | str | None) -> Arm | None:
+    """Return the arm of load_arm, None where none is given."""
+    return None if arm is None else load_arm(str(arm))
+
+
 def load_arm(text: str) -> Arm:
     """Return the arm of an arm.yaml, a .urdf or a preset's name.
 

@@ -19,48 +19,12 @@ from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_th
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.fields import Doc
-from armsight.measure.planning import LEAST_COMMON, Accuracy, Choice, plan
+from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
 from armsight.units import MM
-
-
-@output
-class ResolutionAt(Output):
-    """What a rig can tell apart at a distance."""
-
-    depth_m: Annotated[float, Doc("The distance along the mean optical axis, m.")]
-    sigma_depth_m: Annotated[float, Doc("Standard deviation of a point along that axis, m.")]
-    sigma_lateral_m: Annotated[tuple[float, float], Doc("Across it: along the baseline, and square to it, m.")]
-    depth_per_px_m: Annotated[float, Doc("Change of depth for one pixel of disparity, m.")]
-    lateral_per_px_m: Annotated[float, Doc("Change across for one pixel, m.")]
-    in_view: Annotated[bool, Doc("Whether both cameras have the point in their image.")]
-
-
-@output
-class ReachedAccuracy(Output):
-    """How well the worst point of the common view is placed, in its worst direction, as standard deviations."""
-
-    spots_m: Annotated[float | None, Doc("What the spots' noise brings, m; null where both views share nothing.")]
-    rig_m: Annotated[float | None, Doc("What the rig's calibration brings, m; 0 where its file does not tell.")]
-    total_m: Annotated[float | None, Doc("Both, m.")]
-    common: Annotated[float, Doc("Share of the left picture, 0 to 1, that the right camera sees as well.")]
-    width_m: Annotated[float, Doc("Width of the left picture at the nearest depth, m.")]
-
-
-@output
-class SettingPlan(Output):
-    """One setting of the lenses."""
-
-    zoom_left: Annotated[float | None, Doc("Of the left lens; null without zoom.")]
-    zoom_right: Annotated[float | None, Doc("Of the right lens; null without zoom.")]
-    focal_px: Annotated[float, Doc("Focal length of the left camera, px.")]
-    now: Annotated[ReachedAccuracy, Doc("With the rig's own baseline.")]
-    reached: Annotated[bool, Doc("Whether that reaches the wanted accuracy.")]
-    baseline_m: Annotated[float | None, Doc("The shortest baseline that reaches it, m; null where none does.")]
-    at_baseline: Annotated[ReachedAccuracy | None, Doc("What that baseline gives; null where none does.")]
 
 
 @output
@@ -71,7 +35,7 @@ class AccuracyPlan(Output):
     depths_m: Annotated[list[float], Doc("The depths at which it is wanted, m.", unit="m")]
     sigma_px: Annotated[float, Doc("Standard deviation taken of a spot's centre, px.")]
     baseline_m: Annotated[float, Doc("The rig's own baseline, m.")]
-    settings: Annotated[list[SettingPlan], Doc("By setting; one without zoom.")]
+    settings: Annotated[tuple[Choice, ...], Doc("By setting; one without zoom.")]
     advice: Annotated[list[str], Doc("What to do.")]
 
 
@@ -82,7 +46,7 @@ class RigResolution(Output):
     baseline_m: Annotated[float, Doc("Distance of the two centres of projection, m.")]
     rms_px: Annotated[float | None, Doc("RMS of the rig's calibration, px; null where its file does not say.")]
     sigma_px: Annotated[float, Doc("Standard deviation taken of a spot's centre, px.")]
-    distances: Annotated[list[ResolutionAt], Doc("By distance.")]
+    distances: Annotated[list[Resolution], Doc("By distance.")]
     accuracy: Annotated[AccuracyPlan | None, Doc("What reaches the accuracy of --accuracy.")] = None
 
 
@@ -94,26 +58,9 @@ def accuracy_plan(rig: Rig, accuracy_m: float, depths_m: Sequence[float], sigma_
         depths_m=list(depths_m),
         sigma_px=sigma_px,
         baseline_m=rig.baseline_m,
-        settings=[
-            SettingPlan(
-                zoom_left=one.zoom[0],
-                zoom_right=one.zoom[1],
-                focal_px=one.focal_px,
-                now=_told(one.now),
-                reached=one.reached,
-                baseline_m=one.baseline_m,
-                at_baseline=None if one.at_baseline is None else _told(one.at_baseline),
-            )
-            for one in choices
-        ],
+        settings=choices,
         advice=_advice(rig, choices, accuracy_m),
     )
-
-
-def _told(found: Accuracy) -> ReachedAccuracy:
-    parts = {name: getattr(found, name) for name in ("spots_m", "rig_m", "total_m")}
-    finite = {name: value if isfinite(value) else None for name, value in parts.items()}
-    return ReachedAccuracy(**finite, common=found.common, width_m=found.width_m)
 
 
 def _advice(rig: Rig, choices: Sequence[Choice], accuracy_m: float) -> list[str]:
@@ -144,7 +91,7 @@ def _advice(rig: Rig, choices: Sequence[Choice], accuracy_m: float) -> list[str]
 
 
 def _at(one: Choice) -> str:
-    named = zip(("left", "right"), one.zoom, strict=True)
+    named = (("left", one.zoom_left), ("right", one.zoom_right))
     values = [f"--zoom-{side} {value:g}" for side, value in named if value is not None]
     return f" at {' '.join(values)}" if values else ""
 
@@ -230,19 +177,8 @@ def rig_resolution(
         baseline_m=rig.baseline_m,
         rms_px=rig.rms_px,
         sigma_px=sigma_px,
-        distances=[_resolution_at(resolution(rig, depth_m, sigma_px)) for depth_m in depths],
+        distances=[resolution(rig, depth_m, sigma_px) for depth_m in depths],
         accuracy=None if accuracy_m is None else accuracy_plan(rig, accuracy_m, depths, sigma_px),
-    )
-
-
-def _resolution_at(row: Resolution) -> ResolutionAt:
-    return ResolutionAt(
-        depth_m=row.depth_m,
-        sigma_depth_m=row.sigma_depth_m,
-        sigma_lateral_m=row.sigma_lateral_m.tolist(),
-        depth_per_px_m=row.depth_per_px_m,
-        lateral_per_px_m=row.lateral_per_px_m,
-        in_view=row.in_view,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import given_arm
 from armsight.app.requests.files import JoinJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.errors import NotEnoughData, UsageError
@@ -63,7 +63,7 @@ def join(job: JoinJob) -> JoinOutput:
     Rows without times on one side belong together by order. Raises UsageError, DataRefused.
     """
     _check(job)
-    arm = None if job.arm is None else load_arm(job.arm)
+    arm = given_arm(job.arm)
     file = read_measured(job.measured, job.table.of_camera)
     if job.kind == "pairs" and file.measured.rotation is None:
         raise UsageError(f"{job.measured} has no rotations, and pairs need them", cure="Give poses, not points")

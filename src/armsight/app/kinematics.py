@@ -76,20 +76,6 @@ class IkOutput(Output):
 
 
 @output
-class PathIssue(Output):
-    """Something wrong with a joint path."""
-
-    kind: Annotated[str, Doc("jump, speed, limits, singular, branch or unreached.")]
-    first: Annotated[int, Doc("Where it begins, row from 0.")]
-    last: Annotated[int, Doc("Where it ends, row from 0.")]
-    worst: Annotated[int, Doc("Where it is worst, row from 0.")]
-    joint: Annotated[str, Doc("The joint's name; empty where it concerns the arm.")]
-    value: Annotated[float, Doc("How much there, rad, m, rad/s or m/s; of a singular passage its measure.")]
-    limit: Annotated[float, Doc("What is allowed, in the same unit.")]
-    text: Annotated[str, Doc("The same in words.")]
-
-
-@output
 class PathOutput(Output):
     """armsight kinematics path."""
 
@@ -97,7 +83,7 @@ class PathOutput(Output):
     n: Annotated[int, Doc("Poses of the path.")]
     n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
     branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
-    issues: Annotated[list[PathIssue], Doc("What is wrong with the path.")]
+    issues: Annotated[tuple[Issue, ...], Doc("What is wrong with the path.")]
 
 
 @output
@@ -269,20 +255,7 @@ def write_joint_path(
         n=len(targets),
         n_reached=len(track.q),
         branch=list(track.branch),
-        issues=[_issue(issue) for issue in track.issues],
-    )
-
-
-def _issue(issue: Issue) -> PathIssue:
-    return PathIssue(
-        kind=issue.trouble.value,
-        first=issue.first,
-        last=issue.last,
-        worst=issue.worst,
-        joint=issue.joint,
-        value=issue.value,
-        limit=issue.limit,
-        text=issue.text,
+        issues=track.issues,
     )
 
 

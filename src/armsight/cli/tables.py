@@ -13,10 +13,12 @@ from armsight.units import DEG, MM, MS, NOTHING
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from armsight.app.calibrate.results import CameraNoise, CameraOutput, StereoOutput, ZoomOutput, ZoomRigOutput
+    from armsight.app.calibrate.results import CameraOutput, ZoomOutput, ZoomRigOutput
     from armsight.app.demo import DemoOutput, PoseErrors
     from armsight.app.doctor import AccuracyPlan, DoctorOutput
+    from armsight.calibrate.cameras import StereoCalibration
     from armsight.measure.results import MeasureOutput
+    from armsight.records import NoiseModel
     from armsight.records.result_parts import PointStd, PoseStd, RejectedFile
 
 REJECTED_SHOWN = 8
@@ -182,7 +184,7 @@ def zoom_rig_tables(face: CommandUI, done: ZoomRigOutput, out: Path) -> None:
     face.say(f"Written: {out}")
 
 
-def noise_tables(face: CommandUI, noise: CameraNoise, out: Path) -> None:
+def noise_tables(face: CommandUI, noise: NoiseModel, out: Path) -> None:
     """Print a camera's noise."""
     rows = [
         [figure(level), figure(math.sqrt(variance)), figure(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
@@ -207,7 +209,7 @@ def noise_tables(face: CommandUI, noise: CameraNoise, out: Path) -> None:
     face.say(f"Written: {out}")
 
 
-def stereo_tables(face: CommandUI, done: StereoOutput, out: Path) -> None:
+def stereo_tables(face: CommandUI, done: StereoCalibration, out: Path) -> None:
     """Print a rig's calibration."""
     metric = done.metric
     rows = [

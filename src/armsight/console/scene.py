@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import arm_points, rig_pose
+from armsight.app.operator.cell_poses import arm_points, read_placement
 from armsight.app.operator.identify_run import SweepFit
 from armsight.console import texts
 from armsight.console.plots import Curve, Ruler
@@ -85,7 +85,8 @@ class Scene:
         rig_file, target_file = (cell_path(folder, getattr(cell, name), name) for name in ("rig", "target"))
         self._arm = None if console.robot is None else console.robot.session.arm
         self._q: Array | None = self._joints()
-        placed = rig_pose(folder, cell, self._arm, self._q)
+        self._placement = read_placement(folder, cell)
+        placed = self._placement.rig_pose(self._arm, self._q)
         if placed is None and rig_file is not None:
             self._arm = None  # where the arm stands before these cameras is not known yet
         self._T_scene_rig = UPRIGHT if placed is None else placed
@@ -245,7 +246,7 @@ class Scene:
             joint.move(*end.tolist())
         self._console.tracks.add_tool(points[-1])
         if self._console.cell.cameras == "carried":
-            placed = rig_pose(self._console.folder, self._console.cell, self._arm, q)
+            placed = self._placement.rig_pose(self._arm, q)
             self._T_scene_rig = self._T_scene_rig if placed is None else placed
             _put(self._cameras, self._T_scene_rig)
 

@@ -25,9 +25,10 @@ from armsight.drivers.camera_settings import (
     lock_settings,
 )
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.protocols import FrameSource, Skew
+from armsight.drivers.protocols import FrameSource
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
+from armsight.records.result_parts import Skew
 
 DEPTH = 4
 """Frames a live camera keeps for a slow reader; older ones are dropped, since a late frame is worth less."""

@@ -10,10 +10,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from armsight.drivers.protocols import FrameSource, Skew
+from armsight.drivers.protocols import FrameSource
 from armsight.drivers.sources import ImageFolder
 from armsight.errors import Inconsistent
 from armsight.records import Frame
+from armsight.records.result_parts import Skew
 
 
 class FilePairs:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.records import Frame, JointReading, frozen_array
+from armsight.records.result_parts import Skew
 
 
 class FrameSource(Protocol):
@@ -45,16 +46,6 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames. Raises BadImage, Inconsistent or DeviceLost at the frame that fails."""
         ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Skew:
-    """How far apart in time the frames of pairs were: right minus left, in s."""
-
-    mean_s: float
-    largest_s: float
-    n_pairs: int
-    n_dropped: int
 
 
 class PairSource(Protocol):

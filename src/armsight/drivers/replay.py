@@ -10,9 +10,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.protocols import RobotState, Sent, Skew
+from armsight.drivers.protocols import RobotState, Sent
 from armsight.errors import DeviceFailed, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, JointReading, Motion
+from armsight.records.result_parts import Skew
 
 Item = TypeVar("Item", Frame, tuple[Frame, Frame])
 

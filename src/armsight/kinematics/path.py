@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import NotConverged, UsageError
+from armsight.fields import Doc
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of
 from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
@@ -19,6 +21,7 @@ from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
 from armsight.kinematics.singular import NEAR, UNNAMED, singular_values, singularity_measures
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import Motion, frozen_array
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -39,22 +42,18 @@ class Trouble(StrEnum):
     UNREACHED = "unreached"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Issue:
-    """Something wrong from row first to row last of the path, worst at row worst.
+@output
+class Issue(Output):
+    """Something wrong with a joint path; of a singular passage value and limit are `singularity_measures`' and NEAR."""
 
-    joint: the joint's name, or '' where it concerns the arm. value and limit: in rad, m, rad/s or m/s; for a singular
-    passage the measure of `singularity_measures` and its threshold.
-    """
-
-    trouble: Trouble
-    first: int
-    last: int
-    worst: int
-    joint: str
-    value: float
-    limit: float
-    text: str
+    trouble: Annotated[Trouble, Doc("jump, speed, limits, singular, branch or unreached.", key="kind")]
+    first: Annotated[int, Doc("Where it begins, row from 0.")]
+    last: Annotated[int, Doc("Where it ends, row from 0.")]
+    worst: Annotated[int, Doc("Where it is worst, row from 0.")]
+    joint: Annotated[str, Doc("The joint's name; empty where it concerns the arm.")]
+    value: Annotated[float, Doc("How much there, rad, m, rad/s or m/s; of a singular passage its measure.")]
+    limit: Annotated[float, Doc("What is allowed, in the same unit.")]
+    text: Annotated[str, Doc("The same in words.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Degenerate, Inconsistent
+from armsight.fields import Doc
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.optics import PackedRig, Rig, RigKind, at_zoom, mean_axes, triangulate
 from armsight.optics.zoom import ZoomLens
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -26,39 +29,37 @@ LEAST_COMMON = 0.2
 """Share of the left picture that the right camera must see as well: less is a strip, not a volume."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Accuracy:
-    """How well points are placed at given depths: standard deviations in m of the worst point in its worst direction.
+@output
+class Accuracy(Output):
+    """How well the worst point of the common view is placed, in its worst direction, as standard deviations.
 
-    spots_m: what the spots' noise brings; rig_m: what the calibration brings, 0 where the rig's file tells nothing;
-    total_m: both. common: share of the left picture that the right camera sees, at the depth where it is least.
-    width_m: how wide the left picture is at the nearest depth.
+    common: at the depth where it is least.
     """
 
-    spots_m: float
-    rig_m: float
-    total_m: float
-    common: float
-    width_m: float
+    spots_m: Annotated[
+        float, Doc("What the spots' noise brings, m; null where both views share nothing.", nullable=True)
+    ]
+    rig_m: Annotated[float, Doc("What the rig's calibration brings, m; 0 where its file does not tell.", nullable=True)]
+    total_m: Annotated[float, Doc("Both, m.", nullable=True)]
+    common: Annotated[float, Doc("Share of the left picture, 0 to 1, that the right camera sees as well.")]
+    width_m: Annotated[float, Doc("Width of the left picture at the nearest depth, m.")]
 
     def reaches(self, accuracy_m: float) -> bool:
         """Tell whether the accuracy is reached in a common view."""
         return self.common >= LEAST_COMMON and self.total_m <= accuracy_m
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
-    """A setting of both lenses (None without zoom) with the rig's own baseline, and the shortest baseline that does.
+@output
+class Choice(Output):
+    """One setting of the lenses."""
 
-    baseline_m: None where none of those tried does; at_baseline: the accuracy there.
-    """
-
-    zoom: tuple[float | None, float | None]
-    focal_px: float
-    now: Accuracy
-    reached: bool
-    baseline_m: float | None
-    at_baseline: Accuracy | None
+    zoom_left: Annotated[float | None, Doc("Of the left lens; null without zoom.")]
+    zoom_right: Annotated[float | None, Doc("Of the right lens; null without zoom.")]
+    focal_px: Annotated[float, Doc("Focal length of the left camera, px.")]
+    now: Annotated[Accuracy, Doc("With the rig's own baseline.")]
+    reached: Annotated[bool, Doc("Whether that reaches the wanted accuracy.")]
+    baseline_m: Annotated[float | None, Doc("The shortest baseline that reaches it, m; null where none does.")]
+    at_baseline: Annotated[Accuracy | None, Doc("What that baseline gives; null where none does.")]
 
 
 def plan(rig: Rig, accuracy_m: float, depths_m: Sequence[float], sigma_px: float) -> tuple[Choice, ...]:
@@ -79,7 +80,8 @@ def plan(rig: Rig, accuracy_m: float, depths_m: Sequence[float], sigma_px: float
         found = _shortest(here, accuracy_m, depths_m, sigma_px)
         choices.append(
             Choice(
-                zoom=zoom,
+                zoom_left=zoom[0],
+                zoom_right=zoom[1],
                 focal_px=float(here.left.intrinsics[0]),
                 now=now,
                 reached=now.reaches(accuracy_m),

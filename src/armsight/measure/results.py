@@ -6,7 +6,7 @@ from typing import Annotated
 
 from armsight.fields import Doc
 from armsight.records.output import Output, output
-from armsight.records.result_parts import BothCounts, BothSeconds, PoseStd
+from armsight.records.result_parts import BothCounts, BothSeconds, PoseStd, Skew
 
 
 @output
@@ -33,15 +33,6 @@ class PoseDeviations(Output):
     total: Annotated[PoseStd, Doc("Of all causes together.")]
     random: Annotated[PoseStd, Doc("Of the spots' noise, anew in each frame.")]
     systematic: Annotated[PoseStd, Doc("Of rig and target, the same in all frames.")]
-
-
-@output
-class SkewOutput(Output):
-    """How far apart in time the frames of live pairs were: right minus left."""
-
-    mean_s: Annotated[float, Doc("Mean, s.")]
-    largest_s: Annotated[float, Doc("Largest, s.")]
-    n_dropped: Annotated[int, Doc("Frames without a partner.")]
 
 
 @output
@@ -147,7 +138,7 @@ class MeasureOutput(Output):
     candidates: Annotated[Candidates | None, Doc("Bright things in all images.")] = None
     std: Annotated[PoseDeviations | None, Doc("Median standard deviations of the full poses.")] = None
     consistency: Annotated[ConsistencyOutput | None, Doc("Whether residuals, rig and target agree.")] = None
-    skew: Annotated[SkewOutput | None, Doc("Time between the frames of live pairs.")] = None
+    skew: Annotated[Skew | None, Doc("Time between the frames of live pairs.")] = None
     timing: Annotated[FreeRunning | None, Doc("Where each view was taken at its own time.")] = None
     error: Annotated[str | None, Doc("Why the run ended early.")] = None
     assumed_fps: Annotated[

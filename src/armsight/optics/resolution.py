@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+from armsight.fields import Doc
 from armsight.optics.camera import SIDES
 from armsight.optics.rig import Rig
 from armsight.optics.triangulate import triangulate
+from armsight.records.fields import Shape
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -18,24 +21,22 @@ CENTROID_SIGMA_PX = 0.1
 """Standard deviation of a spot's centre where the caller gives none: MATH 2.3 uses it for webcams."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Resolution:
-    """At point_m (3,), depth_m in front of the middle of the two centres of projection along the mean optical axis.
+@output
+class Resolution(Output):
+    """What a rig can tell apart at a distance.
 
-    depth_per_px_m: change of depth for one pixel of disparity. lateral_per_px_m: for one pixel across.
-    sigma_depth_m, sigma_lateral_m (2,): standard deviations of a triangulated point along the mean axis, and across it
-    (along the baseline, and square to it), for sigma_px in each coordinate of both views. in_view: whether both
-    cameras have the point in their image.
+    point_m (3,): depth_m in front of the middle of the two centres of projection. sigma_px: in each coordinate of both
+    views, of which the standard deviations are.
     """
 
+    depth_m: Annotated[float, Doc("The distance along the mean optical axis, m.")]
+    sigma_depth_m: Annotated[float, Doc("Standard deviation of a point along that axis, m.")]
+    sigma_lateral_m: Annotated[Array, Shape((2,)), Doc("Across it: along the baseline, and square to it, m.")]
+    depth_per_px_m: Annotated[float, Doc("Change of depth for one pixel of disparity, m.")]
+    lateral_per_px_m: Annotated[float, Doc("Change across for one pixel, m.")]
+    in_view: Annotated[bool, Doc("Whether both cameras have the point in their image.")]
     point_m: Array
-    depth_m: float
-    depth_per_px_m: float
-    lateral_per_px_m: float
     sigma_px: float
-    sigma_depth_m: float
-    sigma_lateral_m: Array
-    in_view: bool
 
 
 def resolution(rig: Rig, depth_m: float, sigma_px: float = CENTROID_SIGMA_PX) -> Resolution:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight._files import Files
 
 MISSING = object()
 
@@ -54,7 +55,7 @@ def _content(record: Any) -> Mapping[str, Any]:
 
 
 class Saveable(ByValue):
-    """A record with `save`. The writer is reached by name: records know of no files."""
+    """A record with `save`. Records know of no files: `armsight/__init__.py` gives them what writes."""
 
     __slots__ = ()
 
@@ -64,5 +65,4 @@ class Saveable(ByValue):
         The ending decides: .yaml, of an arm also .urdf, of a path .csv. Raises UsageError for another ending or where
         there is no such folder, DeviceFailed.
         """
-        file: Path = import_module("armsight.store.saving").save(self, path)
-        return file
+        return Files.save(self, path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf
 from typing import Annotated
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
-from armsight.fields import Bounds
+from armsight.fields import Bounds, Doc
 from armsight.records.checks import frozen_array
 from armsight.records.fields import Shape
+from armsight.records.output import Output, figure, output
 
 Array = NDArray[np.float64]
 
@@ -23,38 +24,42 @@ LAGS = (1, 2)
 """Distances in px of the neighbours whose correlation is kept, along x and along y."""
 
 OF_LAGS = Shape((len(LAGS),))
+Pair = Annotated[Array, Shape((2,))]
 
 LEVELS = 256
 """Grey levels of an 8-bit image."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinearNoise:
+def unknown() -> Array:
+    """Return standard deviations of correlations that nobody gave."""
+    return np.zeros(len(LAGS))
+
+
+@output
+class LinearNoise(Output):
     """A camera whose variance is a line over the grey level, by EMVA 1288's linear model, black at level 0.
 
-    variance = read_noise_levels^2 + 1/12 + gain_levels * level, in grey levels squared; gain_levels: K, grey levels
-    for each electron.
+    variance = read_noise_levels^2 + 1/12 + gain_levels * level, in grey levels squared; gain_levels: K.
     """
 
-    read_noise_levels: float
-    gain_levels: float
+    read_noise_levels: Annotated[float, Doc("Noise in the dark, grey levels.")]
+    gain_levels: Annotated[float, Doc("Grey levels for each electron.")]
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.read_noise_levels < inf and 0.0 < self.gain_levels < inf):
             raise Inconsistent(f"noise with {self} cannot be: the read noise is 0 or more, the gain above 0")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NeighbourCorrelation:
-    """Correlation of a pixel's noise with its neighbours' at LAGS along x and along y (2,), and with the next pixel
-    along a diagonal, mean of both; std: standard deviations of these."""
+@output
+class NeighbourCorrelation(Output):
+    """Correlation of a pixel's noise with that of its neighbours, at LAGS; along a diagonal the mean of both."""
 
-    x: Annotated[Array, OF_LAGS]
-    y: Annotated[Array, OF_LAGS]
-    diagonal: float = 0.0
-    std_x: Annotated[Array, OF_LAGS] = field(default_factory=lambda: np.zeros(len(LAGS)))
-    std_y: Annotated[Array, OF_LAGS] = field(default_factory=lambda: np.zeros(len(LAGS)))
-    std_diagonal: float = 0.0
+    x: Annotated[Array, OF_LAGS, Doc("With the pixels 1 and 2 px away along x.")]
+    y: Annotated[Array, OF_LAGS, Doc("With the pixels 1 and 2 px away along y.")]
+    diagonal: Annotated[float, Doc("With the next pixel along the diagonals.")] = 0.0
+    std_x: Annotated[Array, OF_LAGS, Doc("Standard deviations of `x`.")] = field(default_factory=unknown)
+    std_y: Annotated[Array, OF_LAGS, Doc("Standard deviations of `y`.")] = field(default_factory=unknown)
+    std_diagonal: Annotated[float, Doc("Standard deviation of `diagonal`.")] = 0.0
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "std_x", "std_y"):
@@ -69,20 +74,18 @@ class NeighbourCorrelation:
         return float(np.abs([*self.x, *self.y, self.diagonal]).max())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseModel:
-    """Temporal noise of single pixels, rounding included, as photon transfer finds it (EMVA 1288).
+@output
+class NoiseModel(Output):
+    """Temporal noise of single pixels, rounding included, as photon transfer finds it (EMVA 1288)."""
 
-    levels: (n,) grey levels, increasing. variance_levels2, std_levels2: (n,) variance there in grey levels squared, and
-    its standard deviation. linear: given where variance_levels2 is a line over levels.
-    """
-
-    levels: Annotated[Array, Shape((None,))]
-    variance_levels2: Annotated[Array, Shape((None,))]
-    std_levels2: Annotated[Array, Shape((None,))]
-    correlation: NeighbourCorrelation
-    n_frames: Annotated[int, Bounds(least=1, most=1_000_000)]
-    linear: LinearNoise | None = None
+    levels: Annotated[Array, Shape((None,)), Doc("Grey levels, 0 to 255, increasing.")]
+    variance_levels2: Annotated[Array, Shape((None,)), Doc("Variance of a pixel from frame to frame at these levels.")]
+    std_levels2: Annotated[Array, Shape((None,)), Doc("Standard deviations of these variances.")]
+    correlation: Annotated[NeighbourCorrelation, Doc("What neighbours share.")]
+    n_frames: Annotated[int, Bounds(least=1, most=1_000_000), Doc("Still frames used.")]
+    linear: Annotated[LinearNoise | None, Doc("The line, null where the variance is none over the level.")] = field(
+        default_factory=lambda: None
+    )  # made, so that programs are always told of it
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.levels))
@@ -106,6 +109,12 @@ class NoiseModel:
         if self.linear is not None:
             variance = variance + self.linear.gain_levels * np.maximum(x - self.levels[-1], 0.0)
         return np.asarray(np.maximum(variance, ROUNDING_LEVELS2))
+
+    @figure(
+        "Factors along u and v on the variance of a wide light's centre, for what neighbours share.", key="widening"
+    )
+    def widest(self) -> Pair:
+        return self.widening()
 
     def table(self) -> Array:
         """Return the variance (256,) at every grey level, for kernels that look it up."""

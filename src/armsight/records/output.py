@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from functools import cache
 from html import escape
@@ -30,7 +30,7 @@ from armsight.fields import Doc
 from armsight.geometry import xyz_quat
 from armsight.records.by_value import ByValue
 
-Value = TypeVar("Value")
+Value = TypeVar("Value", covariant=True)
 Kind = TypeVar("Kind")
 More = TypeVar("More", bound="Output")
 Row = tuple[str, str]
@@ -58,6 +58,11 @@ class Key:
     def name(self) -> str:
         """What programs call it."""
         return self.doc.key or self.attribute
+
+    def of(self, record: object) -> Any:
+        """Return what a record has there, None for a number that is not finite and told as null."""
+        value = getattr(record, self.attribute)
+        return None if self.doc.nullable and not math.isfinite(value) else value
 
 
 class Figure(Generic[Value]):
@@ -102,7 +107,7 @@ class Output(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain numbers, texts, lists and dictionaries, keys as in the JSON object."""
-        held = ((key, getattr(self, key.attribute)) for key in keys(type(self)))
+        held = ((key, key.of(self)) for key in keys(type(self)))
         return {key.name: _plain(value, key.hint) for key, value in held if not (key.optional and value is None)}
 
     def to_json(self) -> str:
@@ -154,7 +159,7 @@ def _keys(kind: Any) -> tuple[Key, ...]:
         hint = hints[one.name]
         doc = next((part for part in get_args(hint) if isinstance(part, Doc)), None)
         if get_origin(hint) is Annotated and doc is not None:
-            optional = one.default is not MISSING
+            optional = one.default is None
             found.append(Key(one.name, hint, doc, optional))
     worked_out: dict[str, Figure[Any]] = {}
     mro: tuple[type, ...] = kind.__mro__

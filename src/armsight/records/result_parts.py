@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 from armsight.fields import Doc
-from armsight.records.output import Output, output
+from armsight.records.output import Output, figure, output
 
 
 @output
@@ -75,8 +75,7 @@ class PoseStd(PointStd):
         return self.rx_rad, self.ry_rad, self.rz_rad
 
 
-@output
-class RejectedFile(Output):
+class RejectedFile(NamedTuple):
     """An image that was left out."""
 
     file: Annotated[str, Doc("The image's file or source.")]
@@ -89,3 +88,41 @@ class RejectedRow(Output):
 
     row: Annotated[int, Doc("The row of the input table, from 1.")]
     why: Annotated[str, Doc("Why it was left out, in words.")]
+
+
+@output
+class Difference(Output):
+    """One number of two results, in the unit given beside it."""
+
+    name: Annotated[str, Doc("Its name.")]
+    unit: Annotated[str, Doc("m, rad, px, m/s, s, or 1 for a plain number.")]
+    a: Annotated[float, Doc("In A.", unit="as unit says")]
+    b: Annotated[float, Doc("In B.", unit="as unit says")]
+    difference: Annotated[float, Doc("B less A.", unit="as unit says")]
+    std: Annotated[
+        float | None,
+        Doc(
+            "Standard deviation of the difference, A and B independent; null where neither tells its own.",
+            unit="as unit says",
+        ),
+    ]
+
+    @figure("Difference over std; null where there is no std.")
+    def sigmas(self) -> float | None:
+        return None if self.std is None else self.difference / self.std
+
+    def in_unit(self, unit: str, size: float) -> Difference:
+        """Return it in another unit; size: of that one, in the unit it is in."""
+        a, b, difference = (value / size for value in (self.a, self.b, self.difference))
+        std = None if self.std is None else self.std / size
+        return Difference(name=self.name, unit=unit, a=a, b=b, difference=difference, std=std)
+
+
+@output
+class Skew(Output):
+    """How far apart in time the frames of live pairs were: right minus left."""
+
+    mean_s: Annotated[float, Doc("Mean, s.")]
+    largest_s: Annotated[float, Doc("Largest, s.")]
+    n_pairs: int
+    n_dropped: Annotated[int, Doc("Frames without a partner.")]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.records import PoseStatus
+from armsight.records.result_parts import Difference
 from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.report.series import SCALE, Series
@@ -37,19 +38,6 @@ KINDS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One number of both results, in the unit shown."""
-
-    name: str
-    unit: str
-    a: float
-    b: float
-    difference: float
-    std: float | None
-    sigmas: float | None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Course:
     """Differences of poses (n, 6) in m and rad at t_s (n,), with their standard deviations (n, 6)."""
@@ -69,7 +57,7 @@ class CompareRun:
     agree: bool | None
     verdict: str
     p: float | None
-    rows: Sequence[Row]
+    rows: Sequence[Difference]
     effects: Sequence[tuple[str, str]]
     notes: Sequence[str]
     course: Course | None = None
@@ -106,7 +94,7 @@ def compare_report(run: CompareRun, *, created: datetime | None = None) -> str:
     return page.html(created=created or datetime.now())
 
 
-def _table(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[Difference]) -> str:
     cells = []
     for row in rows:
         difference, std = with_deviation(row.difference, row.std) if row.difference else ("0", figure_of(row.std))
@@ -116,7 +104,7 @@ def _table(rows: Sequence[Row]) -> str:
     return table(["", "A", "B", "B less A", "±", "in sigma", "unit"], cells, numbers=(1, 2, 3, 4, 5))
 
 
-def _sigmas(rows: Sequence[Row]) -> Figure:
+def _sigmas(rows: Sequence[Difference]) -> Figure:
     known = [row for row in rows if row.sigmas is not None]
     names = short_names([row.name for row in known])
     size = np.array([row.sigmas or 0.0 for row in known])

@@ -133,7 +133,7 @@ def _output_model(kind: Any) -> type[BaseModel]:
     for key in keys(kind):
         extra: Any = {"unit": key.doc.unit} if key.doc.unit else None
         field = Field(None if key.optional else ..., description=key.doc.text, json_schema_extra=extra)
-        held[key.name] = (_shown(key.hint), field)
+        held[key.name] = (_shown(key.hint) | None if key.doc.nullable else _shown(key.hint), field)
     about = (kind.__doc__ or "").splitlines()[0]
     return create_model(kind.__name__, __doc__=about, __config__=ConfigDict(extra="forbid"), **held)
 
@@ -198,7 +198,8 @@ def _held(hint: Any) -> Any:
     """Return the type of what a file holds for a field of a record."""
     parts = typing.get_args(hint)
     if typing.get_origin(hint) is Annotated:
-        return _limited(*parts)
+        limit = next((one for one in parts if isinstance(one, Shape | Bounds)), None)
+        return _held(parts[0]) if limit is None else _limited(parts[0], limit)
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         return typing.Union[tuple(map(_held, parts))]  # noqa: UP007  # of a tuple that is known at run time only
     if typing.get_origin(hint) is tuple:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, ImageComparison, PosePairs, Setup
+from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
@@ -27,6 +27,7 @@ from armsight.store.codec import (
     covariance_mapping,
     named,
     pose_mapping,
+    structure,
     validated,
 )
 from armsight.store.covariances import (
@@ -50,21 +51,12 @@ CELLS = (*POSITION, *QUATERNION)
 PAIR_COLUMNS = tuple(f"{who}_{cell}" for who in ("base_flange", "camera_target") for cell in CELLS)
 
 
-class LeftOutModel(Strict):
-    """Errors at images left out, RMS; null where not all of them were predicted."""
-
-    position_m: Finite | None
-    orientation_rad: Finite | None
-    points_m: Finite | None
-    reprojection_px: Finite | None
-
-
 class ImagesModel(Strict):
     """What a result from images rests on, and the errors of all that were compared."""
 
     kept: Literal["poses", "corners", "corners and camera"]
     n_images: int
-    errors: dict[str, LeftOutModel]
+    errors: dict[str, structure(LeftOutErrors)]  # type: ignore[valid-type]  # made of the record's fields
 
 
 class HandEyeModel(Origin):

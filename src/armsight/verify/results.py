@@ -10,6 +10,7 @@ from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
 from armsight.verify.records import Figures
+from armsight.verify.supervision import Limits
 from armsight.verify.verification import Configurations
 
 
@@ -37,16 +38,6 @@ class LiveErrors(Output):
 
 
 @output
-class LiveLevels(Output):
-    """The levels as they were set; null: none."""
-
-    warn_m: Annotated[float | None, Doc("Error of place that warns, m.")]
-    stop_m: Annotated[float | None, Doc("Error of place that stops, m.")]
-    warn_rad: Annotated[float | None, Doc("Error of rotation that warns, rad.")]
-    stop_rad: Annotated[float | None, Doc("Error of rotation that stops, rad.")]
-
-
-@output
 class DecisionTime(Output):
     """Time from a pair of frames in memory to the decision on it, ms."""
 
@@ -69,7 +60,7 @@ class VerifyLiveOutput(Output):
     stopped: Annotated[bool, Doc("Whether the robot was told to stop.")]
     alarms: Annotated[list[LiveAlarm], Doc("What was raised, in the order of time.")]
     errors: Annotated[LiveErrors, Doc("Measured minus expected.")]
-    levels: Annotated[LiveLevels, Doc("The levels of alarm.")]
+    levels: Annotated[Limits, Doc("The levels of alarm.")]
     blind_s: Annotated[float, Doc("Longest time in which nothing could be compared, s.")]
     decision_ms: Annotated[DecisionTime | None, Doc("How long a decision took; null without one.")]
     recording: Annotated[str | None, Doc("The recording; null where none was made.")]

@@ -6,19 +6,22 @@ A level is raised only where the error is beyond it by more than measurement and
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
+from armsight.fields import Doc
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointsAt
+from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -48,14 +51,19 @@ class Level(IntEnum):
         return self.name.lower()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Errors of position in m and of rotation in rad from which on a level is raised; None: never."""
+def never() -> float | None:
+    """Return the level that nothing reaches; made, so that programs are always told of it."""
+    return None
 
-    warn_m: float | None = None
-    stop_m: float | None = None
-    warn_rad: float | None = None
-    stop_rad: float | None = None
+
+@output
+class Limits(Output):
+    """The levels as they were set; null: none."""
+
+    warn_m: Annotated[float | None, Doc("Error of place that warns, m.")] = field(default_factory=never)
+    stop_m: Annotated[float | None, Doc("Error of place that stops, m.")] = field(default_factory=never)
+    warn_rad: Annotated[float | None, Doc("Error of rotation that warns, rad.")] = field(default_factory=never)
+    stop_rad: Annotated[float | None, Doc("Error of rotation that stops, rad.")] = field(default_factory=never)
 
     def __post_init__(self) -> None:
         for warn, stop, unit in ((self.warn_m, self.stop_m, "mm"), (self.warn_rad, self.stop_rad, "deg")):

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
-from armsight.app.operator.cell_poses import arm_points, flange_pose, rig_pose
+from armsight.app.operator.cell_poses import arm_points, flange_pose, read_placement
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
@@ -90,11 +90,11 @@ def brightest(frame):
 def test_the_rig_is_where_hand_eye_says(folder):
     cell, arm = read_cell(folder), read_arm(folder / "arm.yaml")
     truth = live_cell("webcam-cell", ManualClock(), room="dark").T_mount_rig
-    found = rig_pose(folder, cell, arm, None)
+    found = read_placement(folder, cell).rig_pose(arm, None)
     assert np.asarray(found.as_matrix()) == pytest.approx(truth.as_matrix(), abs=1e-9)
     unplaced = cell.model_copy(update={"handeye": ""})
-    assert rig_pose(folder, unplaced, arm, HOME) is None
-    assert rig_pose(folder, cell, None, HOME) is None, "without an arm a base has no place"
+    assert read_placement(folder, unplaced).rig_pose(arm, HOME) is None
+    assert read_placement(folder, cell).rig_pose(None, HOME) is None, "without an arm a base has no place"
 
 
 def test_the_drawn_arm_goes_from_base_to_tool(folder):

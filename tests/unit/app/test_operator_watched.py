@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.operator import path_editor as watched_module
 from armsight.app.operator.path_editor import watcher_of
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.records import PoseStatus, TargetPose
+from armsight.store import World, write_world
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
@@ -60,7 +60,7 @@ def watched(folder, station, act, cell=None):
     return watcher, seen, told
 
 
-def test_in_the_rigs_axes_the_covariance_is_turned_with_the_pose_and_doubtful_is_not_ok(folder, monkeypatch):
+def test_in_the_rigs_axes_the_covariance_is_turned_with_the_pose_and_doubtful_is_not_ok(folder):
     handeye = read_handeye(folder / "handeye.yaml")
     T_rig_target = handeye.T_parent_camera.inv() * FLANGE * handeye.T_parent_target
     T_rig_parent = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_rotvec([0.4, -0.7, 1.1]))
@@ -72,7 +72,7 @@ def test_in_the_rigs_axes_the_covariance_is_turned_with_the_pose_and_doubtful_is
             station.shown = view(T_rig_parent.inv() * T_rig_target, t_s, status, C)
             assert wait()
 
-    monkeypatch.setattr(watched_module, "rig_pose", lambda *_: T_rig_parent.inv())
+    write_world(folder / "world.yaml", World(parent="world", T_parent_rig=T_rig_parent.inv()))
     station = SimpleNamespace(shown=None, failure="", job=SimpleNamespace(rig="rig.yaml"))
     cell = read_cell(folder).model_copy(update={"world": "world.yaml"})
     watcher, seen, _ = watched(folder, station, act, cell)

@@ -93,7 +93,7 @@ def turned(v: BoardView) -> BoardView:
 def test_stereo_finds_the_rig_within_its_claims() -> None:
     left, right = pairs(14, 1)
     found = calibrate_stereo(left, right, BOARD)
-    std = found.std
+    std = {**found.rig.covariance.std(), "baseline_m": found.baseline_std_m}
     for side, truth in (("left", LEFT), ("right", RIGHT)):
         got = found.rig.camera(side).intrinsics[[0, 1, 2, 3, 5, 6, 7, 8]]
         for name, value, true in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"), got, truth, strict=False):
@@ -109,7 +109,7 @@ def test_stereo_finds_the_rig_within_its_claims() -> None:
     assert found.metric["expected_m"] == pytest.approx(0.03)
     assert abs(found.metric["mean_m"] - 0.03) < 2e-5
     assert 0.0 < found.metric["rms_m"] < 3e-4
-    assert found.parallelism.convergence_rad == pytest.approx(0.25, abs=0.005)
+    assert found.alignment.convergence_rad == pytest.approx(0.25, abs=0.005)
 
 
 def test_camera_with_a_strong_third_term_gets_it_and_one_without_does_not() -> None:
@@ -122,14 +122,14 @@ def test_camera_with_a_strong_third_term_gets_it_and_one_without_does_not() -> N
     held = calibrate_camera(plain, BOARD, QUICK)
     assert held.camera.intrinsics[9] == 0.0
     assert "k3" not in held.std
-    assert "skew" not in held.std
+    assert "skew_px" not in held.std
 
 
 def test_fixed_parameters_stay_and_every_name_is_known() -> None:
     left, _ = pairs(10, 3)
     found = calibrate_camera(left, BOARD, BoardOptions(folds=0, fixed=frozenset({"skew", "cx", "cy", "p1", "p2"})))
     assert found.camera.intrinsics[[2, 3]].tolist() == [639.5, 359.5]
-    assert set(found.std) == {"fx", "fy", "k1", "k2"}
+    assert set(found.std) == {"fx_px", "fy_px", "k1", "k2"}
     with refuses(UsageError, "fx", "fy", "cx"):
         BoardOptions(fixed=frozenset({"focal"}))
 

@@ -68,11 +68,11 @@ def seen(
 def test_a_camera_is_found_within_what_it_claims() -> None:
     done = calibrate_camera(seen(FISHEYE, np.random.default_rng(1))[0], BOARD, OPTIONS)
     truth = dict(zip(done.camera.names, [420.0, 415.0, 640.3, 511.2, 0.0, *D], strict=False))
-    assert set(done.std) == {"fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"}
-    for name, std in done.std.items():
+    assert set(done.std) == {"fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4"}
+    for name, std in done.covariance.std().items():
         error = done.camera.intrinsics[done.camera.names.index(name)] - truth[name]
         assert abs(error) < 4.0 * std, name
-    assert done.std["fx"] < 1.0
+    assert done.std["fx_px"] < 1.0
     assert done.rms_px == pytest.approx(SIGMA_PX * np.sqrt(2.0), rel=0.1)
     assert done.rejected == ()
 

@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.play.play_path import run_play
+from armsight.app.play.play_path import Opened, run_play
 from armsight.app.requests.motion import PlayJob, ServoJob, TeachJob
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.jog_by_hand import listening
@@ -70,7 +70,7 @@ def job(path: Path, **more) -> PlayJob:
 
 def played(wanted: PlayJob, *, confirm=lambda _: True, progress=None, begun=lambda _: None):
     clock = ManualClock()
-    opened = open_robot(SIM, clock), clock, None
+    opened = Opened(open_robot(SIM, clock), clock)
     return run_play(wanted, confirm, progress=progress, opened=opened, begun=begun)
 
 

@@ -14,7 +14,7 @@ from nicegui import Client, ui
 from tests.unit.console.test_console_state import view
 
 from armsight.app.arm_files import load_arm
-from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.console.scene import Scene
 from armsight.console.state import Console
@@ -50,7 +50,7 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
 
 
 def test_three_curves_are_sent_each_from_its_own_source(page: Page) -> None:
-    T_world_rig = rig_pose(page.console.folder, page.console.cell, page.arm, page.q)
+    T_world_rig = read_placement(page.console.folder, page.console.cell).rig_pose(page.arm, page.q)
     assert T_world_rig is not None
     seen = np.array([[0.0, 0.01 * i, 0.8] for i in range(5)])
     tool = [page.arm.fk(page.arm.values(page.q))[:3, 3]]

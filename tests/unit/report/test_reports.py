@@ -19,6 +19,7 @@ from armsight.geometry import pose_difference
 from armsight.kinematics import preset
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
+from armsight.records.result_parts import Difference
 from armsight.report import (
     CalibrationRun,
     CameraFit,
@@ -31,7 +32,7 @@ from armsight.report import (
 from armsight.report.arm_view import arm_report
 from armsight.report.boards import add_boards
 from armsight.report.calibration import coverage
-from armsight.report.compare_report import CompareRun, Course, Row, compare_report
+from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page, Verdict, figure_of
 from armsight.report.run import BoardPicture, BoardViews
@@ -436,7 +437,7 @@ def boards_page():
 
 
 def compare_page():
-    rows = [Row(name="left.cx", unit="px", a=320.0, b=321.8, difference=1.8, std=0.43, sigmas=4.2)] * 24
+    rows = [Difference(name="left.cx", unit="px", a=320.0, b=321.8, difference=1.8, std=0.43)] * 24
     course = Course(t_s=np.arange(50.0), values=np.full((50, 6), 1e-3), std=np.full((50, 6), 1e-3))
     shared = {"kind": "rig", "a": "/a/very/long/way/to/a/result/before.yaml", "b": "after.yaml", "agree": False}
     told = {"verdict": "It moved.", "p": 0.0, "effects": [("shift", "1.8 px")], "notes": ["One."]}

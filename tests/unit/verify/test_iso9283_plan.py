@@ -18,7 +18,7 @@ from refusals import refuses
 def test_the_poses_lie_in_the_plane_on_its_diagonals(plane):
     cube = TestCube(centre_m=[0.5, 0.1, 0.4], side_m=0.4, plane=plane)
     p = cube.points_m
-    corners = cube.corners_m[np.array(PLANES[plane]) - 1]
+    corners = np.array([cube.corners_m[f"C{i}"] for i in PLANES[plane]])
     diagonal = 0.4 * np.sqrt(3.0)
     np.testing.assert_allclose(p["P1"], cube.centre_m)
     for i, corner in enumerate(corners):
@@ -31,7 +31,7 @@ def test_the_poses_lie_in_the_plane_on_its_diagonals(plane):
 
 
 def test_the_cube_is_numbered_as_the_planes_need_it():
-    c = TestCube(centre_m=np.zeros(3), side_m=2.0).corners_m
+    c = np.array(list(TestCube(centre_m=np.zeros(3), side_m=2.0).corners_m.values()))
     for first, second, third, fourth in PLANES.values():
         assert np.allclose(c[first - 1], -c[third - 1])  # opposite corners of the cube
         assert np.allclose(c[second - 1], -c[fourth - 1])
@@ -73,7 +73,7 @@ def test_poses_are_always_reached_from_one_direction(planned):
     _, plan = planned
     assert plan.motions[0].names == ("P1", "P5", "P4", "P3", "P2", "P1")
     assert plan.motions[0].repeats == 30
-    assert set(plan.poses) == {"P1", "P2", "P3", "P4", "P5"}
+    assert set(plan.tour) == {"P1", "P2", "P3", "P4", "P5"}
     approaches = [motion for motion in plan.motions if motion.test.startswith("approach")]
     assert len(approaches) == 9
     for name in ("P1", "P2", "P4"):

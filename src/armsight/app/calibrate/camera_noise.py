@@ -10,19 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.results import CameraNoise, MeasuredNoise, NoiseOutput
+from armsight.app.calibrate.results import NoiseOutput
 from armsight.app.requests.calibrate_cameras import NoiseJob
 from armsight.app.sources.frames import is_recording, open_source, recording_path
-from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
+from armsight.calibrate.camera_noise.photon_transfer import calibrate_noise
 from armsight.drivers import is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import NoiseModel, Progress, Silent
-from armsight.records.output import extended
 from armsight.store import add_noise, is_zoom_camera, read_camera_file, read_zoom_camera, read_zoom_rig
 from armsight.store.bags import bag_topic, is_bag
-from armsight.store.codec import mapping, read_output
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml
 from armsight.store.zoom import CAMERA_FORMAT
@@ -42,7 +40,7 @@ class FoundNoise:
 
     noise: NoiseModel
     size: tuple[int, int]
-    output: CameraNoise
+    output: NoiseModel
     inputs: Sequence[Path]
 
 
@@ -82,25 +80,7 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
 
     found = calibrate_noise(images())
     inputs = list(input_files(job.frames))
-    return FoundNoise(noise=found.noise, size=size[0], output=noise_output(found), inputs=inputs)
-
-
-def noise_output(found: NoiseCalibration) -> MeasuredNoise:
-    """Return a camera's noise and how it was found as --json gives it."""
-    return extended(
-        _as_in_files(found.noise),
-        MeasuredNoise,
-        n_given=found.n_frames,
-        n_copies=found.n_copies,
-        brightness_rms=found.brightness_rms,
-        shift_px_rms=found.shift_px_rms,
-        moving=found.moving,
-        frozen=found.frozen,
-        unusable=found.unusable,
-        frame_ratio=found.frame_ratio,
-        line_deviation=found.line_deviation,
-        advice=list(found.advice),
-    )
+    return FoundNoise(noise=found.noise, size=size[0], output=found, inputs=inputs)
 
 
 def require_size(found: FoundNoise, size: tuple[int, int], where: str) -> None:
@@ -124,12 +104,6 @@ def input_files(text: str) -> Sequence[Path]:
     if is_recording(text):
         return [recording_path(text)]
     return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
-
-
-def _as_in_files(noise: NoiseModel) -> CameraNoise:
-    """Return what files hold of a noise, the line always there, and the widening of wide lights."""
-    held = {"linear": None, **mapping(noise), "widening": noise.widening().tolist()}
-    return read_output(CameraNoise, held, "noise")
 
 
 def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
@@ -188,4 +162,4 @@ def _from_file(path: Path, side: str | None) -> FoundNoise:
         noise, size = file.noise, _size(file.camera)
     if noise is None:
         raise BadFile(f"{path}: holds no noise", consequence="Nothing was written", cure="Give still frames instead")
-    return FoundNoise(noise=noise, size=size, output=_as_in_files(noise), inputs=[path])
+    return FoundNoise(noise=noise, size=size, output=noise, inputs=[path])

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, cast
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.app.calibrate.camera_noise import FoundNoise, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
-from armsight.app.calibrate.results import CameraNoise, CameraOutput, StereoOutput, ZoomOutput
+from armsight.app.calibrate.results import CameraOutput, ZoomOutput
 from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
 from armsight.app.requests.calibrate_cameras import CameraJob, NoiseJob, StereoJob
 from armsight.app.sources.frames import open_pairs, open_source
@@ -20,23 +20,10 @@ from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
 from armsight.drivers import AUTOMATIC, is_live
 from armsight.errors import Cancelled, NotEnoughData
-from armsight.optics import LensKind
-from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
+from armsight.records import BoardView, Frame, NotSeen, Progress, Silent
+from armsight.records.output import extended
 from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, write_camera, write_rig
-
-Rejected = tuple[str, str]
-"""Which image, and why."""
-
-PIXEL_NAMES = ("fx", "fy", "cx", "cy", "skew")
-POSE_UNITS: Mapping[str, str] = {
-    "tx": "tx_m",
-    "ty": "ty_m",
-    "tz": "tz_m",
-    "rx": "rx_rad",
-    "ry": "ry_rad",
-    "rz": "rz_rad",
-}
 
 
 def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> CameraOutput:
@@ -47,7 +34,7 @@ def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> Camera
     options, board = job.options, parse_board(job.board)
     progress = progress or Silent()
     views: list[BoardView] = []
-    rejected: list[Rejected] = []
+    rejected: list[RejectedFile] = []
     every: list[Seen] = []
     pictures = BoardPictures()
     if job.zoom is not None:
@@ -68,10 +55,11 @@ def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> Camera
         require_size(found, (views[0].width, views[0].height), job.source)
     progress.update(0, 0, "solving")
     done = solve_camera(views, board, options, progress)
+    done = replace(done, rejected=(*rejected, *done.rejected))
     zoom = _write(job, done, found)
     boards = camera_boards(done, board, pictures)
-    write_camera_report(_report_of(job), done, board=job.board, rejected=rejected, boards=boards)
-    return camera_output(done, rejected, noise=found.output if found else None, zoom=zoom)
+    write_camera_report(_report_of(job), done, board=job.board, boards=boards)
+    return extended(done, CameraOutput, noise=found.output if found else None, zoom=zoom)
 
 
 def _write(job: CameraJob, done: CameraCalibration, found: FoundNoise | None) -> ZoomOutput | None:
@@ -97,7 +85,7 @@ def _noise(job: CameraJob, frames: str, progress: Progress) -> FoundNoise:
     return find_noise(NoiseJob(frames=frames, out=job.out, camera_settings=asked), progress)
 
 
-def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> StereoOutput:
+def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> StereoCalibration:
     """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -105,7 +93,7 @@ def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> Stereo
     options, board = job.options, parse_board(job.board)
     progress = progress or Silent()
     views: tuple[list[BoardView], list[BoardView]] = ([], [])
-    rejected: list[Rejected] = []
+    rejected: list[RejectedFile] = []
     every: list[Seen] = []
     done = 0
     pictures = BoardPictures()
@@ -117,7 +105,7 @@ def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> Stereo
         chosen = islice(pairs, 0, _stop(job), job.every)
         total = _total(pairs.total, job)
         for both in in_parallel(see, chosen, workers=job.workers):
-            lost = [(frame.source, seen.why) for frame, seen in both if isinstance(seen, NotSeen)]
+            lost = [RejectedFile(frame.source, seen.why) for frame, seen in both if isinstance(seen, NotSeen)]
             rejected += lost
             every += [seen for _, seen in both]
             if not lost:
@@ -130,59 +118,11 @@ def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> Stereo
     _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, options, progress)
+    result = replace(result, n_pairs=done, rejected=(*rejected, *result.rejected))
     write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
     boards = rig_boards(result, board, pictures)
-    data = RigData(board=job.board, n_pairs=done, rejected=rejected, boards=boards)
-    write_stereo_report(report_path(job.out), result, data)
-    return stereo_output(result, rejected, n_pairs=done)
-
-
-def camera_output(
-    done: CameraCalibration,
-    rejected: Sequence[Rejected],
-    *,
-    noise: CameraNoise | None = None,
-    zoom: ZoomOutput | None = None,
-) -> CameraOutput:
-    """Return a camera's calibration as --json gives it."""
-    fx, fy, cx, cy = done.camera.intrinsics[:4].tolist()
-    everything = [*rejected, *done.rejected]
-    return CameraOutput(
-        rms_px=done.rms_px,
-        n_images=done.n_used + len(everything),
-        n_used=done.n_used,
-        rejected=_rejected(everything),
-        fx_px=fx,
-        fy_px=fy,
-        cx_px=cx,
-        cy_px=cy,
-        distortion=done.camera.distortion.tolist(),
-        lens=None if done.camera.lens is LensKind.PINHOLE else "fisheye",
-        std=_std(done.covariance),
-        holdout_rms_px=done.holdout_rms_px,
-        advice=list(done.advice),
-        noise=noise,
-        zoom=zoom,
-    )
-
-
-def stereo_output(result: StereoCalibration, rejected: Sequence[Rejected], *, n_pairs: int) -> StereoOutput:
-    """Return a rig's calibration as --json gives it."""
-    return StereoOutput(
-        rms_px=result.rms_px,
-        epipolar_rms_px=result.epipolar_rms_px,
-        baseline_m=result.rig.baseline_m,
-        n_pairs=n_pairs,
-        n_used=result.n_used,
-        rejected=_rejected([*rejected, *result.rejected]),
-        std={**_std(result.rig.covariance), "baseline_m": result.baseline_std_m},
-        holdout_rms_px=result.holdout_rms_px,
-        holdout_epipolar_rms_px=result.holdout_epipolar_rms_px,
-        metric=cast(dict[Any, float | None], dict(result.metric)),
-        metric_is_left_out=result.metric_is_left_out,
-        alignment=result.parallelism,
-        advice=list(result.advice),
-    )
+    write_stereo_report(report_path(job.out), result, RigData(board=job.board, boards=boards))
+    return result
 
 
 def report_path(out: Path) -> Path:
@@ -190,9 +130,9 @@ def report_path(out: Path) -> Path:
     return out.with_suffix(".report.html")
 
 
-def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[Rejected]) -> None:
+def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[RejectedFile]) -> None:
     if isinstance(seen, NotSeen):
-        rejected.append((frame.source, seen.why))
+        rejected.append(RejectedFile(frame.source, seen.why))
     else:
         views.append(seen)
 
@@ -203,7 +143,7 @@ def _tell(progress: Progress, done: int, total: int) -> None:
         raise Cancelled(f"stopped after {done} images", consequence="Nothing was written")
 
 
-def _require(views: Sequence[BoardView], rejected: Sequence[Rejected], board: str) -> None:
+def _require(views: Sequence[BoardView], rejected: Sequence[RejectedFile], board: str) -> None:
     """Raise NotEnoughData where the board was seen nowhere."""
     if views or not rejected:
         return
@@ -225,17 +165,3 @@ def _total(total: int | None, job: CameraJob | StereoJob) -> int:
     if total is None:
         return job.limit or 0
     return -(-min(total, stop or total) // job.every)
-
-
-def _rejected(items: Sequence[Rejected]) -> list[RejectedFile]:
-    return [RejectedFile(file=file, why=why) for file, why in items]
-
-
-def _std(covariance: NamedCovariance | None) -> dict[str, float]:
-    """Return standard deviations by name with the unit in the key."""
-    out: dict[str, float] = {}
-    for name, value in (covariance.std() if covariance else {}).items():
-        side, _, plain = name.rpartition(".")
-        unit = f"{plain}_px" if plain in PIXEL_NAMES else POSE_UNITS.get(plain, plain)
-        out[f"{side}.{unit}" if side else unit] = value
-    return out

@@ -13,14 +13,10 @@ import numpy as np
 from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
 from armsight.app.calibrate.camera_noise import input_files
-from armsight.app.calibrate.cameras import report_path, stereo_output
+from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
-from armsight.app.calibrate.results import (
-    MirrorAlignment,
-    MirrorsOutput,
-    PlateOutput,
-)
+from armsight.app.calibrate.results import MirrorsOutput, PlateOutput
 from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
@@ -31,6 +27,7 @@ from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.records.output import extended
+from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, read_camera, read_target, write_rig
 
 TITLE = "Calibration of a mirror rig"
@@ -69,7 +66,6 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
         raise _too_few(job, len(views), missed)
-    rejected = [(source, seen.why) for source, seen in missed]
     progress.update(0, 0, "solving")
     done = calibrate_mirrors(
         [left for left, _ in views],
@@ -82,17 +78,11 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     )
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
-    n_pairs = len(views) + len(rejected)
-    data = RigData(
-        board=job.board,
-        n_pairs=n_pairs,
-        rejected=rejected,
-        title=TITLE,
-        results=_results(done, forms),
-        boards=rig_boards(done.pair, board, pictures),
-    )
-    write_stereo_report(report_path(job.out), done.pair, data)
-    return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
+    result = mirrors_output(done, [RejectedFile(source, seen.why) for source, seen in missed], forms=forms)
+    boards = rig_boards(result, board, pictures)
+    data = RigData(board=job.board, title=TITLE, results=_results(done, forms), boards=boards)
+    write_stereo_report(report_path(job.out), result, data)
+    return result
 
 
 def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData:
@@ -112,14 +102,16 @@ def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData
 
 
 def mirrors_output(
-    done: MirrorCalibration, rejected: Sequence[tuple[str, str]], *, n_pairs: int, forms: Sequence[FormError] = ()
+    done: MirrorCalibration, missed: Sequence[RejectedFile], *, forms: Sequence[FormError] = ()
 ) -> MirrorsOutput:
-    """Return a mirror rig's calibration as --json gives it."""
-    pair = stereo_output(done.pair, rejected, n_pairs=n_pairs)
-    plate = done.rig.left.plate
-    alignment = extended(
-        pair.alignment,
-        MirrorAlignment,
+    """Return a mirror rig's calibration; missed: what was not seen in both views."""
+    pair, plate = done.pair, done.rig.left.plate
+    return extended(
+        pair,
+        MirrorsOutput,
+        n_pairs=pair.n_pairs + len(missed),
+        rejected=(*missed, *pair.rejected),
+        metric=pair.metric or dict.fromkeys(("expected_m", "mean_m", "rms_m")),
         plate=PlateOutput(
             m_m=done.shift_m,
             l_m=done.shift_m,
@@ -128,12 +120,6 @@ def mirrors_output(
             seen_thickness_m=done.seen_m,
             seen_thickness_std_m=done.seen_std_m,
         ),
-    )
-    return extended(
-        pair,
-        MirrorsOutput,
-        alignment=alignment,
-        metric=pair.metric or dict.fromkeys(("expected_m", "mean_m", "rms_m")),
         one_lens=done.one_lens,
         forms=list(forms),
     )
@@ -228,22 +214,20 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     if job.image is None or job.camera is None or job.target is None or job.baseline_m is None:
         raise _incomplete(job)
     images = partial(open_source, job.image, settings=job.camera_settings)
-    done, rejected = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
+    done, missed = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
     forms = _forms(done)
-    n_images = done.pair.n_used + len(rejected)
+    result = mirrors_output(done, missed, forms=forms)
     data = RigData(
         board=str(job.target),
         thing="lit target",
-        n_pairs=n_images,
-        rejected=rejected,
         title=TITLE,
         results=_results(done, forms),
-        boards=rig_boards(done.pair, target, BoardPictures()),
+        boards=rig_boards(result, target, BoardPictures()),
         facts=[("camera's file", job.camera.name), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
-    write_stereo_report(report_path(out), done.pair, data)
-    return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
+    write_stereo_report(report_path(out), result, data)
+    return result
 
 
 def lit_design(job: MirrorsJob) -> tuple[Rig, Target]:

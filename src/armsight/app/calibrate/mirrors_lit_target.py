@@ -20,6 +20,7 @@ from armsight.measure.poses.setup import SLACK_PX
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Rig
 from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Progress, Spots, Target, TargetPose
+from armsight.records.result_parts import RejectedFile
 
 SLACKS_PX = (0.5, 1.0, 2.0, 4.0)
 """How far the mirrors may be out of their design. Well built ones are found with the least, and only with that: at 4 px
@@ -67,8 +68,8 @@ def calibrate_lit(
     every: int,
     limit: int | None,
     progress: Progress,
-) -> tuple[MirrorCalibration, list[tuple[str, str]]]:
-    """Return the mirror rig that took the complex images of the lit target, and (source, why) of those left out.
+) -> tuple[MirrorCalibration, list[RejectedFile]]:
+    """Return the mirror rig that took the complex images of the lit target, and those left out.
 
     design: as built, the lens known. open_images: returns the complex images, in colour or not. The spots are sorted by
     the design, and again by the rig that this gives. Raises UsageError for a target that cannot
@@ -81,7 +82,7 @@ def calibrate_lit(
     done = mirrors_from_target(design, first.views, first.poses, target)
     second = sorted_views(done.rig, target, moments, (SLACK_PX, *SLACKS_PX))
     _require_views(second, len(moments))
-    rejected = [(source, seen.why) for source, seen in second.rejected]
+    rejected = [RejectedFile(source, seen.why) for source, seen in second.rejected]
     return mirrors_from_target(done.rig, second.views, second.poses, target), rejected
 
 

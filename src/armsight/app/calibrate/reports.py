@@ -25,21 +25,19 @@ def write_camera_report(
     done: CameraCalibration,
     *,
     board: str,
-    rejected: Sequence[tuple[str, str]],
     boards: BoardViews | None = None,
 ) -> None:
     """Write the report of one camera's calibration."""
-    everything = (*rejected, *done.rejected)
     run = CalibrationRun(
         title="Calibration of a camera",
         board=board,
         cameras=[_fit("camera", done.camera, done.uv_px, done.residual_px, done.sources, done.view_rms_px)],
         parameters=_parameters("", done.camera, done.covariance),
-        n_images=done.n_used + len(everything),
+        n_images=done.n_images,
         n_used=done.n_used,
         rms_px=done.rms_px,
         holdout_rms_px=done.holdout_rms_px,
-        rejected=everything,
+        rejected=done.rejected,
         advice=done.advice,
         boards=boards,
     )
@@ -50,14 +48,11 @@ def write_camera_report(
 class RigData:
     """What went into a rig's calibration, and what its report says beside the figures.
 
-    n_pairs: all that were given; rejected: name of each that was left out before the fit, and why. thing: what the
-    images show, if not a board. results: lines beside the alignment. facts: for the end of the page. boards: where they
-    were, with pictures.
+    thing: what the images show, if not a board. results: lines beside the alignment. facts: for the end of the page.
+    boards: where they were, with pictures.
     """
 
     board: str
-    n_pairs: int
-    rejected: Sequence[tuple[str, str]]
     title: str = "Calibration of a pair of cameras"
     thing: str = "board"
     results: Sequence[tuple[str, str]] = ()
@@ -87,15 +82,15 @@ def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> N
             for i, side in enumerate(SIDES)
         ],
         parameters=parameters,
-        n_images=data.n_pairs,
+        n_images=done.n_pairs,
         n_used=done.n_used,
         rms_px=done.rms_px,
         holdout_rms_px=done.holdout_rms_px,
         epipolar_rms_px=done.epipolar_rms_px,
         holdout_epipolar_rms_px=done.holdout_epipolar_rms_px,
         baseline_m=rig.baseline_m,
-        metric=done.metric if done.metric_is_left_out else {},
-        rejected=(*data.rejected, *done.rejected),
+        metric={name: m for name, m in done.metric.items() if m is not None} if done.metric_is_left_out else {},
+        rejected=done.rejected,
         alignment=[*alignment_lines(done), *data.results],
         facts=data.facts,
         advice=done.advice,
@@ -107,7 +102,8 @@ def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> N
 def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:
     """Return how parallel the pair stands, in words (Kapucu's alignment); as many digits as the standard deviations
     allow."""
-    found, std = done.parallelism, done.parallelism.std or {}
+    found = done.alignment
+    std = found.std or {}
 
     def line(words: str, name: str, unit: str, scale: float) -> tuple[str, str]:
         value, deviation = with_deviation(scale * getattr(found, name), scale * std[name] if name in std else None)

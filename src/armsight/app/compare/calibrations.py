@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.compare.parameters import Difference, Value, differences
+from armsight.app.compare.parameters import Value, differences
 from armsight.errors import Inconsistent
+from armsight.fields import Doc
 from armsight.kinematics import Arm, pose
 from armsight.optics import INTRINSICS, SIDES, Camera, Rig, triangulate
 from armsight.records import NamedCovariance
+from armsight.records.output import Output, output
+from armsight.records.result_parts import Difference
 from armsight.store.arm_file import read_arm
 from armsight.store.handeye_file import read_handeye
 from armsight.store.rigs import read_camera_file, read_rig
@@ -34,13 +38,13 @@ RIG_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 NOT_ONE = "Nothing was compared"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effect:
-    """What the differences come to, in a unit."""
+@output
+class Effect(Output):
+    """What the differences come to where the result is used."""
 
-    name: str
-    value: float
-    unit: str
+    name: Annotated[str, Doc("What it is.")]
+    value: Annotated[float, Doc("How much.", unit="as unit says")]
+    unit: Annotated[str, Doc("m, rad, px, or 1 for a share.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

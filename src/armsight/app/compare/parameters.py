@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr
 
 from armsight.records import NamedCovariance
+from armsight.records.result_parts import Difference
 
 Array = NDArray[np.float64]
 
@@ -30,23 +31,6 @@ class Value:
     name: str
     value: float
     unit: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
-    """One number in both results. std: of the difference; sigmas: the difference over it; None where unknown."""
-
-    name: str
-    unit: str
-    a: float
-    b: float
-    difference: float
-    std: float | None
-
-    @property
-    def sigmas(self) -> float | None:
-        """The difference in standard deviations."""
-        return None if self.std is None else self.difference / self.std
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from armsight.app.compare.calibrations import (
     Compared,
+    Effect,
     compare_arms,
     compare_cameras,
     compare_handeyes,
     compare_rigs,
 )
-from armsight.app.compare.parameters import Difference, Judgement, judged, judged_singly
+from armsight.app.compare.parameters import Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
 from armsight.app.requests.files import CompareJob
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.records.output import Output, output
-from armsight.report.compare_report import CompareRun, Course, Row, compare_report
+from armsight.records.result_parts import Difference
+from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
 from armsight.store.atomic import write_json
@@ -48,34 +51,6 @@ SHOWN: Mapping[str, tuple[float, str]] = {"m": (MM, "mm"), "rad": (DEG, "°"), "
 
 
 @output
-class ComparedParameter(Output):
-    """One number of two results, in the unit given beside it."""
-
-    name: Annotated[str, Doc("Its name.")]
-    unit: Annotated[str, Doc("m, rad, px, m/s, s, or 1 for a plain number.")]
-    a: Annotated[float, Doc("In A.", unit="as unit says")]
-    b: Annotated[float, Doc("In B.", unit="as unit says")]
-    difference: Annotated[float, Doc("B less A.", unit="as unit says")]
-    std: Annotated[
-        float | None,
-        Doc(
-            "Standard deviation of the difference, A and B independent; null where neither tells its own.",
-            unit="as unit says",
-        ),
-    ]
-    sigmas: Annotated[float | None, Doc("Difference over std; null where there is no std.")]
-
-
-@output
-class ComparedEffect(Output):
-    """What the differences come to where the result is used."""
-
-    name: Annotated[str, Doc("What it is.")]
-    value: Annotated[float, Doc("How much.", unit="as unit says")]
-    unit: Annotated[str, Doc("m, rad, px, or 1 for a share.")]
-
-
-@output
 class CompareOutput(Output):
     """armsight compare."""
 
@@ -89,8 +64,8 @@ class CompareOutput(Output):
     p: Annotated[
         float | None, Doc("How often chance alone would part two such results as far; null where it cannot be told.")
     ]
-    parameters: Annotated[list[ComparedParameter], Doc("Number by number.")]
-    effects: Annotated[list[ComparedEffect], Doc("What the differences come to.")]
+    parameters: Annotated[tuple[Difference, ...], Doc("Number by number.")]
+    effects: Annotated[tuple[Effect, ...], Doc("What the differences come to.")]
     n: Annotated[int | None, Doc("Poses that stand in both; of measurements.")] = None
     same_rig: Annotated[bool | None, Doc("Whether both were measured with one rig; left out where not recorded.")] = (
         None
@@ -124,8 +99,8 @@ def compare(job: CompareJob) -> CompareOutput:
         agree=judgement.agree,
         verdict=_told(found, judgement, tracks),
         p=judgement.p,
-        parameters=[_parameter(one) for one in found.differences],
-        effects=[ComparedEffect(name=one.name, value=one.value, unit=one.unit) for one in found.effects],
+        parameters=tuple(found.differences),
+        effects=tuple(found.effects),
         n=None if tracks is None else len(tracks.t_s),
         same_rig=None if tracks is None else tracks.shared.rig,
         same_target=None if tracks is None else tracks.shared.target,
@@ -225,29 +200,12 @@ def _shown(value: float, unit: str) -> str:
     return f"{text}{shown}" if shown == "°" else f"{text} {shown}".strip()
 
 
-def _parameter(one: Difference) -> ComparedParameter:
-    return ComparedParameter(
-        name=one.name, unit=one.unit, a=one.a, b=one.b, difference=one.difference, std=one.std, sigmas=one.sigmas
-    )
-
-
 def _run(done: CompareOutput, tracks: Tracks | None) -> CompareRun:
     rows = []
     for one in done.parameters:
         factor, unit = SHOWN.get(one.unit, (1.0, one.unit))
-        std = None if one.std is None else one.std / factor
         name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
-        rows.append(
-            Row(
-                name=name,
-                unit=unit,
-                a=one.a / factor,
-                b=one.b / factor,
-                difference=one.difference / factor,
-                std=std,
-                sigmas=one.sigmas,
-            )
-        )
+        rows.append(replace(one, name=name).in_unit(unit, factor))
     return CompareRun(
         kind=done.kind,
         a=done.a,

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
 from armsight.app.compare.calibrations import Compared, Effect
-from armsight.app.compare.parameters import Difference
 from armsight.app.measure.outputs import SUMMARY
 from armsight.app.verify.run import read_run
 from armsight.errors import BadFile, NotEnoughData
 from armsight.measure.results import MadeWith
 from armsight.records import PoseStatus, TargetPose
+from armsight.records.result_parts import Difference
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import read_output

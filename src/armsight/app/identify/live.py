@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import given_arm
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.results import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
@@ -56,11 +56,12 @@ class OperatorCallbacks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """The rig, where it stands, and an arm roughly right whose tool is the beacon."""
+    """The rig, where it stands, an arm roughly right whose tool is the beacon, and the arm to put beside the result."""
 
     rig: Rig
     world: World | None = None
     model: Arm | None = None
+    nominal: Arm | None = None
 
 
 def read_known(job: LiveJob) -> Known:
@@ -68,7 +69,8 @@ def read_known(job: LiveJob) -> Known:
     return Known(
         rig=read_rig(job.rig),
         world=None if job.world is None else read_world(job.world),
-        model=None if job.model is None else load_arm(str(job.model)),
+        model=given_arm(job.model),
+        nominal=given_arm(job.nominal),
     )
 
 
@@ -122,7 +124,7 @@ def identify_observed(
     else:
         with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
             arm, notes = _probed(job, person, robot, sweeper, rig)
-    if not (job.model is not None and job.propose):
+    if not (known.model is not None and job.propose):
         start = sweeper.standing
     plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base, around_px=job.around_px)
     notes = [*([consequence(m + len(held), job.left_out)] if len(held) else []), *notes]
@@ -134,7 +136,8 @@ def identify_observed(
     sweeps, uneven = even_ones(_swept(job, plan, robot, sweeper))
     if uneven:
         write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
-    return identified(_from_sweeps(job, held), sweeps, rig, uneven, plan=told)
+    done = _from_sweeps(job, held)
+    return identified(done, sweeps, rig, known.world, known.nominal, notes=uneven, plan=told)
 
 
 def _check_joints(robot: Robot, limits: Array) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import given_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
 from armsight.app.identify.left_out import consequence, first_joints, named
@@ -42,6 +42,8 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
     A sweep made from frames is written beside the arm. Raises UsageError, DataRefused, DeviceFailed.
     """
     rig = None if job.rig is None else read_rig(job.rig)
+    world = None if job.world is None else read_world(job.world)
+    nominal = given_arm(job.nominal)
     notes: list[str] = []
     if job.sweep is not None:
         if job.mask is not None:
@@ -58,7 +60,7 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
         sweeps, uneven = even_ones(sweeps)
         notes += uneven
         write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
-    return identified(job, sweeps, rig, notes)
+    return identified(job, sweeps, rig, world, nominal, notes=notes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,14 +106,19 @@ def solve_sweeps(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, world: World
 
 
 def identified(
-    job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = (), *, plan: PlanOutput | None = None
+    job: IdentifyJob,
+    sweeps: Sweeps,
+    rig: Rig | None,
+    world: World | None,
+    nominal: Arm | None,
+    *,
+    notes: Sequence[str] = (),
+    plan: PlanOutput | None = None,
 ) -> IdentifyOutput:
     """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first.
 
-    plan: of the sweeps, for the figures.
+    rig, world, nominal: what the job's files hold. plan: of the sweeps, for the figures.
     """
-    nominal = None if job.nominal is None else load_arm(job.nominal)
-    world = None if job.world is None else read_world(job.world)
     solved = solve_sweeps(job, sweeps, rig, world, nominal)
     notes = [*([consequence(solved.n, solved.left_out)] if solved.left_out else []), *notes]
     inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]

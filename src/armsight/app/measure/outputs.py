@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.drivers import Skew
 from armsight.errors import Unseen
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import advice, sentence, settled
@@ -31,11 +30,10 @@ from armsight.measure.results import (
     MeasureOutput,
     OtherCause,
     PoseDeviations,
-    SkewOutput,
 )
 from armsight.optics import SIDES, Rig
 from armsight.records import PoseStatus, Target, TargetPose
-from armsight.records.result_parts import PoseStd
+from armsight.records.result_parts import PoseStd, Skew
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_points, write_poses, write_tum
 from armsight.store.atomic import RowFile
 
@@ -167,7 +165,7 @@ class Outputs:
             candidates=Candidates(**self._candidates) if self._candidates else None,
             std=_medians(np.array(self._std).reshape(-1, 2, 6)),
             consistency=None if consistency is None else consistency_output(consistency),
-            skew=None if skew is None else _skew(skew),
+            skew=skew,
             error=error or None,
         )
 
@@ -188,10 +186,6 @@ def _medians(std: Array) -> PoseDeviations | None:
         return PoseStd(**dict(zip(COORDINATES, np.median(values, axis=0).tolist(), strict=True)))
 
     return PoseDeviations(total=median(std[:, 0]), random=median(random), systematic=median(std[:, 1]))
-
-
-def _skew(skew: Skew) -> SkewOutput:
-    return SkewOutput(mean_s=skew.mean_s, largest_s=skew.largest_s, n_dropped=skew.n_dropped)
 
 
 def candidates_of(measured: Measured) -> dict[str, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,30 +11,54 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import Setup
+from armsight.errors import NotEnoughData
 from armsight.kinematics import Arm, link_frames
-from armsight.store import read_world
+from armsight.store import World, read_world
 from armsight.store.cell_file import CellFile, cell_path
-from armsight.store.handeye_file import read_handeye
+from armsight.store.handeye_file import HandEyeFile, read_handeye
 
 Array = NDArray[np.float64]
 
 
-def rig_pose(folder: Path, cell: CellFile, arm: Arm | None, q: Array | None) -> RigidTransform | None:
-    """Return T_world_rig by world.yaml, or by hand-eye, arm and joints q (n,); None where it is not known.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placement:
+    """What a cell's files tell of where its cameras and its target are; None of what they do not."""
 
-    A carried rig is where the arm is now; without an arm, or its joints, its position is not known. Raises BadFile.
-    """
+    world: World | None
+    handeye: HandEyeFile | None
+
+    def rig_pose(self, arm: Arm | None, q: Array | None) -> RigidTransform | None:
+        """Return T_world_rig by world.yaml, or by hand-eye, arm and joints q (n,); None where it is not known.
+
+        A carried rig is where the arm is now; without an arm, or its joints, its position is not known.
+        """
+        if self.world is not None:
+            base = arm.T_world_base if self.world.parent == "base" and arm is not None else RigidTransform.identity()
+            return base * self.world.T_parent_rig
+        if self.handeye is None or arm is None:
+            return None
+        if self.handeye.setup is Setup.EYE_TO_HAND:
+            return arm.T_world_base * self.handeye.T_parent_camera
+        return None if q is None else flange_pose(arm, q) * self.handeye.T_parent_camera
+
+    def on_robot(self, arm: Arm | None, consequence: str) -> tuple[Arm, RigidTransform]:
+        """Return the arm with the target as its tool, and T_world_rig of standing cameras. Raises NotEnoughData."""
+        T_world_rig = self.rig_pose(arm, None)
+        if arm is None or self.handeye is None or T_world_rig is None:
+            raise NotEnoughData(
+                "where the cameras and the target are on the robot is not known",
+                consequence=consequence,
+                cure="Calibrate hand-eye first, on the page Calibrate",
+            )
+        return replace(arm, T_flange_tool=self.handeye.T_parent_target), T_world_rig
+
+
+def read_placement(folder: Path, cell: CellFile) -> Placement:
+    """Return what the cell's files tell. Raises BadFile."""
     world, handeye = (cell_path(folder, getattr(cell, name), name) for name in ("world", "handeye"))
-    if world is not None:
-        found = read_world(world)
-        base = arm.T_world_base if found.parent == "base" and arm is not None else RigidTransform.identity()
-        return base * found.T_parent_rig
-    if handeye is None or arm is None:
-        return None
-    calibrated = read_handeye(handeye)
-    if calibrated.setup is Setup.EYE_TO_HAND:
-        return arm.T_world_base * calibrated.T_parent_camera
-    return None if q is None else flange_pose(arm, q) * calibrated.T_parent_camera
+    return Placement(
+        world=None if world is None else read_world(world), handeye=None if handeye is None else read_handeye(handeye)
+    )
 
 
 def flange_pose(arm: Arm, q: Array) -> RigidTransform:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
-from armsight.app.identify.live import OperatorCallbacks, identify_observed, in_radians, read_known
+from armsight.app.identify.live import Known, OperatorCallbacks, identify_observed, in_radians
 from armsight.app.identify.results import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
@@ -26,10 +26,9 @@ from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
 from armsight.records import Progress, Silent
-from armsight.store import World, read_world, write_world
+from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.cell_file import CellFile, cell_path
-from armsight.store.handeye_file import read_handeye
 from armsight.store.sweeps import read_sweeps
 from armsight.units import DEG, MM
 
@@ -148,10 +147,9 @@ def _identify(
     *,
     propose: bool,
 ) -> IdentifyOutput | ProposedPlanOutput:
-    job, light = prepared(asked, robot, propose=propose)
+    job, known, light = prepared(asked, robot, propose=propose)
     pace = Pace(speed=_pace(asked, robot.session.override), frames=asked.frames)
     job = replace(job, pace=pace, around_px=around_px(station.shown, light))
-    known = read_known(job)
     observer = StationObserver(station, known.rig, light, clock)
     with moved:
         return identify_observed(job, known, person, moved, observer, clock, progress)
@@ -167,13 +165,13 @@ def _pace(asked: IdentifyRequest, override: float) -> float:
     return override / max([*spans, 1.0])
 
 
-def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, str]:
-    """Write model and place beside the result, as the command line takes them; return the job and the light's name.
+def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, Known, str]:
+    """Return the job, what it starts from, and the light's name; model and place are kept beside the result.
 
     Raises UsageError, BadFile, NotEnoughData.
     """
-    rig, target_file = (_needed(asked, name) for name in ("rig", "target"))
-    target, arm = target_of(target_file), robot.session.arm
+    rig_file, target_file = (_needed(asked, name) for name in ("rig", "target"))
+    rig, target, arm = read_rig(rig_file), target_of(target_file), robot.session.arm
     if arm is None or len(asked.ranges) != arm.n:
         raise UsageError("a range is needed for every joint", consequence="Nothing is moved")
     if target.is_board:
@@ -185,7 +183,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
         robot=robot.robot,
         left=asked.cell.left,
         right=asked.cell.right,
-        rig=rig,
+        rig=rig_file,
         target=target_file,
         limits=in_radians(np.array([one.limits() for one in asked.ranges])),
         out=out / "arm.yaml",
@@ -201,20 +199,22 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
             cure="Calibrate hand-eye first, or run: the arm is then probed by small motions before",
         )
     if placed is None:
-        return job, light
+        return job, Known(rig=rig), light
     T_world_rig, T_flange_light = placed[0], placed[1] * RigidTransform.from_translation(target.xyz_m[0])
-    write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
-    write_arm(out / "model.yaml", replace(arm, T_flange_tool=T_flange_light))
-    return replace(job, world=out / "world.yaml", model=out / "model.yaml", nominal=str(out / "model.yaml")), light
+    world, model = World(parent="world", T_parent_rig=T_world_rig), replace(arm, T_flange_tool=T_flange_light)
+    write_world(out / "world.yaml", world)
+    write_arm(out / "model.yaml", model)
+    job = replace(job, world=out / "world.yaml", model=out / "model.yaml", nominal=str(out / "model.yaml"))
+    return job, Known(rig=rig, world=world, model=model, nominal=model), light
 
 
 def _placed(asked: IdentifyRequest, arm: Arm, q: Array) -> tuple[RigidTransform, RigidTransform] | None:
     """Return T_world_rig and T_flange_target by the hand-eye calibration of standing cameras; None without one."""
-    handeye = cell_path(asked.folder, asked.cell.handeye, "handeye")
-    T_world_rig = rig_pose(asked.folder, asked.cell, arm, q)
-    if handeye is None or T_world_rig is None or asked.cell.cameras == "carried":
+    placement = read_placement(asked.folder, asked.cell)
+    T_world_rig = placement.rig_pose(arm, q)
+    if placement.handeye is None or T_world_rig is None or asked.cell.cameras == "carried":
         return None
-    return T_world_rig, read_handeye(handeye).T_parent_target
+    return T_world_rig, placement.handeye.T_parent_target
 
 
 def _needed(asked: IdentifyRequest, name: str) -> Path:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
@@ -29,7 +29,6 @@ from armsight.records import Progress, TargetPose
 from armsight.store import World, read_rig, write_text, write_world
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.covariances import COVARIANCE, above_diagonal
-from armsight.store.handeye_file import read_handeye
 from armsight.store.iso9283_plan import write_test_plan
 from armsight.store.tables import cells
 from armsight.units import MM
@@ -99,19 +98,10 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
         raise UsageError("the cameras ride on the arm", cure="Put them beside it: they have to see where the arm goes")
     if not (asked.cycles >= FEWEST_VISITS and asked.speed_mm_s > 0.0 and asked.side_mm >= 0.0):
         raise UsageError(f"at least {FEWEST_VISITS} cycles, and a speed above 0, are needed")
-    arm = robot.session.arm
-    handeye = cell_path(asked.folder, asked.cell.handeye, "handeye")
-    T_world_rig = rig_pose(asked.folder, asked.cell, arm, None)
-    if arm is None or handeye is None or T_world_rig is None:
-        raise NotEnoughData(
-            "where the cameras and the target are on the robot is not known",
-            consequence="Nothing is planned",
-            cure="Calibrate hand-eye first, on the page Calibrate",
-        )
+    arm, T_world_rig = read_placement(asked.folder, asked.cell).on_robot(robot.session.arm, "Nothing is planned")
     files = [cell_path(asked.folder, getattr(asked.cell, name), name) for name in ("rig", "target")]
     if files[0] is None or files[1] is None:
         raise NotEnoughData("the cell has no rig or no target", consequence="Nothing is planned", cure="See Settings")
-    arm = replace(arm, T_flange_tool=read_handeye(handeye).T_parent_target)
     q = robot.joints()
     why: list[str] = []
     rig, target = read_rig(files[0]), target_of(files[1])

@@ -15,13 +15,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.outputs import moved_pose
-from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
-from armsight.app.path.check import PathCheckOutput, check
-from armsight.app.play.play_job import load_sight
-from armsight.app.play.play_path import PlayOutput, run_play
+from armsight.app.path.check import PathCheckOutput, checked
+from armsight.app.play.play_job import sight_of
+from armsight.app.play.play_path import Opened, PlayOutput, run_play
 from armsight.app.play.target_monitor import Seen
 from armsight.app.requests.motion import PlayJob
 from armsight.clock import Clock, SystemClock
@@ -32,6 +32,7 @@ from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageErr
 from armsight.kinematics import Arm
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.handeye_file import HandEyeFile
 from armsight.store.path_file import read_path, write_path
 from armsight.units import DEG, MM
 
@@ -45,9 +46,9 @@ class StationWatcher:
 
     stepped = False
 
-    def __init__(self, station: Station, handeye: Path, T_rig_parent: RigidTransform, clock: Clock) -> None:
-        """T_rig_parent: of the frame that the station's poses are in, seen from the rig. Raises BadFile."""
-        self.sight = load_sight(handeye)
+    def __init__(self, station: Station, handeye: HandEyeFile, T_rig_parent: RigidTransform, clock: Clock) -> None:
+        """T_rig_parent: of the frame that the station's poses are in, seen from the rig."""
+        self.sight = sight_of(handeye)
         self._station, self._T_rig_parent, self._clock = station, T_rig_parent, clock
         self._counts = dict.fromkeys(PoseStatus, 0)
         self._ended = threading.Event()
@@ -103,11 +104,13 @@ def watcher_of(
 
     Raises BadFile.
     """
-    handeye = cell_path(folder, cell.handeye, "handeye")
-    if station is None or handeye is None or station.job.rig is None:
+    if station is None or station.job.rig is None:
         return None
-    T_world_rig = rig_pose(folder, cell, arm, None) if cell.world else RigidTransform.identity()
-    return None if T_world_rig is None else StationWatcher(station, handeye, T_world_rig.inv(), clock)
+    placement = read_placement(folder, cell)
+    T_world_rig = placement.rig_pose(arm, None) if cell.world else RigidTransform.identity()
+    if placement.handeye is None or T_world_rig is None:
+        return None
+    return StationWatcher(station, placement.handeye, T_world_rig.inv(), clock)
 
 
 JOB_NAME = "play"
@@ -195,17 +198,19 @@ class PlayRequest:
     keep_rotation: bool = False
 
 
-def check_path(asked: PlayRequest, robot: RobotCell) -> PathCheckOutput:
+def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> PathCheckOutput:
     """Check the path for the arm from where it stands; write path-check.html. Raises as app.path.check."""
-    start = ",".join(repr(value) for value in robot.joints().tolist())
-    limits = cell_path(asked.folder, asked.cell.limits, "limits")
-    return check(
-        asked.folder / FILE,
-        str(_arm(asked)),
-        limits=limits,
+    arm = robot.session.arm
+    if arm is None:
+        raise NotEnoughData("the robot's arm is not known", consequence="Its path is not checked")
+    return checked(
+        editor.require(),
+        arm,
+        robot.limits,
         speed_m_s=asked.speed_mm_s * MM,
-        start=start,
+        start=robot.joints(),
         out=asked.folder / "path-check.html",
+        name=FILE,
     )
 
 
@@ -216,7 +221,7 @@ def play(
 
     Raises as run_play.
     """
-    editor.require()
+    path = editor.require()
     clock = SystemClock()
     session = robot.session
     moved = SessionRobot(session, lambda: background.browser, clock, waits=False, cancelled=background.cancelled)
@@ -224,7 +229,6 @@ def play(
         robot=robot.robot,
         path=asked.folder / FILE,
         out=asked.folder / time.strftime("played-%Y%m%d-%H%M%S"),
-        arm=_arm(asked),
         limits=cell_path(asked.folder, asked.cell.limits, "limits"),
         override=session.override,
         path_speed_m_s=asked.speed_mm_s * MM,
@@ -246,16 +250,9 @@ def play(
             background.ask,
             follow_override,
             background,
-            opened=(moved, clock, watcher_of(asked.folder, asked.cell, session.arm, station, clock)),
+            opened=Opened(moved, clock, watcher_of(asked.folder, asked.cell, session.arm, station, clock), path),
             begun=begun,
             enabled=lambda: session.enabled(background.browser),
         )
     finally:
         editor.source = None
-
-
-def _arm(asked: PlayRequest) -> Path:
-    arm = cell_path(asked.folder, asked.cell.arm, "arm")
-    if arm is None:
-        raise NotEnoughData("the cell has no arm yet", consequence="Nothing is moved", cure="See the page Settings")
-    return arm

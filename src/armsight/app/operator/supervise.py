@@ -12,7 +12,7 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach_controller import LEAST_CYCLE_S
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
@@ -25,8 +25,7 @@ from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
 from armsight.store import write_text
 from armsight.store.atomic import write_json
-from armsight.store.cell_file import CellFile, cell_path
-from armsight.store.handeye_file import read_handeye
+from armsight.store.cell_file import CellFile
 from armsight.units import DEG, MM
 from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Compared, Expectation, Level, Limits, Watch
@@ -174,21 +173,8 @@ def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
     """Return where the target should be seen."""
     if cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
-    handeye = cell_path(folder, cell.handeye, "handeye")
-    arm = robot.session.arm
-    T_world_rig = rig_pose(folder, cell, arm, None)
-    if arm is None or handeye is None or T_world_rig is None:
-        raise NotEnoughData(
-            "where the cameras and the target are on the robot is not known",
-            consequence="Nothing is supervised",
-            cure="Calibrate hand-eye first, on the page Calibrate",
-        )
-    return Expectation(
-        arm=replace(arm, T_flange_tool=read_handeye(handeye).T_parent_target),
-        T_parent_rig=T_world_rig,
-        joint_std=JOINT_STD,
-        time_std_s=LATENCY_STD_S,
-    )
+    arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")
+    return Expectation(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)
 
 
 def limits_of(warn_mm: float, stop_mm: float) -> Limits:

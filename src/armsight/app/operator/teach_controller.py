@@ -10,7 +10,7 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.cell_poses import rig_pose
+from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.requests.motion import TeachJob
 from armsight.app.teach import save
@@ -19,7 +19,6 @@ from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRi
 from armsight.errors import ArmsightError, NotEnoughData
 from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
-from armsight.store.handeye_file import read_handeye
 
 FOLDER = "taught"
 LOOK_S = 0.01
@@ -122,16 +121,16 @@ class TeachController:
 def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
     """Return where the rig is in world at a moment."""
     arm = robot.session.arm
-    handeye = cell_path(folder, cell.handeye, "handeye")
-    placed = rig_pose(folder, cell, arm, robot.joints())
+    placement = read_placement(folder, cell)
+    placed = placement.rig_pose(arm, robot.joints())
     if placed is None or arm is None:
         raise NotEnoughData(
             "where the cameras are before the robot is not known",
             consequence="A path taught now could not be run",
             cure="Calibrate hand-eye first, on the page Calibrate",
         )
-    if cell.cameras == "carried" and handeye is not None:
-        return CarriedRig(arm=arm, history=history, T_flange_rig=read_handeye(handeye).T_parent_camera)
+    if cell.cameras == "carried" and placement.handeye is not None:
+        return CarriedRig(arm=arm, history=history, T_flange_rig=placement.handeye.T_parent_camera)
     # a view is in the rig's axes, or already in world's where world.yaml is there
     return StandingRig(T_world_rig=placed if not cell.world else RigidTransform.identity())
 

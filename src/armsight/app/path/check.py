@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
 from armsight.app.play.play_job import tipped
 from armsight.control.guard import Limits
-from armsight.control.paths import PathCheck, PathIssue, check_path
+from armsight.control.paths import PathIssue, check_path
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
@@ -22,18 +23,7 @@ from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
 
-
-@output
-class PathIssueOutput(Output):
-    """Trouble at a row of a path, or on the way to it."""
-
-    row: Annotated[int, Doc("The row, from 0.")]
-    trouble: Annotated[
-        str, Doc("unreached, limits, jump, speed, turn, joint_speed, singular, branch, workspace or forbidden.")
-    ]
-    value: Annotated[float | None, Doc("How much there, rad, m, or per s; of a singularity its distance.")]
-    limit: Annotated[float | None, Doc("What is allowed, in the same unit.")]
-    text: Annotated[str, Doc("The same in words.")]
+Array = NDArray[np.float64]
 
 
 @output
@@ -47,7 +37,7 @@ class PathCheckOutput(Output):
     length_m: Annotated[float, Doc("Length of the path, m.")]
     duration_s: Annotated[float, Doc("How long it takes at its speeds, s.")]
     troubles: Annotated[dict[str, int], Doc("How many issues there are of each kind.")]
-    issues: Annotated[list[PathIssueOutput], Doc("All trouble, row by row.")]
+    issues: Annotated[tuple[PathIssue, ...], Doc("All trouble, row by row.")]
     start_q: Annotated[list[float] | None, Doc("Readings at the first row, rad or m; null where not reached.")]
 
 
@@ -72,13 +62,23 @@ def check(
     model = tipped(load_arm(arm), tip)
     kept = Limits() if limits is None else read_limits(limits)
     first = None if start is None else reading_values(model, start)
-    found = check_path(path, model, kept, speed_m_s=speed_m_s, start=first)
+    return checked(path, model, kept, speed_m_s=speed_m_s, start=first, out=out, name=source.name)
+
+
+def checked(
+    path: TaughtPath,
+    arm: Arm,
+    limits: Limits,
+    *,
+    speed_m_s: float | None = None,
+    start: Array | None = None,
+    out: Path | None = None,
+    name: str,
+) -> PathCheckOutput:
+    """Tell what is wrong with a path of this name for an arm that stands at start (n,), as check does."""
+    found = check_path(path, arm, limits, speed_m_s=speed_m_s, start=start)
     if out is not None:
-        write_text(out, path_report(path, model, kept, found, name=source.name))
-    return _output(path, model, found)
-
-
-def _output(path: TaughtPath, arm: Arm, found: PathCheck) -> PathCheckOutput:
+        write_text(out, path_report(path, arm, limits, found, name=name))
     return PathCheckOutput(
         arm=arm.name,
         ok=found.ok,
@@ -87,11 +87,6 @@ def _output(path: TaughtPath, arm: Arm, found: PathCheck) -> PathCheckOutput:
         length_m=float(path.length_m[-1]),
         duration_s=float(found.t_s[-1]),
         troubles=dict(Counter(issue.trouble.value for issue in found.issues)),
-        issues=[_issue(issue) for issue in found.issues],
+        issues=found.issues,
         start_q=found.q[0].tolist() if len(found.q) else None,
     )
-
-
-def _issue(issue: PathIssue) -> PathIssueOutput:
-    value, limit = (x if np.isfinite(x) else None for x in (issue.value, issue.limit))
-    return PathIssueOutput(row=issue.row, trouble=issue.trouble.value, value=value, limit=limit, text=issue.text)

@@ -15,8 +15,8 @@ from armsight.control.play import CameraPlacement, PathPlan, PlaySettings, plan_
 from armsight.control.servo import Mount
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
-from armsight.store.handeye_file import read_handeye, read_tip
-from armsight.store.path_file import read_path
+from armsight.records import TaughtPath
+from armsight.store.handeye_file import HandEyeFile, read_tip
 from armsight.units import MM
 
 STOP_MOST_M = 0.5
@@ -57,13 +57,13 @@ def tipped_guard(guard: Guard, tip: Path | None) -> Guard:
     return guard if tip is None else Guard(tipped(guard.arm, tip), guard.limits, guard.cycle_s)
 
 
-def load_plan(job: PlayJob, arm: Arm, limits: Limits, q: ArrayLike) -> PathPlan:
-    """Return the path of the job made ready for an arm that stands at q (n,) and whose tool is the tip.
+def planned(job: PlayJob, path: TaughtPath, arm: Arm, limits: Limits, q: ArrayLike) -> PathPlan:
+    """Return the path made ready, as the job says, for an arm that stands at q (n,) and whose tool is the tip.
 
-    Nothing moves. Raises BadFile, UsageError, NotEnoughData, and Inconsistent for a path that cannot be run, with why.
+    Nothing moves. Raises UsageError, NotEnoughData, and Inconsistent for a path that cannot be run, with why.
     """
     _check_speeds(job, limits)
-    return plan_path(read_path(job.path, parent=job.frame), arm, limits, q, job.settings)
+    return plan_path(path, arm, limits, q, job.settings)
 
 
 def _check_speeds(job: PlayJob, limits: Limits) -> None:
@@ -82,11 +82,10 @@ def _check_speeds(job: PlayJob, limits: Limits) -> None:
             )
 
 
-def load_sight(handeye: Path) -> CameraPlacement:
-    """Return how the cameras tell where the flange is. Raises BadFile."""
-    found = read_handeye(handeye)
+def sight_of(handeye: HandEyeFile) -> CameraPlacement:
+    """Return how the cameras tell where the flange is."""
     return CameraPlacement(
-        mount=Mount(found.setup.value),
-        T_parent_camera=found.T_parent_camera,
-        T_parent_target=found.T_parent_target,
+        mount=Mount(handeye.setup.value),
+        T_parent_camera=handeye.T_parent_camera,
+        T_parent_target=handeye.T_parent_target,
     )

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import given_arm
 from armsight.app.measure.warm_up import prepare
-from armsight.app.play.play_job import check, load_plan, tipped_guard
+from armsight.app.play.play_job import check, planned, tipped_guard
 from armsight.app.play.target_monitor import TargetMonitor, Watcher
 from armsight.app.requests.motion import PlayJob
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
@@ -32,9 +32,10 @@ from armsight.drivers import Robot
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.fields import Doc
 from armsight.geometry import xyz_quat
-from armsight.records import PoseStatus, Progress, Silent
+from armsight.records import PoseStatus, Progress, Silent, TaughtPath
 from armsight.records.output import Output, output
 from armsight.store.atomic import write_json
+from armsight.store.path_file import read_path
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -227,11 +228,23 @@ Begun = Callable[[PathSource], None]
 """Is given the path once it may move, so that a key or a page may pause it and change its override."""
 
 
+class Opened(NamedTuple):
+    """A robot with its clock, what watches it, and the path in place of the job's file."""
+
+    robot: Robot
+    clock: Clock
+    watcher: Watcher | None = None
+    path: TaughtPath | None = None
+
+
 class PlaySession:
     """One run of a path: opened, planned, asked, run, told."""
 
-    def __init__(self, job: PlayJob, robot: Robot, clock: Clock, guard: Guard, monitor: Watcher | None) -> None:
-        self._job, self._robot, self._clock, self._guard, self._monitor = job, robot, clock, guard, monitor
+    def __init__(
+        self, job: PlayJob, path: TaughtPath, robot: Robot, clock: Clock, guard: Guard, monitor: Watcher | None
+    ) -> None:
+        self._job, self._path, self._robot, self._clock, self._guard = job, path, robot, clock, guard
+        self._monitor = monitor
         self._watch: PlayWatch | None = None
 
     def run(
@@ -244,7 +257,7 @@ class PlaySession:
             check_arm(robot, guard.arm)
             outside = standing_outside(guard, robot)
             with beside_outside(outside):
-                plan = load_plan(job, guard.arm, guard.limits, standing(robot, guard.arm.n))
+                plan = planned(job, self._path, guard.arm, guard.limits, standing(robot, guard.arm.n))
             source = PathSource(plan, override=job.override)
             if not confirm(question(robot, guard, plan, self._monitor is not None) + noted(outside)):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
@@ -319,7 +332,7 @@ def run_play(
     progress: Progress | None = None,
     *,
     devices: ServoDevices | None = None,
-    opened: tuple[Robot, Clock, Watcher | None] | None = None,
+    opened: Opened | None = None,
     begun: Begun = lambda _: None,
     enabled: Callable[[], bool] = lambda: True,
 ) -> PlayOutput:
@@ -327,7 +340,7 @@ def run_play(
 
     confirm: asked once, with the way in mm and degrees, before anything moves; all refusals come before. progress: its
     cancelled() is the operator's enable, let go of. devices: in place of robot and cameras of a watched job, opened: of
-    robot and clock of another, and what watches it. enabled: whether a deadman is held besides; else it waits.
+    another. enabled: whether a deadman is held besides; else it waits.
     Raises UsageError, DataRefused (a path with a jump, out of reach or singular; another arm's file; no hand-eye),
     DeviceFailed, Cancelled.
     """
@@ -337,27 +350,27 @@ def run_play(
         raise UsageError(
             f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
-    watcher: Watcher | None = None
-    if job.watched:
-        watcher = monitor = TargetMonitor(job, devices)
+    monitor = TargetMonitor(job, devices) if job.watched else None
+    watcher: Watcher | None = monitor
+    model, path = given_arm(job.arm), None
+    if monitor is not None:
         robot, clock = monitor.devices.robot, monitor.devices.clock
     elif opened is not None:
-        robot, clock, watcher = opened
+        robot, clock, watcher, path = opened
     else:
         clock = SystemClock()
-        model = None if job.arm is None else load_arm(str(job.arm))
         robot = open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=None))
-    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
-    if arm_of(robot, job.arm) is None:
+    guard = guard_for(robot, model, job.limits, share=job.speed)
+    if arm_of(robot, model) is None:
         raise UsageError(
             f"{robot.name} does not tell its arm's lengths",
             consequence="Where its tip goes is not known, and nothing is moved",
             cure="Give the arm's file (--arm)",
         )
+    guard, path = tipped_guard(guard, job.tip), path or read_path(job.path, parent=job.frame)
     if job.watched:
         prepare(progress)  # before the robot is opened: at its first picture the arm would wait for compilers
-    session = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), watcher)
-    done = session.run(confirm, show, progress, begun, enabled)
+    done = PlaySession(job, path, robot, clock, guard, watcher).run(confirm, show, progress, begun, enabled)
     write_json(job.out / SUMMARY, done.to_dict())
     return done
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import Protocol
 
 from armsight.app.measure.run import target_of
-from armsight.app.play.play_job import load_sight
+from armsight.app.play.play_job import sight_of
 from armsight.app.requests.motion import PlayJob
 from armsight.app.servo.run_servo import measuring
 from armsight.app.servo.servo_job import ServoDevices
@@ -17,6 +17,7 @@ from armsight.control.play import CameraPlacement
 from armsight.errors import ArmsightError
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_rig
+from armsight.store.handeye_file import read_handeye
 
 Seen = Callable[[TargetPose, float], None]
 """Is told a pose in rig axes, and when it was exposed on the loop's clock."""
@@ -48,7 +49,7 @@ class TargetMonitor:
         """Raises UsageError, BadFile, DeviceNotFound."""
         cameras = job.cameras()
         rig, target = read_rig(cameras.rig), target_of(cameras.target)
-        self.sight = load_sight(cameras.handeye)
+        self.sight = sight_of(read_handeye(cameras.handeye))
         self.devices = devices or open_servo(cameras, rig, target)
         self.setup = measuring(rig, target, self.devices)
         self.latency_s = job.latency_s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,17 +57,6 @@ class RecordOutput(Output):
     pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
     size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
     skew_s: Annotated[RecordedSkew | None, Doc("Time between the frames of live pairs; null of other sources.")]
-
-
-@output
-class RepairOutput(Output):
-    """armsight record --repair."""
-
-    file: Annotated[str, Doc("The mended recording.")]
-    messages: Annotated[dict[str, int], Doc("Messages saved by topic.")]
-    duration_s: Annotated[float, Doc("From the first message to the last, s.")]
-    lost_bytes: Annotated[int, Doc("Bytes that were not whole.")]
-    damaged_chunks: Annotated[int, Doc("Chunks whose checksum does not fit.")]
 
 
 def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:
@@ -229,7 +218,7 @@ def _generator(pairs: PairSource) -> Generator[tuple[Frame, Frame], None, None]:
     yield from pairs
 
 
-def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> RepairOutput:
+def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> Repaired:
     """Make a readable file of a broken recording: in out, or in its own place with the broken one kept beside it.
 
     Raises BadFile, NotEnoughData, UsageError, DeviceFailed; then source is as it was.
@@ -237,7 +226,7 @@ def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> R
     if out is not None:
         if real_path(out) == real_path(source):
             raise UsageError(f"{out} is both source and result", cure="Leave -o away to mend a file in its place")
-        return _repair_output(repair(source, out, overwrite=overwrite), out)
+        return repair(source, out, overwrite=overwrite)
     made = source.with_name(f".{source.name}.part")
     kept = source.with_name(f"{source.stem}.broken{source.suffix}")
     if kept.exists():
@@ -249,14 +238,4 @@ def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> R
             made.rename(source)
     finally:
         made.unlink(missing_ok=True)
-    return _repair_output(done, source)
-
-
-def _repair_output(done: Repaired, path: Path) -> RepairOutput:
-    return RepairOutput(
-        file=str(path),
-        messages=done.messages,
-        duration_s=done.seconds_s,
-        lost_bytes=done.lost_bytes,
-        damaged_chunks=done.damaged_chunks,
-    )
+    return replace(done, file=str(source))

@@ -31,10 +31,10 @@ BEHIND_LOOP_S = 0.1
 """Silence and lateness allowed to whoever asks a guarded loop for motion: meanwhile that one keeps the robot safe."""
 
 
-def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None, *, share: float = 1.0) -> Guard:
+def guard_for(robot: Robot, arm: Arm | None = None, limits: Path | None = None, *, share: float = 1.0) -> Guard:
     """Return the guard of a robot; share: of all speeds. Nothing is opened.
 
-    A robot that says it is `guarded` is behind a loop with a guard of its own. arm: its arm.yaml; without it the arm
+    A robot that says it is `guarded` is behind a loop with a guard of its own. arm: None for the one
     that the robot itself tells (a simulated one does), or joints without lengths, which are kept slow. limits:
     limits.yaml, or the defaults. Raises UsageError, BadFile, Inconsistent.
     """
@@ -114,13 +114,10 @@ def beside_outside(outside: str) -> Iterator[None]:
         raise Inconsistent(f"{error.cause}; {outside}", consequence=error.consequence, cure=error.cure) from error
 
 
-def arm_of(robot: Robot, arm: Path | None) -> Arm | None:
-    """Return the arm of the file or preset, or the one that the robot knows; None where neither is there.
-
-    Raises BadFile, UsageError.
-    """
+def arm_of(robot: Robot, arm: Arm | None) -> Arm | None:
+    """Return the arm that is given, or the one that the robot knows; None where neither is there."""
     if arm is not None:
-        return load_arm(str(arm))
+        return arm
     mapping = RobotTraits.of(robot).arm_mapping
     return None if mapping is None else arm_from_mapping(mapping(), robot.name)
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import JogJob
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.opening import driver_settings, open_robot
@@ -26,6 +26,7 @@ from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.fields import Doc
+from armsight.kinematics import Arm
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
@@ -90,10 +91,10 @@ def jog_robot(
     stopped; Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    model = None if job.arm is None else load_arm(str(job.arm))
+    model = given_arm(job.arm)
     settings = driver_settings(job.robot, arm=model, rsi_config=job.rsi_config)
     robot = opened or open_robot(job.robot, clock, settings)
-    guard = _checked(job, robot)
+    guard = _checked(job, robot, model)
     with robot:
         start, outside = robot.read().q, standing_outside(guard, robot)
         j = job.joint - 1
@@ -123,10 +124,10 @@ def jog_robot(
         )
 
 
-def _checked(job: JogJob, robot: Robot) -> Guard:
+def _checked(job: JogJob, robot: Robot, arm: Arm | None) -> Guard:
     """Return the guard of what is asked. Raises UsageError where that cannot be meant."""
     _check(job, robot)
-    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    guard = guard_for(robot, arm, job.limits, share=job.speed)
     _check_degrees(job, guard)
     return guard
 

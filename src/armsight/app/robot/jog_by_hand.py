@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, JogOutput, recording
@@ -45,10 +45,10 @@ def jog_by_hand(
     DeviceNotFound; DeviceFailed where robot, guard or gamepad failed; Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    model = None if job.arm is None else load_arm(str(job.arm))
+    model = given_arm(job.arm)
     robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
-    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
-    _check(job, arm_of(robot, job.arm) is not None, robot.name)
+    guard = guard_for(robot, model, job.limits, share=job.speed)
+    _check(job, arm_of(robot, model) is not None, robot.name)
     source = JogSource(robot.n_joints, job.frame, speed_m_s=guard.limits.speed_m_s)
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
     with robot, inputs(job.hand, axes) as hand:

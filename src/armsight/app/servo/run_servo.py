@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armsight.app.arm_files import given_arm
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob
@@ -47,8 +48,9 @@ def run_servo(
     _check(job)
     rig, target, handeye = read_rig(job.rig), target_of(job.target), _handeye(job)
     devices = devices or open_servo(job, rig, target)
-    guard = guard_for(devices.robot, job.arm, job.limits, share=job.speed)
-    if arm_of(devices.robot, job.arm) is None:
+    arm = given_arm(job.arm)
+    guard = guard_for(devices.robot, arm, job.limits, share=job.speed)
+    if arm_of(devices.robot, arm) is None:
         raise UsageError(
             f"{devices.robot.name} does not tell its arm's lengths",
             consequence="Where its cameras are is not known, and nothing is moved",

@@ -37,18 +37,6 @@ Show = Callable[[RobotStatus, float | None], None]
 
 
 @output
-class ServoGainOutput(Output):
-    """The gain, and what the measured delay allows (MATH 3.3)."""
-
-    used: Annotated[float, Doc("Gain of translation and rotation, 1/s.")]
-    no_overshoot: Annotated[float, Doc("Up to this one the error decays without overshoot, 1/s.")]
-    stable: Annotated[float, Doc("From this one on the arm would swing up, 1/s; it is refused.")]
-    cycle_s: Annotated[float, Doc("The servo's cycle: the cameras' or the controller's, the longer one, s.")]
-    n_delay: Annotated[int, Doc("Cycles of delay, begun ones counted whole.")]
-    note: Annotated[str, Doc("What to know about the gain; empty for nothing.")]
-
-
-@output
 class ServoDelayOutput(Output):
     """Delays, measured while it ran."""
 
@@ -88,7 +76,7 @@ class ServoOutput(Output):
     n_doubtful: Annotated[int, Doc("Pairs whose pose does not fit the claims: not followed.")]
     n_position_only: Annotated[int, Doc("Pairs that showed where it is, but not how it is turned.")]
     n_lost: Annotated[int, Doc("Pairs that did not show it.")]
-    gain: Annotated[ServoGainOutput, Doc("The gain, and what the delay allows.")]
+    gain: Annotated[Gain, Doc("The gain, and what the delay allows.")]
     delay: Annotated[ServoDelayOutput, Doc("The delays that were measured.")]
     error: Annotated[ServoErrorOutput, Doc("How far the target was from where it is wanted.")]
     followed: Annotated[float, Doc("Share of the cycles in which the target was followed, 0 to 1.")]
@@ -198,14 +186,7 @@ def servo_output(
         n_doubtful=counts[PoseStatus.DOUBTFUL],
         n_position_only=counts[PoseStatus.POSITION_ONLY],
         n_lost=counts[PoseStatus.LOST],
-        gain=ServoGainOutput(
-            used=gain.used,
-            no_overshoot=gain.no_overshoot,
-            stable=gain.stable,
-            cycle_s=gain.cycle_s,
-            n_delay=gain.n,
-            note=gain.note,
-        ),
+        gain=gain,
         delay=ServoDelayOutput(camera_s=source.camera_delay_s, arm_s=source.arm_lag_s),
         error=tally.error,
         followed=tally.followed / max(tally.cycles, 1),
@@ -350,6 +331,6 @@ def question(robot: Robot, guard: Guard, gain: Gain, source: ServoSource) -> str
     noted = f" Note: {gain.note}." if gain.note else ""
     return (
         f"{robot.name} follows the target with gain {gain.used:.3g} 1/s ({mount}, delay "
-        f"{(gain.n * gain.cycle_s) / MS:.0f} ms, arm's lag taken as {source.arm_lag_s / MS:.0f} ms), at up to "
+        f"{(gain.n_delay * gain.cycle_s) / MS:.0f} ms, arm's lag taken as {source.arm_lag_s / MS:.0f} ms), at up to "
         f"{limits.speed_m_s / MM:.0f} mm/s and {limits.turn_rad_s / DEG:.0f} deg/s.{noted} It may start at once. Move?"
     )

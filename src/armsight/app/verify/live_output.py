@@ -13,7 +13,7 @@ from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
 from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM
-from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, LiveLevels, VerifyLiveOutput
+from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, VerifyLiveOutput
 from armsight.verify.supervision import Alarm, Compared, Level, Limits
 
 Array = NDArray[np.float64]
@@ -115,9 +115,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
             for alarm in log.alarms
         ],
         errors=_errors(series, known),
-        levels=LiveLevels(
-            warn_m=limits.warn_m, stop_m=limits.stop_m, warn_rad=limits.warn_rad, stop_rad=limits.stop_rad
-        ),
+        levels=limits,
         blind_s=_blind_s(series.t_s, known),
         decision_ms=DecisionTime(median=float(np.median(ms)), p99=float(np.quantile(ms, 0.99))) if n else None,
         recording=recording,

@@ -18,7 +18,7 @@ from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow
 from armsight.report.mastering_report import mastering_report
-from armsight.store import read_rig, read_world, write_text
+from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.atomic import write_json
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
@@ -44,12 +44,11 @@ TILT_RAD = np.deg2rad(40.0)
 
 def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
     """Return the poses to measure; write mastering.csv. Raises UsageError, DataRefused."""
-    arm, how = _arm(job)
+    arm, how, world = _arm(job)
     middle = _middle(job, arm)
     notes = ["nobody looked for obstacles: check every pose before driving to it"]
     q = _drawn(arm, middle, job.span_rad)
-    if job.rig is not None and job.target is not None and job.world is not None:
-        world = read_world(job.world)
+    if job.rig is not None and job.target is not None and world is not None:
         q = q[_in_view(arm, q, middle, read_rig(job.rig), target_of(job.target), world.T_parent_rig)]
     else:
         notes.append("without --rig, --target and --world nobody knows whether the cameras see the target there")
@@ -70,12 +69,12 @@ def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
 
 def run_mastering(job: MasteringJob) -> MasteringOutput:
     """Return what the poses measured say; write verify.json and report.html. Raises UsageError, DataRefused."""
-    arm, how = _arm(job)
+    arm, how, world = _arm(job)
     if job.measured is None:
         raise UsageError("no measured poses", cure="Give --measured poses.csv")
     file = read_measured(job.measured)
-    if job.world is not None:
-        file = replace(file, measured=in_world(file.measured, read_world(job.world)))
+    if world is not None:
+        file = replace(file, measured=in_world(file.measured, world))
     nominal = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,))
     paired = pair(arm, _reported(job, file, arm), file.measured, nominal, how)
     if paired.q is None:
@@ -92,16 +91,17 @@ def _slides(arm: Arm) -> list[int]:
     return [k for k, joint in enumerate(arm.joints, 1) if joint.type is JointType.PRISMATIC]
 
 
-def _arm(job: MasteringJob) -> tuple[Arm, Align]:
-    """Return the arm in the frame of the measurements, and what is free of base and tool."""
+def _arm(job: MasteringJob) -> tuple[Arm, Align, World | None]:
+    """Return the arm in the frame of the measurements, what is free of base and tool, and where the rig is."""
     if job.tool is not None and job.tool not in TOOLS:
         raise UsageError(f"--tool {job.tool}", cure=f"Give one of {', '.join(TOOLS)}")
     arm = load_arm(job.arm)
     if job.world is None:
-        return arm, Align.BASE if job.tool == "fixed" else Align.BOTH
-    if read_world(job.world).parent == "base":
+        return arm, Align.BASE if job.tool == "fixed" else Align.BOTH, None
+    world = read_world(job.world)
+    if world.parent == "base":
         arm = arm.based()
-    return arm, Align.TOOL if job.tool == "free" else Align.NONE
+    return arm, Align.TOOL if job.tool == "free" else Align.NONE, world
 
 
 def _reported(job: MasteringJob, file: MeasuredFile, arm: Arm) -> Reported:

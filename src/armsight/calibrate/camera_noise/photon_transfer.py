@@ -10,7 +10,8 @@ general), the variance is kept as a table.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from numpy.typing import NDArray
 from armsight.calibrate.camera_noise.stationary import Survey, survey
 from armsight.calibrate.camera_noise.stills import BLOCK_PX, Image, Stills, block_sums, require_change, to_pixels
 from armsight.errors import Degenerate, NotEnoughData
+from armsight.fields import Doc
 from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
+from armsight.records.output import extended, output
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -62,28 +65,27 @@ LINE_RANGE = 3.0
 """... and where there are four knots, the highest at three times the lowest level: else any curve is a line."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseCalibration:
-    """A camera's noise and how it was found.
+@output
+class NoiseCalibration(NoiseModel):
+    """A camera's noise as still frames show it, and how it was found."""
 
-    n_frames: given. n_copies: frames equal to the one before, left out. brightness_rms: relative change of brightness
-    from frame to frame, taken off. shift_px_rms: of the image from frame to frame, taken off. moving, frozen: shares of
-    the blocks of 16 x 16 px left out because something moves or nothing changes at all. unusable: share of the pixels
-    that are black or clipped. frame_ratio: see Survey. line_deviation: largest relative deviation of a knot
-    from the line. advice: what to know about it, as sentences.
-    """
+    n_given: Annotated[int, Doc("Still frames given.")]
+    n_copies: Annotated[int, Doc("Frames equal to the one before, left out.")]
+    brightness_rms: Annotated[float, Doc("Relative change of brightness between frames, RMS, taken off.")]
+    shift_px_rms: Annotated[float, Doc("Shift of the image between frames, RMS, px, taken off.", unit="px")]
+    moving: Annotated[float, Doc("Share of the image, 0 to 1, left out because something moves in it.")]
+    frozen: Annotated[float, Doc("Share of the image, 0 to 1, left out because it does not change at all.")]
+    unusable: Annotated[float, Doc("Share of the pixels, 0 to 1, that are black or clipped.")]
+    frame_ratio: Annotated[
+        float, Doc("Mean square change over two frames relative to that over one; 1 for independent frames.")
+    ]
+    line_deviation: Annotated[float | None, Doc("Largest relative deviation from the line.")]
+    advice: Annotated[tuple[str, ...], Doc("What to know about it.")]
 
-    noise: NoiseModel
-    n_frames: int
-    n_copies: int
-    brightness_rms: float
-    shift_px_rms: float
-    moving: float
-    frozen: float
-    unusable: float
-    frame_ratio: float
-    line_deviation: float | None
-    advice: tuple[str, ...]
+    @property
+    def noise(self) -> NoiseModel:
+        """What files keep of it."""
+        return NoiseModel(**{one.name: getattr(self, one.name) for one in fields(NoiseModel)})
 
 
 def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
@@ -101,26 +103,20 @@ def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:
     pooled = _pool(stills, seen)
     levels, variance, std = _table(pooled)
     linear, deviation = fit_line(levels, variance, std)
-    correlation, correlation_std = _correlation(pooled)
+    correlation = _correlation(pooled)
     _require_grain(correlation)
     noise = NoiseModel(
         levels=levels,
         variance_levels2=variance,
         std_levels2=std,
-        correlation=NeighbourCorrelation(
-            x=correlation[:2],
-            y=correlation[2:4],
-            diagonal=float(correlation[4]),
-            std_x=correlation_std[:2],
-            std_y=correlation_std[2:4],
-            std_diagonal=float(correlation_std[4]),
-        ),
+        correlation=correlation,
         n_frames=len(stills.frames),
         linear=linear,
     )
-    return NoiseCalibration(
-        noise=noise,
-        n_frames=stills.n_given,
+    return extended(
+        noise,
+        NoiseCalibration,
+        n_given=stills.n_given,
         n_copies=stills.n_given - len(stills.frames),
         brightness_rms=seen.brightness_rms,
         shift_px_rms=seen.shift_px_rms,
@@ -261,10 +257,10 @@ def _smooth(values: Array) -> Array:
     return np.convolve(values, np.ones(15), mode="same")
 
 
-def _correlation(pooled: _Pooled) -> tuple[Array, Array]:
-    """Return the correlations (5,) x1, x2, y1, y2, diagonal and their standard deviations."""
+def _correlation(pooled: _Pooled) -> NeighbourCorrelation:
+    """Return what neighbours share."""
 
-    def solve(products: Array, pairs: Array) -> Array:
+    def solve(products: Array, pairs: Array) -> Array:  # (5,) x1, x2, y1, y2, diagonal
         mean = products / np.maximum(pairs, 1.0)  # (7,)
         found = mean[1:] / mean[0]
         return np.append(found[:4], found[4:].mean())
@@ -272,15 +268,24 @@ def _correlation(pooled: _Pooled) -> tuple[Array, Array]:
     products, pairs = pooled.products.sum(axis=1), pooled.pairs.sum(axis=1)
     of_all = solve(products, pairs)
     without = np.array([solve(products - pooled.products[:, g], pairs - pooled.pairs[:, g]) for g in range(GROUPS)])
-    return np.clip(of_all, -1.0, 1.0), _jackknife(without)
+    found, std = np.clip(of_all, -1.0, 1.0), _jackknife(without)
+    return NeighbourCorrelation(
+        x=found[:2],
+        y=found[2:4],
+        diagonal=float(found[4]),
+        std_x=std[:2],
+        std_y=std[2:4],
+        std_diagonal=float(std[4]),
+    )
 
 
-def _require_grain(correlation: Array) -> None:
-    """Raise Degenerate where what changes is alike over neighbourhoods: correlations (5,) x1, x2, y1, y2, diagonal."""
-    if min(correlation[1], correlation[3]) > NO_GRAIN:
+def _require_grain(correlation: NeighbourCorrelation) -> None:
+    """Raise Degenerate where what changes is alike over neighbourhoods."""
+    along_x, along_y = correlation.x[1], correlation.y[1]
+    if min(along_x, along_y) > NO_GRAIN:
         raise Degenerate(
-            f"what changes from frame to frame is alike over several pixels (correlation {correlation[1]:.2f} and "
-            f"{correlation[3]:.2f} of pixels two apart)",
+            f"what changes from frame to frame is alike over several pixels (correlation {along_x:.2f} and "
+            f"{along_y:.2f} of pixels two apart)",
             consequence="It is light or things that move, and noise cannot be told from it",
             cure="Give frames of one scene that stands still, under light that does not change",
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.triangulate import epipolar_distance, triangulate
 
 Array = NDArray[np.float64]
+MetricKey = Literal["expected_m", "mean_m", "rms_m", "board_rms_m"]
 
 NEIGHBOUR = 1.01
 """Points up to this many times the shortest distance apart are neighbours."""
@@ -38,7 +40,7 @@ class Metric:
     rms_m: float
     board_rms_m: float
 
-    def as_mapping(self) -> dict[str, float]:
+    def as_mapping(self) -> dict[MetricKey, float | None]:
         """Return the figures by name."""
         return {
             "expected_m": self.expected_m,

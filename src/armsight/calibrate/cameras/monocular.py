@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,49 +11,20 @@ from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
+from armsight.calibrate.cameras.observations import BoardOptions, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
+from armsight.calibrate.cameras.result import CameraCalibration
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.optics import Camera, LensKind
+from armsight.optics import LensKind
 from armsight.records import BoardView, NamedCovariance, Progress, Target, TargetKind
+from armsight.records.result_parts import RejectedFile
 
 Array = NDArray[np.float64]
 
 DOUBTFUL_FOCAL = 0.02
 """A focal length less sure than this share of itself is worth a word."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraCalibration:
-    """A camera, how sure it is, and what it rests on.
-
-    covariance: of the free intrinsics, by name (px; none for distortion). rms_px: of the points' 2-D residuals;
-    holdout_rms_px: the same on views left out of the fit, None where there were too few. sources, view_rms_px: of
-    the views used. uv_px, residual_px (n, 2): every point used and its residual (model minus detected).
-    used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board. rejected: (source,
-    why). advice: what would make it surer.
-    """
-
-    camera: Camera
-    covariance: NamedCovariance
-    rms_px: float
-    n_used: int
-    rejected: tuple[tuple[str, str], ...]
-    holdout_rms_px: float | None
-    view_rms_px: tuple[float, ...]
-    sources: tuple[str, ...]
-    uv_px: Array
-    residual_px: Array
-    used: Observations
-    T_camera_board: Array
-    advice: tuple[str, ...]
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations of the free intrinsics by name."""
-        return self.covariance.std()
 
 
 def calibrate_camera(
@@ -88,7 +58,7 @@ def calibrate_camera(
         covariance=covariance,
         rms_px=rms(residual, seen),
         n_used=robust_fit.observations.n_views,
-        rejected=(*repeated, *robust_fit.rejected),
+        rejected=tuple(map(RejectedFile._make, (*repeated, *robust_fit.rejected))),
         holdout_rms_px=None if out is None else out.rms_px,
         view_rms_px=view_rms(residual, seen),
         sources=tuple(names[0] for names in robust_fit.observations.sources),

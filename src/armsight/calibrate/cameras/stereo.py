@@ -2,85 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
-from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
+from armsight.calibrate.cameras.cross_validation import left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.monocular import caveats, require_points, require_views, required, rms, view_rms
+from armsight.calibrate.cameras.monocular import (
+    caveats,
+    require_points,
+    require_views,
+    required,
+    rms,
+    view_rms,
+)
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
 from armsight.calibrate.cameras.pairing import Paired, baseline_std, of_one_lens, pair_views, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
+from armsight.calibrate.cameras.result import StereoCalibration
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.optics import SIDES, LensKind, Rig
-from armsight.optics.parallelism import Parallelism, parallelism
+from armsight.optics import SIDES, LensKind
 from armsight.records import BoardView, Progress, Target
+from armsight.records.result_parts import RejectedFile
 
 Array = NDArray[np.float64]
 
 
 NO_PAIR = "the two images do not show the board at one moment: they are no pair, or it moved"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StereoCalibration:
-    """A rig (its covariance inside, its reference the left camera), how good it is, and what it rests on.
-
-    rms_px: of the points' 2-D residuals over both cameras. holdout_*: the same, and the epipolar distance, on pairs
-    left out of the fit, None where there were too few. metric: expected_m, mean_m, rms_m of the distance of
-    neighbouring points after triangulation and board_rms_m of a rigid fit, on left-out pairs; where there were too
-    few, metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. rejected:
-    (source, why). used: the observations in the fit; T_left_board (G, 4, 4): where they show the board. residual_px: of
-    every point used (n, 2), model minus detected, by side. advice: what would make it surer.
-    """
-
-    rig: Rig
-    baseline_std_m: float
-    rms_px: float
-    n_pairs: int
-    n_used: int
-    rejected: tuple[tuple[str, str], ...]
-    holdout_rms_px: float | None
-    holdout_epipolar_rms_px: float | None
-    metric: Mapping[str, float]
-    metric_is_left_out: bool
-    view_rms_px: tuple[float, ...]
-    used: Observations
-    residual_px: Mapping[str, Array]
-    T_left_board: Array
-    advice: tuple[str, ...]
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations of the free parameters by name, and of baseline_m."""
-        known = {} if self.rig.covariance is None else self.rig.covariance.std()
-        return {**known, "baseline_m": self.baseline_std_m}
-
-    @property
-    def sources(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the two images of each pair used."""
-        return self.used.sources
-
-    @property
-    def uv_px(self) -> dict[str, Array]:
-        """Every point used (n, 2), by side."""
-        return {side: self.used.uv[:, c][self.used.weight[:, c] > 0.0] for c, side in enumerate(SIDES)}
-
-    @property
-    def epipolar_rms_px(self) -> float:
-        """RMS distance in px of a point from its partner's epipolar line, over both images of the pairs used."""
-        return epipolar_rms([(self.used, self.rig)])
-
-    @property
-    def parallelism(self) -> Parallelism:
-        """How parallel the two cameras stand, with standard deviations."""
-        return parallelism(self.rig)
 
 
 def calibrate_stereo(
@@ -172,7 +124,7 @@ def judged(
         rms_px=overall,
         n_pairs=n_pairs,
         n_used=used.n_views,
-        rejected=(*rejected, *robust_fit.rejected),
+        rejected=tuple(map(RejectedFile._make, (*rejected, *robust_fit.rejected))),
         holdout_rms_px=out.rms_px if out else None,
         holdout_epipolar_rms_px=out.epipolar_rms_px if out else None,
         metric=metric.as_mapping() if metric else {},

@@ -15,7 +15,8 @@ from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
 from armsight.calibrate.cameras.pairing import in_frame
-from armsight.calibrate.cameras.stereo import StereoCalibration, fit_pairs, judged
+from armsight.calibrate.cameras.result import StereoCalibration
+from armsight.calibrate.cameras.stereo import fit_pairs, judged
 from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.optics.kernels.camera import plate_shift

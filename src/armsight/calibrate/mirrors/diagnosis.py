@@ -15,7 +15,7 @@ from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.monocular import rms, view_rms
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.pairing import baseline_std, in_frame, rig_of
-from armsight.calibrate.cameras.stereo import StereoCalibration
+from armsight.calibrate.cameras.result import StereoCalibration
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, without_plate
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc

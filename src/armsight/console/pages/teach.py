@@ -261,7 +261,7 @@ class _Play:
         self._issues.clear()
         try:
             self._editor.require()
-            found = await run.io_bound(partial(path_desk.check_path, self._asked(), self._robot))
+            found = await run.io_bound(partial(path_desk.check_path, self._asked(), self._robot, self._editor))
         except ArmsightError as error:
             _say(self._said, str(error), "bad")
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import SupportsInt
+from typing import Annotated, SupportsInt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +13,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths.outliers import path_jumps
 from armsight.errors import NotEnoughData, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, track_path
 from armsight.kinematics.path import JUMP
 from armsight.kinematics.singular import singularity_distance
 from armsight.records import TaughtPath, frozen_array
+from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
@@ -39,18 +41,18 @@ class PathTrouble(StrEnum):
     FORBIDDEN = "forbidden"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathIssue:
-    """Trouble at a row of the path, or on the way to it from the row before.
+@output
+class PathIssue(Output):
+    """Trouble at a row of a path, or on the way to it; value and limit: NaN where there is none."""
 
-    value and limit: in rad, m, or per s; of a singularity the least singular value; NaN where there is none.
-    """
-
-    row: int
-    trouble: PathTrouble
-    text: str
-    value: float = np.nan
-    limit: float = np.nan
+    row: Annotated[int, Doc("The row, from 0.")]
+    trouble: Annotated[
+        PathTrouble,
+        Doc("unreached, limits, jump, speed, turn, joint_speed, singular, branch, workspace or forbidden."),
+    ]
+    value: Annotated[float, Doc("How much there, rad, m, or per s; of a singularity its distance.", nullable=True)]
+    limit: Annotated[float, Doc("What is allowed, in the same unit.", nullable=True)]
+    text: Annotated[str, Doc("The same in words.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.control.guard.space import pose_difference
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Doc
 from armsight.geometry.kernels import rotvec_of
+from armsight.records.output import Output, output
 from armsight.units import MS
 
 Array = NDArray[np.float64]
@@ -82,19 +85,16 @@ def no_overshoot_gain(cycle_s: float, n: int) -> float:
     return float(n**n / (n + 1) ** (n + 1)) / cycle_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gain:
-    """The gain that is used and what its delay allows, in 1/s; cycle_s, n: of the servo, and its whole cycles of delay.
+@output
+class Gain(Output):
+    """The gain, and what the measured delay allows (MATH 3.3)."""
 
-    note: what to know about it, or empty.
-    """
-
-    used: float
-    no_overshoot: float
-    stable: float
-    cycle_s: float
-    n: int
-    note: str = ""
+    used: Annotated[float, Doc("Gain of translation and rotation, 1/s.")]
+    no_overshoot: Annotated[float, Doc("Up to this one the error decays without overshoot, 1/s.")]
+    stable: Annotated[float, Doc("From this one on the arm would swing up, 1/s; it is refused.")]
+    cycle_s: Annotated[float, Doc("The servo's cycle: the cameras' or the controller's, the longer one, s.")]
+    n_delay: Annotated[int, Doc("Cycles of delay, begun ones counted whole.")]
+    note: Annotated[str, Doc("What to know about the gain; empty for nothing.")]
 
 
 def chosen_gain(asked: float | None, cycle_s: float, delay_s: float) -> Gain:
@@ -116,7 +116,7 @@ def chosen_gain(asked: float | None, cycle_s: float, delay_s: float) -> Gain:
     note = ""
     if used > OVERSHOOT_SLACK * calm:
         note = f"a gain of {used:g} 1/s overshoots at a delay of {n} cycles; up to {calm:.4g} 1/s it would not"
-    return Gain(used=used, no_overshoot=calm, stable=stable, cycle_s=cycle_s, n=n, note=note)
+    return Gain(used=used, no_overshoot=calm, stable=stable, cycle_s=cycle_s, n_delay=n, note=note)
 
 
 LIKELY, FEW = 4.0, 8.0

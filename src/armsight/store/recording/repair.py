@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Annotated, BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from armsight._files import open_file
 from armsight.errors import BadFile, NotEnoughData, UsageError
+from armsight.fields import Doc
+from armsight.records.output import Output, output
 from armsight.store.recording import record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
 
@@ -19,15 +20,15 @@ CALIBRATION = ("/calibration", "/tf")
 """Ends of the topics that say where the cameras are: they stand once, before the frames."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Repaired:
-    """What was saved: messages by topic, seconds from the first to the last; what was not: bytes, damaged chunks."""
+@output
+class Repaired(Output):
+    """armsight record --repair."""
 
-    path: Path
-    messages: dict[str, int]
-    seconds_s: float
-    lost_bytes: int
-    damaged_chunks: int
+    file: Annotated[str, Doc("The mended recording.")]
+    messages: Annotated[dict[str, int], Doc("Messages saved by topic.")]
+    duration_s: Annotated[float, Doc("From the first message to the last, s.")]
+    lost_bytes: Annotated[int, Doc("Bytes that were not whole.")]
+    damaged_chunks: Annotated[int, Doc("Chunks whose checksum does not fit.")]
 
 
 def repair(source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple[int, int] | None = None) -> Repaired:
@@ -64,9 +65,9 @@ def repair(source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple
             f"{source}: not one message in it is whole", consequence="Nothing can be saved", cure="Record anew"
         )
     return Repaired(
-        path=out,
+        file=str(out),
         messages=dict(copy.counts),
-        seconds_s=(copy.last_ns - copy.first_ns) / 1e9,
+        duration_s=(copy.last_ns - copy.first_ns) / 1e9,
         lost_bytes=copy.lost_bytes,
         damaged_chunks=copy.damaged,
     )

@@ -4,7 +4,7 @@ from armsight.verify.iso9283.evaluate import Iso9283Test, evaluate
 from armsight.verify.iso9283.figure import Figure, Figures
 from armsight.verify.iso9283.motions import TestCube
 from armsight.verify.iso9283.observations import ArrivalTest, CommandedPath, PathRun, PathTest, PoseVisits, Stamps
-from armsight.verify.iso9283.plan import PlannedMotion, PlanOptions, TestPlan, plan_test
+from armsight.verify.iso9283.plan import PlannedMotion, PlannedPose, PlanOptions, TestPlan, plan_test
 
 __all__ = [
     "ArrivalTest",
@@ -16,6 +16,7 @@ __all__ = [
     "PathTest",
     "PlanOptions",
     "PlannedMotion",
+    "PlannedPose",
     "PoseVisits",
     "Stamps",
     "TestCube",

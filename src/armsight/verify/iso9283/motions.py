@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import UsageError
+from armsight.fields import Doc
 from armsight.records import frozen_array
+from armsight.records.fields import Shape
+from armsight.records.output import Output, figure, output
 from armsight.verify.iso9283 import arrival, path, pose
 
 Array = NDArray[np.float64]
@@ -26,18 +29,23 @@ APPROACH = 0.1
 """How far off an approach to vAP's poses begins, as a share of the cube's side, towards the inside of the cube."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
-    """Straight motions through xyz_m (k, 3) in the base frame, repeated as often as the standard asks.
+@output
+class Motion(Output):
+    """A motion of the plan.
 
-    figures: what it is for. names: the pose's name at each row, empty where the row is only on the way.
+    Straight through xyz_m (k, 3) in the base frame. names: the pose's name at each row, empty where the row is only on
+    the way.
     """
 
-    test: str
-    figures: tuple[str, ...]
+    test: Annotated[str, Doc("Its name: the tag of its rows in plan.csv.")]
+    figures: Annotated[tuple[str, ...], Doc("What it is for.")]
+    repeats: Annotated[int, Doc("How often it is made.")]
     xyz_m: Array
     names: tuple[str, ...]
-    repeats: int
+
+    @figure("Its rows.")
+    def n(self) -> int:
+        return len(self.names)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
@@ -102,18 +110,18 @@ SIGNS = np.array([[1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, -1], [
 """C1 to C8: the upper face seen from above counter-clockwise from (+x, -y), then the lower face beneath it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TestCube:
-    """A cube with edges along the base's axes: centre_m (3,) in the base frame, side_m, and the chosen test plane.
+@output
+class TestCube(Output):
+    """The test cube, in the arm's base frame.
 
-    Raises UsageError for an unknown plane or a side that is not positive.
+    Its edges are along the base's axes. Raises UsageError for an unknown plane or a side that is not positive.
     """
 
     __test__ = False  # not a test of pytest's
 
-    centre_m: Array
-    side_m: float
-    plane: str = "a"
+    centre_m: Annotated[Array, Shape((3,)), Doc("Its centre, x y z.")]
+    side_m: Annotated[float, Doc("Its side.")]
+    plane: Annotated[str, Doc("The test plane: a, b, c or d.")] = "a"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre_m", frozen_array("centre_m", self.centre_m, (3,)))
@@ -122,15 +130,15 @@ class TestCube:
         if not (np.isfinite(self.side_m) and self.side_m > 0.0):
             raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number", cure="Give more than zero")
 
-    @property
-    def corners_m(self) -> Array:
-        """C1 to C8 (8, 3)."""
-        return self.centre_m + 0.5 * self.side_m * SIGNS
+    @figure("C1 to C8, x y z.")
+    def corners_m(self) -> dict[str, Annotated[Array, Shape((3,))]]:
+        return {f"C{i}": self.centre_m + 0.5 * self.side_m * signs for i, signs in enumerate(SIGNS, start=1)}
 
     @property
     def points_m(self) -> dict[str, Array]:
         """P1 to P5 (3,): the centre, then inward of the corners on the plane's diagonals; P2 and P4 are opposite."""
-        outer = self.corners_m[np.array(PLANES[self.plane]) - 1]  # (4, 3)
+        corners_m = self.corners_m
+        outer = np.array([corners_m[f"C{i}"] for i in PLANES[self.plane]])  # (4, 3)
         inner = outer + 2.0 * INSET * (self.centre_m - outer)  # a corner is half a diagonal from the centre
         return {"P1": np.array(self.centre_m), **{f"P{i}": inner[i - 2] for i in range(2, 6)}}
 

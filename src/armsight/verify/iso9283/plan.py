@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Cancelled, DataRefused, UsageError
+from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, Solution, ik, link_frames, singularity_distance, track_path
 from armsight.records import Progress, Silent
+from armsight.records.fields import Shape
+from armsight.records.output import Output, extended, output
 from armsight.verify.iso9283.motions import PLANES, SIDES_M, Motion, TestCube, motions_of
 
 Array = NDArray[np.float64]
@@ -62,25 +66,25 @@ class PlanOptions:
             raise UsageError(f"a cube's side of {self.side_m:g} m is not a positive number", cure="Give more than zero")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlannedMotion:
-    """A motion in world: positions xyz_m (k, 3), one orientation, and the controller's joint readings q (k, n)."""
+class PlannedPose(NamedTuple):
+    """A test pose."""
 
-    test: str
-    figures: tuple[str, ...]
-    names: tuple[str, ...]
-    repeats: int
-    xyz_m: Array
+    xyz_m: Annotated[Array, Doc("Position in world, x y z."), Shape((3,))]
+    q: Annotated[Array, Doc("The controller's joint readings there, rad or m."), Shape((None,))]
+
+
+@output
+class PlannedMotion(Motion):
+    """A motion of the plan, in world, with one orientation and the controller's joint readings q (k, n)."""
+
     q: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TestPlan:
-    """A test for one arm: the cube (base frame), the tool's orientation (4,) in world, all motions with joint readings.
+@output
+class TestPlan(Output):
+    """A test for one arm, all motions with joint readings.
 
-    speed_m_s: as wanted, or the highest that all joints allow. branch: the arm's configuration throughout.
-    singularity_distance: the least over all motions (kinematics). limit_margin: the least distance of a joint from a
-    limit in rad or m, inf without limits. refused: larger cubes that were tried, each with the reason.
+    limit_margin: inf without limits.
 
     Checked are reach, limits, singular passages, changes of configuration, joint speeds, and that the joints' origins
     stay above the floor; not the bodies of the arm or of a cell.
@@ -88,22 +92,24 @@ class TestPlan:
 
     __test__ = False  # not a test of pytest's
 
-    arm: str
-    cube: TestCube
-    quat_xyzw: Array
-    motions: tuple[PlannedMotion, ...]
-    speed_m_s: float
-    branch: tuple[str, ...]
-    singularity_distance: float
-    limit_margin: float
-    refused: tuple[str, ...] = ()
+    arm: Annotated[str, Doc("The arm's name.")]
+    cube: Annotated[TestCube, Doc("The test cube.")]
+    quat_xyzw: Annotated[Array, Shape((4,)), Doc("The tool's orientation in world.")]
+    speed_m_s: Annotated[float, Doc("Speed along the paths: as wanted, or the highest that all joints allow.")]
+    motions: Annotated[tuple[PlannedMotion, ...], Doc("The motions written.")]
+    branch: Annotated[tuple[str, ...], Doc("The arm's configuration throughout.")]
+    singularity_distance: Annotated[float, Doc("The least over all motions.")]
+    limit_margin: Annotated[
+        float, Doc("Least distance of a joint from a limit, rad or m; null: no limits.", nullable=True)
+    ]
+    refused: Annotated[tuple[str, ...], Doc("Larger cubes that were tried, and why not.")] = ()
 
     @property
-    def poses(self) -> dict[str, tuple[Array, Array]]:
-        """P1 to P5: position (3,) in world and joint readings (n,)."""
-        tour = self.motions[0]
-        rows = {name: i for i, name in enumerate(tour.names)}
-        return {name: (tour.xyz_m[rows[name]], tour.q[rows[name]]) for name in sorted(rows)}
+    def tour(self) -> dict[str, PlannedPose]:
+        """P1 to P5, from the first of all motions."""
+        first = self.motions[0]
+        rows = {name: i for i, name in enumerate(first.names)}
+        return {name: PlannedPose(first.xyz_m[rows[name]], first.q[rows[name]]) for name in sorted(rows)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,7 +211,7 @@ def _best_branch(
     arm: Arm, cube: TestCube, rotation: Rotation, options: PlanOptions, refusals: _Refusals
 ) -> _Candidate | None:
     """Return the branch whose worst pose is furthest from a singularity, or None, with the reason counted."""
-    points = np.array([*cube.points_m.values(), *cube.corners_m])
+    points = np.array([*cube.points_m.values(), *cube.corners_m.values()])
     branches: dict[tuple[str, ...], tuple[Array, float]] | None = None
     seed: Array | None = None
     for T in _matrices(arm, points, rotation):
@@ -319,11 +325,5 @@ def _planned(arm: Arm, candidate: _Candidate, motion: Motion, track: JointPath) 
     points, at = motion.dense(candidate.cube.side_m / STEPS_PER_SIDE)
     gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.xyz_m, axis=0), axis=1))])
     rows = np.array([int(np.abs(at - length).argmin()) for length in gone])
-    return PlannedMotion(
-        test=motion.test,
-        figures=motion.figures,
-        names=motion.names,
-        repeats=motion.repeats,
-        xyz_m=_matrices(arm, points[rows], candidate.rotation)[:, :3, 3],
-        q=arm.readings(track.q[rows]),
-    )
+    xyz_m = _matrices(arm, points[rows], candidate.rotation)[:, :3, 3]
+    return extended(motion, PlannedMotion, xyz_m=xyz_m, q=arm.readings(track.q[rows]))
