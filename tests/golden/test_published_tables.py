@@ -76,7 +76,7 @@ def test_a_table_of_a_laser_tracker_without_header():
 
 def test_kuka_poses_with_semicolons_and_decimal_commas():
     told = []
-    poses = read_poses(DATA / "kuka" / "points.csv", format_=TableFormat(robot="kuka", tell=told.append), timed=False)
+    poses = read_poses(DATA / "kuka" / "points.csv", format_=TableFormat(robot="kuka", notify=told.append), timed=False)
     T = np.array([pose.T_parent_target for pose in poses])
     np.testing.assert_allclose(T[:, :3, :3], json.loads((DATA / "kuka" / "truth.json").read_text()), atol=1e-9)
     np.testing.assert_allclose(T[:, :3, 3], TRUTH["T_base_flange"][:, :3, 3], atol=1e-9)

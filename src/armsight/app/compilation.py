@@ -292,7 +292,7 @@ DEMO = ("spots", "boards", "simulator", "poses", "cameras", "measure")
 
 def compile_all(progress: Progress | None = None, groups: Collection[str] = tuple(GROUPS)) -> None:
     """Compile all of the groups that is not compiled yet, in two processes; a minute, or seconds where it is there."""
-    told, lock, done = progress or Silent(), Lock(), [0]
+    shown, lock, done = progress or Silent(), Lock(), [0]
 
     def run(names: tuple[str, ...]) -> None:
         if not names:
@@ -302,9 +302,9 @@ def compile_all(progress: Progress | None = None, groups: Collection[str] = tupl
             for line in process.stdout or ():
                 with lock:
                     done[0] += 1
-                    told.update(done[0], len(groups), f"{COMPILING}: {line.strip()}")
+                    shown.update(done[0], len(groups), f"{COMPILING}: {line.strip()}")
 
-    told.update(0, len(groups), COMPILING)
+    shown.update(0, len(groups), COMPILING)
     shared = [tuple(name for name in share if name in groups) for share in SHARES]
     with ThreadPoolExecutor(len(SHARES)) as pool:
         list(pool.map(run, shared))

@@ -104,10 +104,10 @@ def _check(job: JoinJob) -> None:
 def _reported(job: JoinJob, arm: Arm | None) -> Reported:
     """Return the joints' own values, or the flange's poses, over time."""
     if job.robot_stream is not None:
-        told = read_commanded(job.robot_stream, job.table)
-        if not told.turned:
+        commanded = read_commanded(job.robot_stream, job.table)
+        if not commanded.turned:
             raise UsageError(f"{job.robot_stream} has no rotations", cure="Give the flange's poses")
-        return told.reported
+        return commanded.reported
     if job.joints is None or arm is None:
         raise UsageError("--joints needs --arm")
     names = job.table.of_joints([joint.name for joint in arm.joints])

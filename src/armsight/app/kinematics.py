@@ -182,19 +182,19 @@ def write_joints_of_poses(
     starts = _starts(model, near, len(targets))
     aim = task_of(model, task)
     here = start_values(model, None)
-    rows, counts, told = [], Counter[str](), []
+    rows, counts, unsolved = [], Counter[str](), []
     for k, target in enumerate(targets):
         here = starts[k] if starts is not None else here
         answer = _solve(model, target, here, aim)
         counts[answer.status.value] += 1
         if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
-            told.append(UnsolvedPose(pose=k, status=answer.status.value, why=answer.why))
+            unsolved.append(UnsolvedPose(pose=k, status=answer.status.value, why=answer.why))
         rows += _rows(model, k, answer, every)
         if answer.solutions:
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return IkOutput(arm=model.name, n=len(targets), status=dict(counts), unsolved=told)
+    return IkOutput(arm=model.name, n=len(targets), status=dict(counts), unsolved=unsolved)
 
 
 def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:

@@ -98,8 +98,8 @@ def _run(command: list[str], folder: str) -> None:
     except subprocess.TimeoutExpired:
         raise _not_printed(command[0], f"did not end within {PATIENCE_S:.0f} s") from None
     except (OSError, subprocess.CalledProcessError) as error:
-        told = getattr(error, "stderr", b"") or b""
-        last = told.decode(errors="replace").strip().splitlines()[-1:] or [str(error)]
+        said = getattr(error, "stderr", b"") or b""
+        last = said.decode(errors="replace").strip().splitlines()[-1:] or [str(error)]
         raise _not_printed(command[0], f"failed: {last[0][:200]}") from error
 
 

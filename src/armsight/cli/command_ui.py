@@ -125,7 +125,7 @@ class CommandUI:
         for number, handler in self._before:
             signal.signal(number, handler)
         if error is None and self._stopped.is_set() and not self.until_stopped:
-            self._tell(Cancelled("what was done until then is kept"), as_json=False)
+            self._print_error(Cancelled("what was done until then is kept"), as_json=False)
             raise typer.Exit(Cancelled.exit_code)
         if error is None or isinstance(error, typer.Exit):
             return
@@ -136,13 +136,13 @@ class CommandUI:
         ):
             error = _refused_by_system(error)
         if isinstance(error, ArmsightError):
-            self._tell(error, as_json=self._as_json)
+            self._print_error(error, as_json=self._as_json)
             raise typer.Exit(error.exit_code) from None
         if isinstance(error, Exception):
-            self._tell(unforeseen(error), as_json=self._as_json)
+            self._print_error(unforeseen(error), as_json=self._as_json)
             raise typer.Exit(UNFORESEEN) from None
 
-    def _tell(self, error: ArmsightError, *, as_json: bool) -> None:
+    def _print_error(self, error: ArmsightError, *, as_json: bool) -> None:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         style = "bold red" if self.console.is_terminal else ""
         text = visible(str(error))
@@ -194,7 +194,7 @@ class Bar:
         self._stopped = stopped
         self._bar: Progress | None = None
         self._task: TaskID | None = None
-        self._told_s = time.monotonic()
+        self._printed_s = time.monotonic()
         self._first: tuple[float, float] | None = None
         self._note = ""
         self._label = ""
@@ -240,15 +240,15 @@ class Bar:
     def _line(self, label: str, done: float, total: float) -> None:
         now_s = time.monotonic()
         finished = 0 < total <= done
-        if now_s - self._told_s < LINE_EVERY_S and not finished and label == self._label:
+        if now_s - self._printed_s < LINE_EVERY_S and not finished and label == self._label:
             return
-        self._label, self._told_s = label, now_s
+        self._label, self._printed_s = label, now_s
         if not done:
             self._console.print(f"{label} ...", soft_wrap=True)
             return
         count = f"{done:.0f} of {total:.0f}" if total else f"{done:.0f}"
-        told = [f"{label} {count}", self._pace(done, total)]
-        self._console.print(", ".join(filter(None, told)), soft_wrap=True)
+        parts = [f"{label} {count}", self._pace(done, total)]
+        self._console.print(", ".join(filter(None, parts)), soft_wrap=True)
 
     def _pace(self, done: float, total: float) -> str:
         rate = self._rate(done)
@@ -270,25 +270,25 @@ class StatusLine:
 
     def __init__(self, face: CommandUI) -> None:
         self._console = face.console
-        self._told_s = 0.0
+        self._printed_s = 0.0
         self._before: object = None
 
     def due(self, state: object) -> bool:
         """Tell whether the line is to be told now, of this state."""
         now_s = time.monotonic()
         every_s = DRAW_EVERY_S if self._console.is_terminal else LINE_EVERY_S
-        if state == self._before and now_s - self._told_s < every_s:
+        if state == self._before and now_s - self._printed_s < every_s:
             return False
-        self._told_s, self._before = now_s, state
+        self._printed_s, self._before = now_s, state
         return True
 
-    def draw(self, told: str) -> None:
+    def draw(self, line: str) -> None:
         """Tell it."""
         if self._console.is_terminal:
             width = self._console.width - 1
-            self._console.print(told[:width].ljust(width), end="\r", markup=False, soft_wrap=True)
+            self._console.print(line[:width].ljust(width), end="\r", markup=False, soft_wrap=True)
         else:
-            self._console.print(told, markup=False, soft_wrap=True)
+            self._console.print(line, markup=False, soft_wrap=True)
 
 
 def agreed(question: str) -> bool:

@@ -38,9 +38,9 @@ def camera(
 
     if zoom is not None:
         _require_ours(to, size)
-        _tell(face, fix_camera(source, out, zoom))
+        _print_written(face, fix_camera(source, out, zoom))
         return
-    _tell(face, convert_camera(source, out, to=to, size=size))
+    _print_written(face, convert_camera(source, out, to=to, size=size))
 
 
 @command(convert)
@@ -62,9 +62,9 @@ def rig(
         _require_ours(to, size)
         if len(source) != 1 or len(out) != 1:
             raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
-        _tell(face, fix_rig(source[0], out[0], (zoom_left, zoom_right)))
+        _print_written(face, fix_rig(source[0], out[0], (zoom_left, zoom_right)))
         return
-    _tell(face, convert_rig(source, out, to=to, size=size, unit_m=unit))
+    _print_written(face, convert_rig(source, out, to=to, size=size, unit_m=unit))
 
 
 @command(convert)
@@ -76,7 +76,7 @@ def poses(
     """Convert poses between poses.csv and TUM, which evo reads."""
     from armsight.app.convert import convert_poses
 
-    _tell(face, convert_poses(source, out))
+    _print_written(face, convert_poses(source, out))
 
 
 @command(convert)
@@ -122,7 +122,7 @@ def handeye(
     from armsight.store.foreign import FrameNames
 
     names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
-    _tell(face, convert_handeye(source, out, to=to, names=names))
+    _print_written(face, convert_handeye(source, out, to=to, names=names))
 
 
 def _require_ours(to: str | None, size: tuple[int, int] | None) -> None:
@@ -134,7 +134,7 @@ def _require_ours(to: str | None, size: tuple[int, int] | None) -> None:
         )
 
 
-def _tell(face: CommandUI, done: ConvertOutput) -> None:
+def _print_written(face: CommandUI, done: ConvertOutput) -> None:
     poses = f", {done.n} poses" if done.n is not None else ""
     face.say(f"{done.source} to {done.target}{poses}: {', '.join(done.files)}")
     if done.note:

@@ -17,7 +17,7 @@ from armsight.fields import Bounds, Doc, Flag, Flags, bare, known_hints, marks
 from armsight.units import DEG, UNITS_OF, read_quantity
 
 Request = TypeVar("Request")
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 DIGITS = 12
 """Of a default in the person's unit: it is held in SI, and 0.02 m is not quite 20 mm."""
@@ -47,7 +47,7 @@ class OneFlag:
     parameter: inspect.Parameter
     read: Callable[[Any], Any] | None
 
-    def values(self, given: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+    def values(self, given: Mapping[str, Any], notify: Notify) -> dict[str, Any]:
         """Return its value by its name; nothing where it was not given and has no default of its own."""
         value = given[self.name]
         if value is None:
@@ -68,10 +68,10 @@ class Parts:
     parts: tuple[OneFlag | Parts, ...]
     group: bool = False
 
-    def values(self, given: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+    def values(self, given: Mapping[str, Any], notify: Notify) -> dict[str, Any]:
         """Return the object by its name. Raises UsageError."""
-        one = self.kind(**{name: value for part in self.parts for name, value in part.values(given, tell).items()})
-        return {self.name: one.made(tell) if self.group else one}
+        one = self.kind(**{name: value for part in self.parts for name, value in part.values(given, notify).items()})
+        return {self.name: one.made(notify) if self.group else one}
 
     def flags(self) -> tuple[OneFlag, ...]:
         """Return the flags."""
@@ -81,8 +81,8 @@ class Parts:
 class Asked(Generic[Request]):
     """One of the requests that a command can make: which of its flags were given, and the request itself."""
 
-    def __init__(self, parts: Parts, values: Mapping[str, Any], defaults: Mapping[str, Any], tell: Tell) -> None:
-        self._parts, self._values, self._defaults, self._tell = parts, values, defaults, tell
+    def __init__(self, parts: Parts, values: Mapping[str, Any], defaults: Mapping[str, Any], notify: Notify) -> None:
+        self._parts, self._values, self._defaults, self._notify = parts, values, defaults, notify
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -106,12 +106,12 @@ class Asked(Generic[Request]):
     def value(self, name: str) -> Any:
         """Return one of its values, None where it was not given and has no default of its own. Raises UsageError."""
         part = next(one for one in self._parts.parts if one.name == name)
-        return part.values(self._values, self._tell).get(name)
+        return part.values(self._values, self._notify).get(name)
 
     def made(self, **more: Any) -> Request:
         """Return the request; more: fields in place of those of the flags. Raises UsageError."""
         parts = self._parts.parts
-        values = {name: value for part in parts for name, value in part.values(self._values, self._tell).items()}
+        values = {name: value for part in parts for name, value in part.values(self._values, self._notify).items()}
         return self._parts.kind(**{**values, **more})  # type: ignore[no-any-return]  # the kind of the annotation
 
 
@@ -132,12 +132,12 @@ class CommandFlags:
                 found.setdefault(flag.name, one.replace(default=_or_none(one.default)) if asked else one)
         return list(found.values())
 
-    def arguments(self, given: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+    def arguments(self, given: Mapping[str, Any], notify: Notify) -> dict[str, Any]:
         """Return what the function is called with. Raises UsageError."""
         made: dict[str, Any] = {}
         defaults = {one.name: _or_none(one.default) for one in self.parameters()}
         for part, asked in self._parts:
-            made.update({part.name: Asked(part, given, defaults, tell)} if asked else part.values(given, tell))  # type: ignore[arg-type]
+            made.update({part.name: Asked(part, given, defaults, notify)} if asked else part.values(given, notify))  # type: ignore[arg-type]
         return made
 
 
@@ -153,8 +153,8 @@ def _taken(name: str, hint: Any, default: Any) -> tuple[OneFlag | Parts, bool]:
 def _request(name: str, kind: type, *, group: bool = False) -> Parts:
     """Return the flags of a dataclass: of each field that has a Doc, or that is a group."""
     hints = known_hints(kind)
-    told = [one for one in dataclasses.fields(kind) if marks(hints[one.name], Doc | Flags)]
-    parts = [_field(one.name, hints[one.name], _default(one)) for one in told]
+    documented = [one for one in dataclasses.fields(kind) if marks(hints[one.name], Doc | Flags)]
+    parts = [_field(one.name, hints[one.name], _default(one)) for one in documented]
     return Parts(name=name, kind=kind, parts=tuple(parts), group=group)
 
 

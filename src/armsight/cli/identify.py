@@ -52,7 +52,7 @@ def identify(
             f"{', '.join(given)} only means something with --live", cure="Add --live ROBOT, or leave it out"
         )
     live.value("camera_settings").require_none("a sweep without --live")
-    _tell(run_identify(swept.made(), face.progress("identifying")), out, face)
+    _print_identified(run_identify(swept.made(), face.progress("identifying")), out, face)
 
 
 def _live(job: requests.identify.LiveJob, face: CommandUI, yes: bool) -> None:
@@ -68,7 +68,7 @@ def _live(job: requests.identify.LiveJob, face: CommandUI, yes: bool) -> None:
 
     done = run_identify_live(job, OperatorCallbacks(confirm=confirm, show=show), face.progress("identifying"))
     if isinstance(done, IdentifyOutput):
-        _tell(done, job.out, face)
+        _print_identified(done, job.out, face)
     else:
         face.result(done)
 
@@ -95,7 +95,7 @@ def _shown(value: float, slides: bool) -> str:
     return f"{value / MM:.1f} mm" if slides else f"{value / DEG:.1f} deg"
 
 
-def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:
+def _print_identified(done: IdentifyOutput, out: Path, face: CommandUI) -> None:
     rows = []
     for joint in done.joints:
         cells = [f"{joint.index}", joint.type]

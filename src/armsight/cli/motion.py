@@ -236,11 +236,11 @@ class PlayLine(StatusLine):
         """Tell of a cycle."""
         if not self.due(f"{status.state}{at.stage}{at.paused}{status.why.split(',')[0]}"):
             return
-        told = f"{status.state.upper():9} {at.stage}{' (paused)' if at.paused else ''} {100.0 * at.share:.0f} %"
-        told += f", {at.s_m / MM:.1f} of {at.length_m / MM:.1f} mm at {at.speed_m_s / MM:.1f} mm/s"
+        line = f"{status.state.upper():9} {at.stage}{' (paused)' if at.paused else ''} {100.0 * at.share:.0f} %"
+        line += f", {at.s_m / MM:.1f} of {at.length_m / MM:.1f} mm at {at.speed_m_s / MM:.1f} mm/s"
         if seen is not None and seen.last_m is not None:
-            told += f", seen {seen.last_m / MM:.2f} mm off"
-        self.draw(told + (f": {status.why}" if status.why else ""))
+            line += f", seen {seen.last_m / MM:.2f} mm off"
+        self.draw(line + (f": {status.why}" if status.why else ""))
 
 
 def play_tables(face: CommandUI, done: PlayOutput) -> None:

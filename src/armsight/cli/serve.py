@@ -248,8 +248,8 @@ def serve_cell(
             _tell_refusal(face, made.begin(changed, robot=robot))
             server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)
-            told = partial(_say, face, page=page)
-            serve_pages(server, options, page.listener, ready=told, service=cell.service)
+            ready = partial(_say, face, page=page)
+            serve_pages(server, options, page.listener, ready=ready, service=cell.service)
         finally:
             made.close()
 

@@ -160,10 +160,10 @@ def zoom_tables(face: CommandUI, zoom: ZoomOutput) -> None:
     rows = []
     for value, focal in zip(zoom.settings, zoom.focal_lengths_px, strict=True):
         one = left_out.get(value)
-        told = ["-"] * 3 if one is None else [f"{one.focal_error_px:+.2f}", figure(one.focal_std_px), ""]
+        figures = ["-"] * 3 if one is None else [f"{one.focal_error_px:+.2f}", figure(one.focal_std_px), ""]
         if one is not None:
-            told[2] = figure(one.image_rms_px)
-        rows.append([f"{value:g}", figure(focal, 6), *told])
+            figures[2] = figure(one.image_rms_px)
+        rows.append([f"{value:g}", figure(focal, 6), *figures])
     header = ["zoom", "fx, px", "left out: error of fx, px", "claimed +-", "image, px RMS"]
     face.table("Settings of the lens", header, rows)
     if zoom.focal_error_rms is not None:

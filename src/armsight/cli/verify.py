@@ -251,14 +251,14 @@ class LiveLine(StatusLine):
         """Tell of a pair."""
         if not self.due((int(level), bool(lost))):
             return
-        told = f"{pose.t_s:9.3f} s  "
+        line = f"{pose.t_s:9.3f} s  "
         if compared is None:
-            self.draw(f"{told}LOST  {lost}")
+            self.draw(f"{line}LOST  {lost}")
             return
         place, place_std = compared.error_m / MM, compared.std_m / MM
         turn, turn_std = compared.error_rad / DEG, compared.std_rad / DEG
-        place_told = f"{place:.3f} +- {place_std:.3f} mm"
-        self.draw(f"{told}{level.word.upper():4}  {place_told}  {turn:.3f} +- {turn_std:.3f} deg")
+        position_text = f"{place:.3f} +- {place_std:.3f} mm"
+        self.draw(f"{line}{level.word.upper():4}  {position_text}  {turn:.3f} +- {turn_std:.3f} deg")
 
 
 def live_tables(face: CommandUI, done: VerifyLiveOutput, out: Path) -> None:

@@ -233,13 +233,13 @@ def _add_deviation(page: Page, series: Series, errors: Errors | None) -> None:
         return
     std = series.full()[1]
     if series.apart:  # they lie where each was taken: nothing is there that they could scatter about
-        told = "Half the width of the 95 % bars: what may be read off the pose in each shot."
-        page.add("What each shot claims", told, page.plot(deviation_figure(series, None, std)))
+        text = "Half the width of the 95 % bars: what may be read off the pose in each shot."
+        page.add("What each shot claims", text, page.plot(deviation_figure(series, None, std)))
         return
     scatter = scatter_of(series)
     if scatter is None:
-        told = "Half the width of the 95 % band: what may be read off the pose at each moment."
-        page.add("Width of the band over time", told, page.plot(deviation_figure(series, None, std)))
+        text = "Half the width of the 95 % band: what may be read off the pose at each moment."
+        page.add("Width of the band over time", text, page.plot(deviation_figure(series, None, std)))
         return
     rms, claimed = (float(np.sqrt(np.nansum(_rms_columns(part)[:3] ** 2))) for part in (scatter.values, std))
     about = (

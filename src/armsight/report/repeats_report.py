@@ -57,8 +57,8 @@ def repeats_report(
         page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1].iso9283))
     if any(repeats.at_pose):
         page.add("Visits about their mean", "Each row less the mean of its pose.", _about(page, measured, repeats))
-        told = "Distance of each row from the mean of its pose, in the order of the rows: a drift climbs or falls."
-        page.add("Deviation over the rows", told, page.plot(_course(measured, repeats)))
+        text = "Distance of each row from the mean of its pose, in the order of the rows: a drift climbs or falls."
+        page.add("Deviation over the rows", text, page.plot(_course(measured, repeats)))
     page.style = PRINT.format(first=4, zoom=0.72)
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)

@@ -124,11 +124,11 @@ def _cards(summary: VerifyOutput) -> list[Card]:
     if after is None or before is None:
         return []  # of repeats alone
     own = [std for k in "xyz" if (std := summary.measurement_std.get(f"{k}_m")) is not None]
-    told = (
+    text = (
         "" if len(own) < 3 else f"; the measurement's own {figure_of(float(np.linalg.norm(own)) / MM, 'mm', digits=2)}"
     )
     cards = [
-        Card(name="error of place", value=figure_of(after.rms_m / MM, "mm"), note=f"RMS{told}"),
+        Card(name="error of place", value=figure_of(after.rms_m / MM, "mm"), note=f"RMS{text}"),
         Card(name="largest", value=figure_of(after.max_m / MM, "mm")),
     ]
     if after.rms_rad is not None:
@@ -212,10 +212,10 @@ def iso_table(figures: Mapping[str, IsoFigure]) -> str:
     ]
     parts = [table(header, rows, numbers=range(1, len(header)))] if rows else []
     families = dict.fromkeys(line.partition(",")[0] for line in lines)
-    told = [f"{family}: {FIGURES[family]}" for family in families if family in FIGURES]
-    told += [f"{family}: {text}" for text, family in notes.items()]
-    if told:
-        parts.append(bullets(told))
+    notes_shown = [f"{family}: {FIGURES[family]}" for family in families if family in FIGURES]
+    notes_shown += [f"{family}: {text}" for text, family in notes.items()]
+    if notes_shown:
+        parts.append(bullets(notes_shown))
     if why:
         parts.append("<p>Withheld:</p>" + bullets([f"{', '.join(names)}: {text}" for text, names in why.items()]))
     return "".join(parts)
@@ -239,8 +239,8 @@ def iso_by_place(figures: Mapping[str, IsoFigure]) -> str:
             notes.setdefault(item.note, where)
     rows.sort(key=lambda row: str(row[0]))
     header = ["place", "figure", "unit", "value", "±", "robot alone", "repeats"]
-    told = bullets([f"{where}: {note}" for note, where in notes.items()]) if notes else ""
-    return table(header, rows, numbers=range(3, 7)) + told if rows else ""
+    below = bullets([f"{where}: {note}" for note, where in notes.items()]) if notes else ""
+    return table(header, rows, numbers=range(3, 7)) + below if rows else ""
 
 
 def _repeats(item: IsoFigure) -> str:
@@ -248,17 +248,17 @@ def _repeats(item: IsoFigure) -> str:
 
 
 def _alignment_table(summary: VerifyOutput) -> str:
-    told = summary.alignment
+    alignment = summary.alignment
     rows = []
-    for words, pose in ((BASE, told.T_measured_base), (TOOL, told.T_flange_tool)):
+    for words, pose in ((BASE, alignment.T_measured_base), (TOOL, alignment.T_flange_tool)):
         if pose is not None:
             xyz, quat = xyz_quat(pose)
             shown = [figure_of(v / MM, "mm", digits=6) for v in xyz.tolist()]
             rows.append([words, *shown, ", ".join(f"{v:.6f}" for v in quat)])
     parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
-    if told.undetermined:
+    if alignment.undetermined:
         parts.append(
-            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in told.undetermined)}"])
+            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in alignment.undetermined)}"])
         )
     return "".join(parts)
 

@@ -283,10 +283,10 @@ def validated(model: type[Model], content: Mapping[str, Any], where: str) -> Mod
         return model.model_validate(plain(content))
     except ValidationError as error:
         details = error.errors(include_url=False)
-        told = [_message(model, detail) for detail in details[:MAX_SHOWN]]
+        messages = [_message(model, detail) for detail in details[:MAX_SHOWN]]
         more = f" (and {len(details) - MAX_SHOWN} more)" if len(details) > MAX_SHOWN else ""
         raise BadFile(
-            f"{where}: " + "; ".join(told) + more, consequence="The file is not used", cure="Correct it there"
+            f"{where}: " + "; ".join(messages) + more, consequence="The file is not used", cure="Correct it there"
         ) from error
     except RecursionError as error:
         raise BadFile(f"{where}: nested too deeply", consequence="The file is not used") from error

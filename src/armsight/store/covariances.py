@@ -122,8 +122,8 @@ def pose_covariances(
                 with named(table.place(rows[int(np.argmax(bad))])):
                     raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
         whole = covariances(table, np.nan_to_num(std), rows)
-        told = [i for i, row in enumerate(shared) if not np.isnan(row).any()]
-        repeats = dict(zip(told, covariances(table, shared[told], [rows[i] for i in told], "sys_"), strict=True))
+        given = [i for i, row in enumerate(shared) if not np.isnan(row).any()]
+        repeats = dict(zip(given, covariances(table, shared[given], [rows[i] for i in given], "sys_"), strict=True))
         out |= {row: (whole[i], repeats.get(i)) for i, row in enumerate(rows)}
     return out
 

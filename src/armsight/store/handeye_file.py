@@ -192,7 +192,7 @@ def _in_order(path: Path, n: int, images: Sequence[str], format_: TableFormat) -
             consequence="Nobody knows which pose belongs to which image",
             cure="Add a column file with the images' names",
         )
-    format_.tell(f"{path.name}: no column file: the poses are those of the {n} images in the order of their names")
+    format_.notify(f"{path.name}: no column file: the poses are those of the {n} images in the order of their names")
     return images
 
 
@@ -206,7 +206,7 @@ def _by_number(path: Path, files: Sequence[str], images: Sequence[str], format_:
     ours, theirs = ([int(part[-1]) for part in side] for side in numbers)
     if len(set(ours)) < len(ours) or len(set(theirs)) < len(theirs) or not set(ours) & set(theirs):
         return files
-    format_.tell(f"{path.name}: images and poses belong together by the numbers in their names")
+    format_.notify(f"{path.name}: images and poses belong together by the numbers in their names")
     named_by = dict(zip(theirs, images, strict=True))
     return [named_by.get(number, name) for number, name in zip(ours, files, strict=True)]
 

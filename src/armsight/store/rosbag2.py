@@ -34,7 +34,7 @@ VERSION: Literal[9] = 9
 
 
 def write_rosbag2(
-    recording: Recording, out: Path, *, told: Callable[[int], None] = lambda count: None
+    recording: Recording, out: Path, *, on_written: Callable[[int], None] = lambda count: None
 ) -> dict[str, int]:
     """Write a recording as a bag in the folder out, which must not be there yet; return the messages by topic.
 
@@ -48,7 +48,7 @@ def write_rosbag2(
         scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         with disk_errors(out):
-            with _Bag(scratch / out.name, recording.origin_ns, told) as bag:
+            with _Bag(scratch / out.name, recording.origin_ns, on_written) as bag:
                 _fill(bag, recording)
             if not bag.counts:
                 raise NotEnoughData(f"{recording.path} holds no frames, joints or poses", cure="Check the file")
@@ -61,7 +61,7 @@ def write_rosbag2(
 class _Bag:
     """A bag being written; a topic begins with its first message."""
 
-    def __init__(self, path: Path, origin_ns: int, told: Callable[[int], None]) -> None:
+    def __init__(self, path: Path, origin_ns: int, on_written: Callable[[int], None]) -> None:
         try:
             from rosbags.rosbag2 import StoragePlugin, Writer
             from rosbags.typesys import Stores, get_typestore
@@ -74,7 +74,7 @@ class _Bag:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._writer = Writer(path, version=VERSION, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Any] = {}
-        self._origin_ns, self._told = origin_ns, told
+        self._origin_ns, self._on_written = origin_ns, on_written
         self.counts: dict[str, int] = {}
 
     def __enter__(self) -> _Bag:
@@ -100,7 +100,7 @@ class _Bag:
         data = self._store.serialize_cdr(self.make(kind, *fields), kind)
         self._writer.write(self._connections[topic], self._ns(t_s), data)
         self.counts[topic] = self.counts.get(topic, 0) + 1
-        self._told(sum(self.counts.values()))
+        self._on_written(sum(self.counts.values()))
 
     def _ns(self, t_s: float) -> int:
         return self._origin_ns + round(t_s * NS)

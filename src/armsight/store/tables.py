@@ -193,7 +193,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def in_time(table: Table, tell: Callable[[str], None]) -> Table:
+def in_time(table: Table, notify: Callable[[str], None]) -> Table:
     """Return a table with t_s as a stream: rows that repeat the row before, stamp and all, are left out and told.
 
     Loggers that poll faster than a controller speaks write such rows. Raises BadFile, naming the line, where a stamp
@@ -214,7 +214,7 @@ def in_time(table: Table, tell: Callable[[str], None]) -> Table:
             cure="Put the rows in the order of time" if back else "Write finer stamps, or leave one row out",
         )
     if again.any():
-        tell(f"{table.where}: {int(again.sum())} of {len(table)} rows repeat the row before them and are left out")
+        notify(f"{table.where}: {int(again.sum())} of {len(table)} rows repeat the row before them and are left out")
     return Table(
         where=table.where,
         numbers={name: column[kept] for name, column in table.numbers.items()},

@@ -120,8 +120,8 @@ def restate_points(path: Path, status: Mapping[float, PoseStatus]) -> None:
     """Give the rows of a points.csv the status of their moment, by t_s."""
     head, *rows = path.read_text(encoding="utf-8").splitlines()  # our own, of any size
     words = {number(t_s): one.value for t_s, one in status.items()}
-    told = (f"{row.rpartition(',')[0]},{words.get(row.partition(',')[0], row.rpartition(',')[2])}" for row in rows)
-    write_text(path, "\n".join([head, *told]) + "\n")
+    lines = (f"{row.rpartition(',')[0]},{words.get(row.partition(',')[0], row.rpartition(',')[2])}" for row in rows)
+    write_text(path, "\n".join([head, *lines]) + "\n")
 
 
 class SpotsWriter(_Writer):
@@ -189,11 +189,11 @@ def read_poses(
     before, stamp and all, are left out. See parse_poses and interpret.
     """
     data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
-    return parse_poses(data, str(path), parent=parent, tell=format_.tell if stream else None)
+    return parse_poses(data, str(path), parent=parent, notify=format_.notify if stream else None)
 
 
 def parse_poses(
-    data: bytes, where: str, *, parent: str = "rig", tell: Callable[[str], None] | None = None
+    data: bytes, where: str, *, parent: str = "rig", notify: Callable[[str], None] | None = None
 ) -> tuple[TargetPose, ...]:
     """Return the poses in the bytes of a poses.csv, in the frame parent.
 
@@ -210,7 +210,7 @@ def parse_poses(
         text=("status", "spots"),
         blank=(*POSE_COLUMNS[1:14], *POSE_EXTRAS),
     )
-    table = table if tell is None else in_time(table, tell)
+    table = table if notify is None else in_time(table, notify)
     statuses = [_status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
     of_lights = {row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, LIGHTS)}
@@ -306,7 +306,7 @@ def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True) 
 
 def parse_joints(data: bytes, where: str, format_: TableFormat = OURS) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
-    table = in_time(parse_table(data, where, ("t_s", "q1"), series="q"), format_.tell)
+    table = in_time(parse_table(data, where, ("t_s", "q1"), series="q"), format_.notify)
     check_joint_values(table.stacked(table.series("q")), where, format_)
     with named(where):
         return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))

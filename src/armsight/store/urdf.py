@@ -229,11 +229,11 @@ def _end(start: str, tree: _Tree, where: str) -> str:
         onwards = moving(link)
         if len(onwards) > 1:
             tips = [tip for tip in order if tip != start and (tip not in tree.below or len(moving(tip)) > 1)]
-            told = [f"{tip} ({_count(tree.to(tip, start, where))})" for tip in tips]
+            counted = [f"{tip} ({_count(tree.to(tip, start, where))})" for tip in tips]
             raise BadFile(
                 f"{where}: branches at the link {link} into {', '.join(joint.name for joint in onwards)}",
                 consequence="Which of them is the arm is not known",
-                cure=f"Name the last link of the chain you mean with --tip, such as {_listed(told)}",
+                cure=f"Name the last link of the chain you mean with --tip, such as {_listed(counted)}",
             )
         link = onwards[0].child if onwards else max(children, key=lambda joint: depth[joint.child]).child
     return link

@@ -132,10 +132,10 @@ def gross(residual: Array, typical: Array) -> NDArray[np.bool_]:
 
 
 def _why(residual: Array) -> str:
-    told = f"misses what the other rows agree on by {np.linalg.norm(residual[:3]) / MM:.3g} mm"
+    text = f"misses what the other rows agree on by {np.linalg.norm(residual[:3]) / MM:.3g} mm"
     if len(residual) == 6:
-        told += f" and {np.linalg.norm(residual[3:]) / DEG:.3g} deg"
-    return told
+        text += f" and {np.linalg.norm(residual[3:]) / DEG:.3g} deg"
+    return text
 
 
 def _check_count(measured: Measured, how: Align) -> None:
@@ -275,10 +275,10 @@ def _check_mirrored(F: Array, measured: Measured, nominal: Mounts, error: float,
         raise left_handed(f"they miss the arm's by {error / MM:.3g} mm, and by {other / MM:.3g} mm when mirrored")
 
 
-def left_handed(told: str) -> Inconsistent:
+def left_handed(what: str) -> Inconsistent:
     """Return the refusal of mirrored positions; told: by what they are known, in words."""
     return Inconsistent(
-        f"the positions are left-handed: {told}",
+        f"the positions are left-handed: {what}",
         consequence="No turn lays a mirrored path on the arm's; nothing is verified",
         cure="Change the sign of one axis in the export (and the rotations with it), or swap two axes",
     )
@@ -301,9 +301,9 @@ def _check_turns(F: Array, measured: Measured, fitted: ModelFit) -> None:
         off = (Rotation.from_matrix(local) * _middle(local).inv()).magnitude()
         found[way] = float(np.median(off))
     way = min(found, key=lambda key: found[key])
-    told = f"; they fit to {found[way] / DEG:.3g} deg as {way}" if found[way] < MIRRORED * size else ""
+    rival = f"; they fit to {found[way] / DEG:.3g} deg as {way}" if found[way] < MIRRORED * size else ""
     raise Inconsistent(
-        f"the rotations miss the arm's by {size / DEG:.3g} deg though the positions fit{told}",
+        f"the rotations miss the arm's by {size / DEG:.3g} deg though the positions fit{rival}",
         consequence="Nothing is verified",
         cure="Check the order of the quaternion's columns and which frame they turn; leave them out to compare places",
     )

@@ -46,11 +46,11 @@ class Bodies:
     @property
     def notes(self) -> tuple[str, ...]:
         """What to know of it."""
-        told = (
+        changed = (
             f"ISO 9283: the points {', '.join(self.points)} are judged as one body, at their mean; they fit it to "
             f"{self.rms_m / MM:.3g} mm RMS"
         )
-        notes = [told]
+        notes = [changed]
         if self.expected_m is not None and self.rms_m > NOT_RIGID * self.expected_m:
             notes.append(
                 f"the points do not keep their distances: {self.rms_m / MM:.3g} mm where their standard deviations "

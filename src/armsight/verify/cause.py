@@ -154,12 +154,12 @@ def judge(case: Case, aligned: ModelFit) -> tuple[JointVerdict, ...]:
         if np.ptp(case.q[:, i]) < still(case.bare)[i]:
             found.append(JointVerdict(judged=False, why="it hardly moved"))
         elif not size > 0.0 or np.linalg.norm(own) < APART * size:
-            told = (
+            why = (
                 f"what its zero does, the free {' and '.join(sorted(parts))} do as well"
                 if parts
                 else "nothing shows it"
             )
-            found.append(JointVerdict(judged=False, why=told))
+            found.append(JointVerdict(judged=False, why=why))
         else:
             found.append(JointVerdict(judged=True))
     return tuple(found)
@@ -222,24 +222,24 @@ def _decide(
         not _adds(before, zeros, everything)
         or (_zeros_needed(before, geometry, everything) and _dominates(gains["zeros"], most, leaves(zeros)))
     )
-    told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
+    cause = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
     moved = moved_rig(
         before, trial.fitted.noise, case, min(fit.squares for fit in (trial.own, zeros, geometry, everything))
     )
     if moved:
-        return replace(told, sentence=moved)
+        return replace(cause, sentence=moved)
     if one:
         rival = _rival(case, aligned, trial)
         joints = _estimates(judged, able, trial, after.with_joints(able), after.std(able, region), named=rival is None)
-        told = replace(told, joints=joints, rival=rival)
-        return _named(case, trial, told, adds) if rival is None else replace(told, sentence=_between(trial, rival))
+        cause = replace(cause, joints=joints, rival=rival)
+        return _named(case, trial, cause, adds) if rival is None else replace(cause, sentence=_between(trial, rival))
     if several:
         joints = _estimates(judged, able, trial, zeros, before.std(able, region))
-        return replace(told, cause="several joints", joints=joints, sentence=_several(joints, gains))
+        return replace(cause, cause="several joints", joints=joints, sentence=_several(joints, gains))
     if _gained(before, plain, everything) or _gained(before, plain, geometry):
         joints = _estimates(judged, able, trial, everything, before.std(able, region, geometry=True))
-        return replace(told, cause="model", joints=joints, sentence=_model(gains, trial))
-    return _nothing(aligned, replace(told, joints=_estimates(judged, able, trial, zeros, before.std(able, region))))
+        return replace(cause, cause="model", joints=joints, sentence=_model(gains, trial))
+    return _nothing(aligned, replace(cause, joints=_estimates(judged, able, trial, zeros, before.std(able, region))))
 
 
 def _leaves(evidence: Evidence, richest: Sequence[Fitted]) -> Callable[[Fitted], float]:
@@ -317,30 +317,30 @@ def _estimates(
     return tuple(out)
 
 
-def _named(case: Case, trial: _Trial, told: Cause, adds: bool) -> Cause:
+def _named(case: Case, trial: _Trial, found: Cause, adds: bool) -> Cause:
     effect, fit = trial.effect, trial.fitted
     wide = np.sqrt(trial.after.linear.inflation)
     values = fit.p[len(fit.p) - len(effect.names) :]
     parameters = {name: (float(v), float(wide * fit.std(name))) for name, v in zip(effect.names, values, strict=True)}
-    values_told = ", ".join(_shown(name, *pair) for name, pair in parameters.items())
+    values_text = ", ".join(_shown(name, *pair) for name, pair in parameters.items())
     name = case.bare.joints[effect.joint].name
     rest = " The rest is the model's: `armsight calibrate arm` corrects it." if adds else ""
     return replace(
-        told,
+        found,
         cause=f"joint {effect.joint + 1}",
         joint=effect.joint,
         kind=effect.kind,
         parameters=parameters,
         fitted=fit,
-        sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_told}. It takes "
+        sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_text}. It takes "
         f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
     )
 
 
 def _shown(name: str, value: float, std: float) -> str:
     if name.endswith("_rad"):
-        told = max(np.rad2deg(std), LAST_DIGIT_DEG)
-        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {told:.2g} deg"
+        width = max(np.rad2deg(std), LAST_DIGIT_DEG)
+        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {width:.2g} deg"
     return f"{name} {value:.4g} +- {std:.2g}"
 
 
@@ -355,8 +355,10 @@ def _several(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:
         for i, v in enumerate(joints)
         if v.offset is not None and v.std is not None and abs(v.offset) > 4.0 * v.std
     ]
-    told = f" (those beyond four standard deviations: {', '.join(map(str, far))})" if far else ""
-    return f"Several joints' zeros are off{told}: together they take {100 * gains['zeros']:.3g} % off left-out squares."
+    beyond = f" (those beyond four standard deviations: {', '.join(map(str, far))})" if far else ""
+    return (
+        f"Several joints' zeros are off{beyond}: together they take {100 * gains['zeros']:.3g} % off left-out squares."
+    )
 
 
 def _model(gains: dict[str, float], trial: _Trial) -> str:
@@ -369,7 +371,7 @@ def _model(gains: dict[str, float], trial: _Trial) -> str:
     )
 
 
-def _nothing(aligned: ModelFit, told: Cause) -> Cause:
+def _nothing(aligned: ModelFit, cause: Cause) -> Cause:
     """Return the verdict where neither joints nor geometry take errors off."""
     known = bool(aligned.noise.measurement.any())
     total = np.sqrt(np.median(aligned.noise.sigma**2, axis=0))
@@ -382,14 +384,14 @@ def _nothing(aligned: ModelFit, told: Cause) -> Cause:
             f"Errors are {factor:.2g} times what the measurement's standard deviations say, and neither a joint nor "
             "the geometry takes them off rows left out."
         )
-        return replace(told, cause="undecided", sentence=sentence)
+        return replace(cause, cause="undecided", sentence=sentence)
     off = float(np.sqrt((aligned.residual[:, :3] ** 2).sum(axis=1).mean()))
     if not known and off > UNTOLD_M:
         sentence = (
             f"Errors of {1e3 * off:.3g} mm follow neither the joints nor the geometry, and are too large to be laid to "
             "a measurement whose standard deviations are not in the file: are there rows of another arm, tool or rig?"
         )
-        return replace(told, cause="undecided", sentence=sentence)
+        return replace(cause, cause="undecided", sentence=sentence)
     said = "" if known else " (its standard deviations are not in the file; the arm's own scatter counts with it)"
     sentence = f"The errors are the measurement's{said}: nothing in them follows the joints."
-    return replace(told, cause="measurement", sentence=sentence)
+    return replace(cause, cause="measurement", sentence=sentence)

@@ -178,7 +178,7 @@ def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
     single = [_explanation(case, _with_zero(case, plain.p, i), i, able) for i in able.tolist()]
     bent = [] if "tool" in how.parts else [_explanation(case, _with_tool(case, plain.p), -1, able)]
     joints = _each(judged, single)
-    told = Mastering(
+    mastering = Mastering(
         cause="none",
         sentence="No joint's zero has moved, and the tool has not, as far as these poses tell.",
         joints=joints,
@@ -188,7 +188,7 @@ def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
         rejected=(),
         doubts=_caveats(joints, how),
     )
-    return _decided(told, case, arm, nothing, single, bent)
+    return _decided(mastering, case, arm, nothing, single, bent)
 
 
 def _with_zero(case: Case, p: Array, joint: int) -> ModelFit:
@@ -249,7 +249,7 @@ def _zero_std(one: _Explanation) -> float:
 
 
 def _decided(
-    told: Mastering,
+    mastering: Mastering,
     case: Case,
     arm: Arm,
     nothing: _Explanation,
@@ -262,25 +262,25 @@ def _decided(
         *(n * by_chance(linear, nothing.own, one.own) for one in (*single, *bent)),
     )
     if not moved < CHANCE or not single:
-        return told
+        return mastering
     best = min(single, key=lambda one: one.own.squares)
     if best.enough:
-        return _one_joint(told, case, best, single, bent)
+        return _one_joint(mastering, case, best, single, bent)
     if bent and bent[0].enough:
         T = arm.T_flange_tool.inv() * bent[0].fitted.mounts(case.measured.labels).tools[0]
         far, turn = np.linalg.norm(T.translation) / MM, T.rotation.magnitude() / DEG
         sentence = f"Not a joint: the tool sits {far:.3g} mm and {turn:.3g} deg from where it sat before."
-        return replace(told, cause="tool", sentence=sentence, after=bent[0].fitted.residual, T_tool=T)
+        return replace(mastering, cause="tool", sentence=sentence, after=bent[0].fitted.residual, T_tool=T)
     sentence = (
         "Something has moved, but neither one joint's zero nor the tool alone explains it: several joints, the base, "
         "or the arm's model. Measure more poses and run `armsight verify`, or `armsight calibrate arm` (`armsight join "
         "--as points` makes its table of measurements and joints in two files)."
     )
-    return replace(told, cause="several", sentence=sentence)
+    return replace(mastering, cause="several", sentence=sentence)
 
 
 def _one_joint(
-    told: Mastering, case: Case, best: _Explanation, single: list[_Explanation], bent: list[_Explanation]
+    mastering: Mastering, case: Case, best: _Explanation, single: list[_Explanation], bent: list[_Explanation]
 ) -> Mastering:
     """Return the verdict for one joint; undecided where another explanation does about as well."""
     worth = best.evidence.linear.residual.size
@@ -293,17 +293,17 @@ def _one_joint(
         if ratio < RIVAL_LOG and other.enough:
             name = "the tool" if other.joint == -1 else f"joint {(other.joint or 0) + 1}"
             sentence = f"Joint {joint + 1} and {name} explain the errors alike at these poses; neither is named."
-            return replace(told, cause="undecided", sentence=sentence)
+            return replace(mastering, cause="undecided", sentence=sentence)
     offset, std = float(best.fitted.p[-1]), _zero_std(best)
     factor, unit = (DEG, "deg") if case.bare.revolute[joint] else (MM, "mm")
-    doubts = list(told.doubts)
+    doubts = list(mastering.doubts)
     if joint == last:
         doubts.append("a target that has turned on the flange about the last joint's axis would look the same")
     if joint == 0:
         doubts.append("a rig that has turned about the first joint's axis would look the same")
     name = case.bare.joints[joint].name
     return replace(
-        told,
+        mastering,
         cause=f"joint {joint + 1}",
         sentence=f"Joint {joint + 1} ({name}): its zero has moved, {offset / factor:.4f} +- {std / factor:.2g} {unit} "
         "is to be added to its readings.",
@@ -316,8 +316,8 @@ def _one_joint(
 
 
 def _caveats(joints: tuple[JointVerdict, ...], how: Align) -> tuple[str, ...]:
-    told = [f"joint {i} is not judged: {verdict.why}" for i, verdict in enumerate(joints, 1) if not verdict.judged]
-    told.append("this holds for an arm that agreed with its file before: errors of its geometry pass for moved zeros")
+    notes = [f"joint {i} is not judged: {verdict.why}" for i, verdict in enumerate(joints, 1) if not verdict.judged]
+    notes.append("this holds for an arm that agreed with its file before: errors of its geometry pass for moved zeros")
     if how.parts:
-        told.append(f"{' and '.join(how.parts)} were laid where they fit best: what they can take up is not seen")
-    return tuple(told)
+        notes.append(f"{' and '.join(how.parts)} were laid where they fit best: what they can take up is not seen")
+    return tuple(notes)

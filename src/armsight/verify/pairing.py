@@ -116,7 +116,7 @@ def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired
 def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align) -> Paired:
     if measured.t_s is None:
         raise UsageError("the measured rows have no stamps")
-    stream, told = _stream(arm, reported)
+    stream, stream_notes = _stream(arm, reported)
     times = sampling_times(measured.t_s, "the measured rows")
     check_spread(measured, stream.at(stream.t_s[:: max(1, len(stream.t_s) // 2000)])[0])
     sure = np.flatnonzero(times.sure)
@@ -131,7 +131,7 @@ def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: M
     rejected += [(int(measured.rows[i]), _uncovered(stream, float(at[i]))) for i in np.flatnonzero(times.sure & ~there)]
     chosen = np.flatnonzero(times.sure & there)
     F, _ = stream.at(at[chosen])
-    notes = (*told, *((times.note,) if times.note else ()), *clock.notes)
+    notes = (*stream_notes, *((times.note,) if times.note else ()), *clock.notes)
     return Paired(
         measured=measured.take(chosen),
         F=F,

@@ -101,8 +101,8 @@ def _bodies(measured: Measured, repeats: Repeats, command: Command | None, notes
     wanted = None
     if command is not None and len(command.row):
         wanted = np.full((len(measured), 3), np.nan)
-        _, mine, told = np.intersect1d(measured.rows, command.row, return_indices=True)
-        wanted[mine] = command.T[told, :3, 3]
+        _, mine, theirs = np.intersect1d(measured.rows, command.row, return_indices=True)
+        wanted[mine] = command.T[theirs, :3, 3]
     found = bodies_of(measured, repeats, at_rest, _visit_numbers(repeats, at_rest, notes), wanted)
     if found is not None:
         notes += [note for note in found.notes if wanted is not None or "commanded" not in note]

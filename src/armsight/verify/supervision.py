@@ -85,13 +85,13 @@ class Limits(Output):
     @property
     def all(self) -> tuple[tuple[Level, int, float], ...]:
         """Return what is set, the gravest first: the level, which half of the error (0 position, 1 turn), its size."""
-        told = (
+        levels = (
             (Level.STOP, 0, self.stop_m),
             (Level.STOP, 1, self.stop_rad),
             (Level.WARN, 0, self.warn_m),
             (Level.WARN, 1, self.warn_rad),
         )
-        return tuple((level, half, value) for level, half, value in told if value is not None)
+        return tuple((level, half, value) for level, half, value in levels if value is not None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

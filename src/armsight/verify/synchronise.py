@@ -223,11 +223,11 @@ def _check(stream: Stream, measured: Measured, t_s: Array, fits: list[tuple[floa
         )
 
 
-def _apart(t_arm: Array, t_s: Array, told: str) -> ArmsightError:
+def _apart(t_arm: Array, t_s: Array, why: str) -> ArmsightError:
     over = min(t_arm[-1], t_s[-1]) - max(t_arm[0], t_s[0])
     said = "" if over > 0.0 else "the streams do not overlap in time, and "
     return Inconsistent(
-        f"{said}no time offset makes the measured path the arm's ({told}): measured from {t_s[0]:.6g} to "
+        f"{said}no time offset makes the measured path the arm's ({why}): measured from {t_s[0]:.6g} to "
         f"{t_s[-1]:.6g} s, the arm from {t_arm[0]:.6g} to {t_arm[-1]:.6g} s",
         consequence="Which rows belong together is not known; nothing is verified",
         cure="Check that both files are of the same motion and the arm's model is the right one; look for mirrored "

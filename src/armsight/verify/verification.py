@@ -223,22 +223,22 @@ def _flat(xyz: Array) -> bool:
 
 
 def _caveats(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
-    told = list(paired.notes)
+    notes = list(paired.notes)
     if joints is not None:
-        told += joints.why
+        notes += joints.why
     elif paired.q is not None:
-        told.append("positions alone, or several points, do not fix the joints of a pose: no error per joint is given")
+        notes.append("positions alone, or several points, do not fix the joints of a pose: no error per joint is given")
     if paired.measured.std is None:
-        told.append("the measurement's standard deviations are not in the file: what it explains is not known")
+        notes.append("the measurement's standard deviations are not in the file: what it explains is not known")
     for i, verdict in enumerate(() if cause is None else cause.joints, start=1):
         if not verdict.judged:
-            told.append(f"joint {i} is not judged: {verdict.why}")
+            notes.append(f"joint {i} is not judged: {verdict.why}")
     if how is not Align.NONE and paired.q is not None:
         free = " and ".join(how.parts)
-        told.append(f"{free} were laid where they fit best: errors that they can take up are not seen")
+        notes.append(f"{free} were laid where they fit best: errors that they can take up are not seen")
     if how is not Align.NONE and _flat(paired.measured.xyz_m):
-        told.append("the places lie in one plane: whether the measuring frame is left-handed cannot be seen")
-    return tuple(told)
+        notes.append("the places lie in one plane: whether the measuring frame is left-handed cannot be seen")
+    return tuple(notes)
 
 
 # Errors of the task carried into the joints: the readings that would explain each measured pose, near the reported.
@@ -308,14 +308,14 @@ def _least_singular(J: Array, arm: Arm) -> Array:
 
 
 def _why(singular: int, unsolved: int, m: int) -> tuple[str, ...]:
-    told = []
+    notes = []
     if singular:
-        told.append(
+        notes.append(
             f"{singular} of {m} rows are close to a singularity, where joint errors are a multiple of the noise"
         )
     if unsolved:
-        told.append(f"{unsolved} of {m} rows have no joint values near the reported ones that reach the measured pose")
-    return tuple(told)
+        notes.append(f"{unsolved} of {m} rows have no joint values near the reported ones that reach the measured pose")
+    return tuple(notes)
 
 
 # Rows that cannot be what they claim: a measurement repeated while the arm moved.

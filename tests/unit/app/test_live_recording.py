@@ -45,7 +45,7 @@ def test_a_file_that_is_being_closed_is_still_told_as_open(made: Any) -> None:
     slow.meanwhile = live.tell
     live.end()
     assert [state.file is not None for state in told] == [True, True, False]
-    live.tell()
+    live.notify()
     live.end()
     assert len(told) == 3
 
@@ -63,8 +63,8 @@ def last_told(live: LiveRecording, slow: Slow, *, ordered: bool) -> RecordingSta
                 ending.join()
         told.append(state)
 
-    live._tell = tell
-    live.tell()
+    live._notify = tell
+    live.notify()
     ending.join()
     return told[-1]
 

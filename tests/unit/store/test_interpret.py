@@ -101,7 +101,7 @@ def test_an_order_that_the_numbers_contradict_is_told(file) -> None:
 def test_roll_pitch_yaw_are_ros_angles_and_said_to_be(file) -> None:
     told: list[str] = []
     path = file("t,x,y,z,roll,pitch,yaw\n0,0.5,0.2,0.3,0.1,0.2,0.3\n")
-    pose = read_poses(path, format_=TableFormat(tell=told.append))[0]
+    pose = read_poses(path, format_=TableFormat(notify=told.append))[0]
     want = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
     np.testing.assert_allclose(pose.T_parent_target[:3, :3], want, atol=1e-12)
     assert any("ROS" in text for text in told)

@@ -323,7 +323,7 @@ def test_rows_that_repeat_the_row_before_are_merged_and_told(tmp_path, kind):
     header, first, second, times = STREAMS[kind]
     path, told = tmp_path / f"{kind}.csv", []
     path.write_text(f"{header}\n0.1,{first}\n0.1,{first}\n\n0.2,{first}\n0.3,{second}\n0.3,{second}\n")
-    assert list(times(path, TableFormat(tell=told.append))) == [0.1, 0.2, 0.3]
+    assert list(times(path, TableFormat(notify=told.append))) == [0.1, 0.2, 0.3]
     assert "2 of 5 rows" in told[0]
 
 

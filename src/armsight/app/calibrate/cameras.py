@@ -48,7 +48,7 @@ def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> Camera
         ):
             every.append(seen)
             _sort(frame, seen, views, rejected)
-            _tell(progress, len(views) + len(rejected), total)
+            _show_progress(progress, len(views) + len(rejected), total)
     require_counts(every, board, job.board)
     _require(views, rejected, job.board)
     if found is not None:
@@ -113,7 +113,7 @@ def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> Stereo
                     if isinstance(seen, BoardView):
                         side.append(seen)
             done += 1
-            _tell(progress, done, total)
+            _show_progress(progress, done, total)
     require_counts(every, board, job.board)
     _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
@@ -137,7 +137,7 @@ def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[Rejec
         views.append(seen)
 
 
-def _tell(progress: Progress, done: int, total: int) -> None:
+def _show_progress(progress: Progress, done: int, total: int) -> None:
     progress.update(done, total, "finding the board")
     if progress.cancelled():
         raise Cancelled(f"stopped after {done} images", consequence="Nothing was written")

@@ -93,7 +93,7 @@ def _with_order(
     fits = []
     for order in orders():
         try:
-            pairs = read(replace(table, euler=order, tell=lambda text: None))
+            pairs = read(replace(table, euler=order, notify=lambda text: None))
         except ArmsightError:  # out of the range of this order, or columns that it does not have
             continue
         R = pairs.T_base_flange.rotation.as_matrix()

@@ -148,12 +148,12 @@ def fix_rig(source: Path, out: Path, zoom: tuple[float | None, float | None]) ->
     """Write the rig.yaml of a rig with zoom lenses at one zoom of each."""
     found = at_zoom(read_zoom_rig(source), zoom)
     write_rig(out, found.rig, inputs=[source])
-    told = [
+    changes = [
         f"{side} at zoom {state.zoom:g}, {_how(state.interpolated)}"
         for side, state in zip(SIDES, found.states, strict=True)
         if state is not None
     ]
-    return _converted(out, "; ".join(told))
+    return _converted(out, "; ".join(changes))
 
 
 def _how(interpolated: bool) -> str:

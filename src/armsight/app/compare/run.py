@@ -97,7 +97,7 @@ def compare(job: CompareJob) -> CompareOutput:
         a=str(job.a),
         b=str(job.b),
         agree=judgement.agree,
-        verdict=_told(found, judgement, tracks),
+        verdict=_warned_verdict(found, judgement, tracks),
         p=judgement.p,
         parameters=tuple(found.differences),
         effects=tuple(found.effects),
@@ -166,7 +166,7 @@ def _judgement(kind: str, found: Compared, tracks: Tracks | None) -> Judgement:
     return judged_singly(found.differences) if kind == "verify" else judged(found.differences, *found.covariances)
 
 
-def _told(found: Compared, judgement: Judgement, tracks: Tracks | None) -> str:
+def _warned_verdict(found: Compared, judgement: Judgement, tracks: Tracks | None) -> str:
     warning = "" if tracks is None else tracks.shared.warning
     return f"{_verdict(found, judgement, tracks)} {warning}".strip()
 

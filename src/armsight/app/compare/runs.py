@@ -45,7 +45,7 @@ class Shared:
             return [
                 "Not recorded of both: which rig and target they were measured with (no measure.json beside poses.csv)."
             ]
-        told = {
+        words = {
             (True, True): "One rig and one target: what is wrong with either is in both, and is not seen here.",
             (
                 False,
@@ -58,7 +58,7 @@ class Shared:
             ): "Two targets, or one measured anew: each has its own axes, and poses of two targets differ by that.",
             (False, False): "Two rigs and two targets: their axes and errors are in the differences.",
         }
-        return [told[self.rig, bool(self.target)]]
+        return [words[self.rig, bool(self.target)]]
 
 
 def shared(a: Path, b: Path) -> Shared:
@@ -76,8 +76,8 @@ def _made_with(path: Path) -> MadeWith | None:
     data = read_bytes(path, limit=MAX_SUMMARY_BYTES)
     try:
         held = json.loads(data)
-        told = held.get("made_with") if isinstance(held, dict) else None
-        return None if told is None else read_output(MadeWith, told, path.name)
+        made = held.get("made_with") if isinstance(held, dict) else None
+        return None if made is None else read_output(MadeWith, made, path.name)
     except (ValueError, BadFile, RecursionError) as error:
         raise BadFile(
             f"{path}: not the summary of a measurement ({str(error).splitlines()[0]})",

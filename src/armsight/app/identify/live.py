@@ -128,16 +128,16 @@ def identify_observed(
         start = sweeper.standing
     plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base, around_px=job.around_px)
     notes = [*([consequence(m + len(held), job.left_out)] if len(held) else []), *notes]
-    told = plan_output(plan, notes)
-    person.show(told)
+    planned = plan_output(plan, notes)
+    person.show(planned)
     if job.propose:
-        return ProposedPlanOutput(plan=told, notes=told.notes)
+        return ProposedPlanOutput(plan=planned, notes=planned.notes)
     _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
     sweeps, uneven = even_ones(_swept(job, plan, robot, sweeper))
     if uneven:
         write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
     done = _from_sweeps(job, held)
-    return identified(done, sweeps, rig, known.world, known.nominal, notes=uneven, plan=told)
+    return identified(done, sweeps, rig, known.world, known.nominal, notes=uneven, plan=planned)
 
 
 def _check_joints(robot: Robot, limits: Array) -> None:

@@ -28,8 +28,8 @@ class RecordingState:
 class LiveRecording:
     """At most one file at a time. That it has ended is told once it is whole, and nothing of it is told after that."""
 
-    def __init__(self, tell: Callable[[RecordingState], None], clock: Clock) -> None:
-        self._tell, self._clock = tell, clock
+    def __init__(self, notify: Callable[[RecordingState], None], clock: Clock) -> None:
+        self._notify, self._clock = notify, clock
         self._order = threading.Lock()
         self._open: tuple[Path, Recorder] | None = None
 
@@ -42,8 +42,8 @@ class LiveRecording:
             writer = RecordingWriter(file, clock=self._clock)
             self._open = file, Recorder(writer, ImageFormat.PNG, live=True).__enter__()
         except ArmsightError as error:
-            self._tell(RecordingState(failure=str(error)))
-        self.tell()
+            self._notify(RecordingState(failure=str(error)))
+        self.notify()
 
     def put(self, left: Frame, right: Frame | None) -> None:
         """Take a pair where a file is open; a disk that fails ends it."""
@@ -64,11 +64,11 @@ class LiveRecording:
             failure = failure or str(error)
         with self._order:
             self._open = None
-            self._tell(RecordingState(failure=failure))
+            self._notify(RecordingState(failure=failure))
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Tell how far it is; any thread may call this."""
         with self._order:
             if self._open is not None:
                 file, recorder = self._open
-                self._tell(RecordingState(file=file, n_pairs=recorder.written, n_dropped=recorder.dropped))
+                self._notify(RecordingState(file=file, n_pairs=recorder.written, n_dropped=recorder.dropped))

@@ -129,13 +129,15 @@ class Station:
         """Start measuring, or start anew after a failure."""
         self.stop()
         context = multiprocessing.get_context("spawn")
-        results, told = context.Pipe(duplex=False)
+        results, messages = context.Pipe(duplex=False)
         commands, self._commands = context.Pipe(duplex=False)
-        self._process = context.Process(target=_work, args=(self.job, told, commands), daemon=True, name="measuring")
+        self._process = context.Process(
+            target=_work, args=(self.job, messages, commands), daemon=True, name="measuring"
+        )
         self.failure, self.ended, self.shown, self._stopping = "", False, None, False
         self._width_px = None
         self._process.start()
-        told.close()
+        messages.close()
         commands.close()
         self._reader = threading.Thread(target=self._read, args=(results,), daemon=True, name="station")
         self._reader.start()
@@ -230,27 +232,27 @@ class Station:
             self._newer.notify_all()
 
 
-def _work(job: LiveJob, told: Connection, commands: Connection) -> None:
+def _work(job: LiveJob, messages: Connection, commands: Connection) -> None:
     """Measure until told to end; what goes wrong is told in words."""
     with suppress(KeyboardInterrupt, BrokenPipeError):
         try:
-            _Worker(job, told, commands, SystemClock()).run()
+            _Worker(job, messages, commands, SystemClock()).run()
         except ArmsightError as error:
-            told.send(_Failed(str(error)))
+            messages.send(_Failed(str(error)))
 
 
 class _Worker:
     """The measuring loop, and a thread that encodes and sends pictures beside it (OpenCV encodes without the lock)."""
 
-    def __init__(self, job: LiveJob, told: Connection, commands: Connection, clock: Clock) -> None:
+    def __init__(self, job: LiveJob, messages: Connection, commands: Connection, clock: Clock) -> None:
         self._measurement = LiveMeasurement(job, clock)
         self._one_picture = job.complex
-        self._told, self._commands, self._clock = told, commands, clock
+        self._messages, self._commands, self._clock = messages, commands, clock
         self._mailbox: Moment | None = None
         self._posted = threading.Condition()
-        self._tell_lock = threading.Lock()
+        self._post_lock = threading.Lock()
         self._ending = False
-        self._recording = LiveRecording(self._tell, clock)
+        self._recording = LiveRecording(self._post, clock)
         self._save: _Save | None = None
         self._width_px: int | None = None
 
@@ -265,7 +267,7 @@ class _Worker:
                     self._take(moment)
                     if self._obey():
                         return
-            self._tell(_Ended())
+            self._post(_Ended())
             self._wait_for_the_end()
         finally:
             self._recording.end()
@@ -328,11 +330,11 @@ class _Worker:
                 continue
             left = jpeg(moment.pair[0], self._width_px)
             right = b"" if self._one_picture else jpeg(moment.pair[1], self._width_px)
-            self._tell(Shown(pose=moment.pose, spots=moment.spots, view=moment.view, left_jpeg=left, right_jpeg=right))
+            self._post(Shown(pose=moment.pose, spots=moment.spots, view=moment.view, left_jpeg=left, right_jpeg=right))
             ended_s = self._clock.now_s()
             jitter_s = 1.0 / PICTURES_HZ  # which skips none
             next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, ended_s + RESTS * (ended_s - begun_s))
-            self._recording.tell()
+            self._recording.notify()
 
     def _save_pair(self, moment: Moment) -> None:
         if self._save is None:
@@ -347,11 +349,11 @@ class _Worker:
                 write_bytes(file, cv2.imencode(".png", np.asarray(frame.image))[1].tobytes())
         except (ArmsightError, OSError) as error:
             failure = str(error)
-        self._tell(_Saved(failure))
+        self._post(_Saved(failure))
 
-    def _tell(self, message: _Message) -> None:
-        with self._tell_lock, suppress(BrokenPipeError, OSError):
-            self._told.send(message)
+    def _post(self, message: _Message) -> None:
+        with self._post_lock, suppress(BrokenPipeError, OSError):
+            self._messages.send(message)
 
 
 def jpeg(frame: Frame, width_px: int | None = None) -> bytes:

@@ -88,7 +88,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += ([("place of the rig", str(job.world))] if job.world else []) + zoom_facts(zoomed)
-    facts += [("time of the frames", times.told)] if times.told and not job.stills else []
+    facts += [("time of the frames", times.source)] if times.source and not job.stills else []
     zero_ns = origin_ns(job.left or job.image)
     facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
     fps, recorded = None if job.stills else times.assumed_fps, recordings_in(job.left, job.right, job.image)

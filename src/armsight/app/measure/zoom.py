@@ -49,6 +49,6 @@ def with_zoom(summary: MeasureOutput, zoomed: Zoomed, out: Path) -> MeasureOutpu
         )
         for side, state in zoomed.items()
     }
-    told = replace(summary, zoom=cameras)
-    write_json(out / SUMMARY, told.to_dict())
-    return told
+    extended = replace(summary, zoom=cameras)
+    write_json(out / SUMMARY, extended.to_dict())
+    return extended

@@ -46,9 +46,9 @@ class StationObserver:
         if found is None:
             self._lost += 1
             if self._lost >= LOST_LOOKS:
-                told = f" ({view.why})" if view.why else ""
+                why = f" ({view.why})" if view.why else ""
                 raise NotEnoughData(
-                    f"the light {self._light} is lost {while_}{told}",
+                    f"the light {self._light} is lost {while_}{why}",
                     consequence="The robot is held",
                     cure="Free the view of it, or narrow the ranges to where both cameras see it",
                 )

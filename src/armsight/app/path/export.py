@@ -149,10 +149,10 @@ def _checked(job: ExportJob, path: TaughtPath, arm: Arm, jumps: tuple[PathJump, 
     first = None if job.start is None else reading_values(arm, job.start)
     found = check_path(path, arm, limits, speed_m_s=job.speed_m_s, start=first, taught=False)
     if not found.ok:
-        told = "; ".join(issue.text for issue in found.issues[:TOLD])
+        text = "; ".join(issue.text for issue in found.issues[:TOLD])
         more = f"; and {len(found.issues) - TOLD} more" if len(found.issues) > TOLD else ""
         raise Inconsistent(
-            f"{arm.name} cannot run the program, whose row 0 is its approach: {told}{more}",
+            f"{arm.name} cannot run the program, whose row 0 is its approach: {text}{more}",
             consequence="No program is written",
             cure="Change the path, its speeds, the limits or the approach; `armsight path check` tells all",
         )

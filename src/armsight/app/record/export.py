@@ -74,12 +74,12 @@ def _rosbag2(source: Path, out: Path, progress: Progress) -> ExportOutput:
     with Recording(source) as recording:
         total = sum(recording.count(topic) for topic in recording.topics)
 
-        def told(count: int) -> None:
+        def on_written(count: int) -> None:
             progress.update(count, max(count, total), "writing the bag")
             if progress.cancelled():
                 raise Cancelled(f"stopped after {count} messages", consequence="No bag was written")
 
-        done = write_rosbag2(recording, out, told=told)
+        done = write_rosbag2(recording, out, on_written=on_written)
     return ExportOutput(source=str(source), out=str(out), n=done)
 
 

@@ -72,7 +72,7 @@ class ZoomFlags:
     ] = None
     pupil_std: Annotated[float, Doc("Its standard deviation."), Bounds(least=0.0), Flag(quantity="m")] = 0.0
 
-    def made(self, tell: Callable[[str], None]) -> ZoomValue | None:
+    def made(self, notify: Callable[[str], None]) -> ZoomValue | None:
         """Return the setting. Raises UsageError for what is said about a zoom without one."""
         if self.pupil is None and self.pupil_std > 0.0 and self.zoom is not None:
             raise UsageError(

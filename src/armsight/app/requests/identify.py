@@ -65,7 +65,7 @@ class PaceFlags:
         0.1
     )
 
-    def made(self, tell: Callable[[str], None]) -> Pace:
+    def made(self, notify: Callable[[str], None]) -> Pace:
         """Return the pace."""
         from armsight.control.joint_sweep import Pace
 

@@ -40,7 +40,7 @@ class ZoomsFlags:
     zoom_left: Annotated[float | None, Doc("Where the left zoom lens stands, of a rig with them.")] = None
     zoom_right: Annotated[float | None, Doc("Where the right zoom lens stands.")] = None
 
-    def made(self, tell: Callable[[str], None]) -> tuple[float | None, float | None]:
+    def made(self, notify: Callable[[str], None]) -> tuple[float | None, float | None]:
         """Return both."""
         return self.zoom_left, self.zoom_right
 

@@ -91,7 +91,7 @@ class CameraFlags:
         str | None, Doc("GenICam: such as Mono8 or BayerRG8; 8 bits."), Flag(metavar="NAME", panel=CAMERAS)
     ] = None
 
-    def made(self, tell: Callable[[str], None]) -> CameraSettings:
+    def made(self, notify: Callable[[str], None]) -> CameraSettings:
         """Return the settings. Raises UsageError for a value that no camera can have."""
         from armsight.drivers import CameraSettings
 
@@ -118,12 +118,12 @@ class TableFlags:
         bool, Doc("Take units and orders as stated though the numbers look otherwise."), Flag(panel=TABLES)
     ] = False
 
-    def made(self, tell: Callable[[str], None]) -> TableFormat:
+    def made(self, notify: Callable[[str], None]) -> TableFormat:
         """Return them as the readers take them; what was understood is told."""
         from armsight.store.interpret import TableFormat
 
         given = asdict(self)
-        return TableFormat(robot=given.pop("robot_format"), tell=tell, **given)
+        return TableFormat(robot=given.pop("robot_format"), notify=notify, **given)
 
 
 Cameras: TypeAlias = Annotated["CameraSettings", Flags(CameraFlags)]

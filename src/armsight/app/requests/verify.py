@@ -93,7 +93,7 @@ class LimitsFlags:
     warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None
     stop_rad: Annotated[float | None, Doc("Error of rotation that stops the robot."), Flag(unit=DEG, panel=LIVE)] = None
 
-    def made(self, tell: Callable[[str], None]) -> Limits:
+    def made(self, notify: Callable[[str], None]) -> Limits:
         """Return the levels. Raises UsageError."""
         from armsight.verify.supervision import Limits
 

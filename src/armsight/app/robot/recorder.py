@@ -99,8 +99,8 @@ class RecordingLog:
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened; level: info, warning or error."""
         self._event_s = max(self._event_s, t_s)  # a recording takes a channel's records in the order of time only
-        told = message if t_s == self._event_s else f"{message} ({self._event_s - t_s:.3f} s earlier)"
-        self._recorder.sink.event(self._event_s, told, level, NAME)
+        text = message if t_s == self._event_s else f"{message} ({self._event_s - t_s:.3f} s earlier)"
+        self._recorder.sink.event(self._event_s, text, level, NAME)
 
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
         """Keep a command: who gave it, its kind and values."""

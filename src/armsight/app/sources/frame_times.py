@@ -18,7 +18,7 @@ class FrameTimes:
 
     times_s: list[float] | None = None
     assumed_fps: float | None = None
-    told: str = ""
+    source: str = ""
 
 
 def frame_times(source: str | None, given: Path | None, fps: float | None) -> FrameTimes:
@@ -28,17 +28,17 @@ def frame_times(source: str | None, given: Path | None, fps: float | None) -> Fr
     rows as there are images; else their rate is assumed. Sources that bring their own times keep them. Raises BadFile.
     """
     if given is not None:
-        return FrameTimes(times_s=read_times(given).tolist(), told=str(given))
+        return FrameTimes(times_s=read_times(given).tolist(), source=str(given))
     if fps is not None:
-        return FrameTimes(told=f"{fps:g} frames a second, as given")
+        return FrameTimes(source=f"{fps:g} frames a second, as given")
     folder = None if source is None else Path(source)
     if folder is None or not folder.is_dir():
         return FrameTimes()
     if (folder / TIMES).is_file():
-        return FrameTimes(times_s=read_times(folder / TIMES).tolist(), told=str(folder / TIMES))
+        return FrameTimes(times_s=read_times(folder / TIMES).tolist(), source=str(folder / TIMES))
     beside = real_path(folder).parent / TIMES
     if beside.is_file():
         times_s = read_times(beside).tolist()
         if len(times_s) == len(list_images(str(folder))):
-            return FrameTimes(times_s=times_s, told=str(beside))
-    return FrameTimes(assumed_fps=FPS, told=f"assumed, {FPS:g} frames a second")
+            return FrameTimes(times_s=times_s, source=str(beside))
+    return FrameTimes(assumed_fps=FPS, source=f"assumed, {FPS:g} frames a second")

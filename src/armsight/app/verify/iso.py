@@ -31,20 +31,20 @@ def iso_figures(
     return evaluate(test).results(), notes
 
 
-def by_name(file: MeasuredFile, told: CommandedFile) -> bool:
+def by_name(file: MeasuredFile, commanded: CommandedFile) -> bool:
     """Whether measured rows find their command by the names of poses and paths, not by order or time."""
     if not file.repeats.any:
         return False
-    if any(told.pose) or any(told.path):
+    if any(commanded.pose) or any(commanded.path):
         return True
-    timed = told.reported.t_s is not None and file.measured.t_s is not None
-    return any(file.repeats.run) and not timed and len(told.reported) != file.n
+    timed = commanded.reported.t_s is not None and file.measured.t_s is not None
+    return any(file.repeats.run) and not timed and len(commanded.reported) != file.n
 
 
-def named_rows(file: MeasuredFile, told: CommandedFile) -> Reported:
+def named_rows(file: MeasuredFile, commanded: CommandedFile) -> Reported:
     """Return the commanded pose of each row of the measured file, NaN where its pose has no command."""
     T = np.full((file.n, 4, 4), np.nan)
-    goals = _goals(told)
+    goals = _goals(commanded)
     rows = zip(file.measured.rows, file.repeats.pose, file.repeats.at_pose, strict=True)
     for row, name, visited in rows:
         if visited and name in goals:
@@ -52,16 +52,16 @@ def named_rows(file: MeasuredFile, told: CommandedFile) -> Reported:
     return Reported(T=T)
 
 
-def uncommanded(file: MeasuredFile, told: CommandedFile) -> tuple[str, ...]:
+def uncommanded(file: MeasuredFile, commanded: CommandedFile) -> tuple[str, ...]:
     """Return what to say of measured poses that no command has the name of."""
-    names = sorted(set(file.repeats.pose) - set(told.pose) - {""})
+    names = sorted(set(file.repeats.pose) - set(commanded.pose) - {""})
     return (f"no command has the name of pose {', '.join(names)}: its rows are not compared",) if names else ()
 
 
-def _goals(told: CommandedFile) -> dict[str, Array]:
+def _goals(commanded: CommandedFile) -> dict[str, Array]:
     goals: dict[str, Array] = {}
-    T = told.reported.T
-    for i, name in enumerate(told.pose):
+    T = commanded.reported.T
+    for i, name in enumerate(commanded.pose):
         if not name or T is None or not np.isfinite(T[i]).all():
             continue
         first = goals.setdefault(name, T[i])
@@ -74,7 +74,7 @@ def _goals(told: CommandedFile) -> dict[str, Array]:
     return goals
 
 
-def command_of(result: Verification, told: CommandedFile | None, file: MeasuredFile, turned: bool) -> Command:
+def command_of(result: Verification, commanded: CommandedFile | None, file: MeasuredFile, turned: bool) -> Command:
     """Return what was expected of each row compared, base and tool as they were laid; paths only where commanded.
 
     Joint readings say where the arm went, not where a path should have led.
@@ -86,31 +86,31 @@ def command_of(result: Verification, told: CommandedFile | None, file: MeasuredF
     rows = paired.measured.rows
     in_frame = result.how is Align.NONE
     paths: dict[str, CommandedPath] = {}
-    if told is not None:
-        paths = named_paths(told) if by_name(file, told) else _first_runs(file, rows, T, turned)
+    if commanded is not None:
+        paths = named_paths(commanded) if by_name(file, commanded) else _first_runs(file, rows, T, turned)
     return Command(row=rows, T=T, turned=turned, in_frame=in_frame, paths=paths)
 
 
-def named_paths(told: CommandedFile) -> dict[str, CommandedPath]:
+def named_paths(commanded: CommandedFile) -> dict[str, CommandedPath]:
     """Return the commanded paths by name; the whole file as one where it gives none."""
-    T = told.reported.T
+    T = commanded.reported.T
     if T is None:
         return {}
-    names = np.array(told.path or ("",) * len(T))
+    names = np.array(commanded.path or ("",) * len(T))
     out = {}
     for name in dict.fromkeys(names):
         rows = np.flatnonzero(names == name)
-        found = polyline(T[rows], told.turned, _speed(told, rows))
+        found = polyline(T[rows], commanded.turned, _speed(commanded, rows))
         if found is not None:
             out[str(name) or PATH] = found
     return out
 
 
-def _speed(told: CommandedFile, rows: NDArray[np.intp]) -> float | None:
+def _speed(commanded: CommandedFile, rows: NDArray[np.intp]) -> float | None:
     """Return the commanded speed where it is one and positive."""
-    if told.speed_m_s is None:
+    if commanded.speed_m_s is None:
         return None
-    speeds = told.speed_m_s[rows]
+    speeds = commanded.speed_m_s[rows]
     return float(speeds[0]) if len(np.unique(speeds)) == 1 and speeds[0] > 0.0 else None
 
 
@@ -119,9 +119,9 @@ def _first_runs(file: MeasuredFile, rows: NDArray[np.intp], T: Array, turned: bo
     place = {int(row): i for i, row in enumerate(rows)}
     first: dict[str, tuple[str, str]] = {}
     members: dict[str, list[int]] = {}
-    told = file.repeats
-    runs = zip(told.robot, told.run, strict=True)
-    for row, run, name in zip(file.measured.rows.tolist(), runs, told.path, strict=True):
+    commanded = file.repeats
+    runs = zip(commanded.robot, commanded.run, strict=True)
+    for row, run, name in zip(file.measured.rows.tolist(), runs, commanded.path, strict=True):
         if run[1] and first.setdefault(name or PATH, run) == run and row in place:
             members.setdefault(name or PATH, []).append(place[row])
     found = {name: polyline(T[index], turned) for name, index in members.items()}

@@ -137,21 +137,21 @@ def _check_arm(arm: Arm, devices: Supervised) -> None:
 
 def _doubts(job: LiveVerifyJob, arm: Arm, world: World, devices: Supervised, failure: Exception | None) -> list[str]:
     """Return what to know before believing the result."""
-    told = [f"supervision ended early: {failure}"] if failure is not None else []
+    notes = [f"supervision ended early: {failure}"] if failure is not None else []
     if not job.limits.all:
-        told.append("no level was set: nothing could raise an alarm")
+        notes.append("no level was set: nothing could raise an alarm")
     if world.covariance is None:
-        told.append("world.yaml says no uncertainty of the rig's place: none is counted")
+        notes.append("world.yaml says no uncertainty of the rig's place: none is counted")
     if arm.covariance is None:
-        told.append(
+        notes.append(
             "the arm's file says no uncertainty of its geometry: an error of the model looks like one of the arm"
         )
     if devices.origin_s is None:
-        told.append(
+        notes.append(
             f"the exposure's moment on the robot's clock is taken as {1e3 * job.latency_s:.3g} +- "
             f"{1e3 * job.latency_std_s:.2g} ms before a frame's arrival; verify finds it from poses and joints"
         )
-    return told
+    return notes
 
 
 def _inputs(job: LiveVerifyJob) -> list[tuple[str, str]]:

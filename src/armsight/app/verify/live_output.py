@@ -79,8 +79,8 @@ class LiveLog:
         lines = [",".join(HEADER)]
         for row in self.rows:
             sizes = np.linalg.norm(row.error.reshape(2, 3), axis=1)
-            told = cells([*row.error, *sizes, *row.std, row.ms])
-            lines.append(f"{number(row.t_s)},{row.level.word if not row.lost else 'lost'},{told},{word(row.lost)}")
+            figures = cells([*row.error, *sizes, *row.std, row.ms])
+            lines.append(f"{number(row.t_s)},{row.level.word if not row.lost else 'lost'},{figures},{word(row.lost)}")
         return "\n".join(lines) + "\n"
 
     def series(self) -> LiveSeries:

@@ -171,8 +171,8 @@ def _poses_csv(arm: Arm, found: Proposal) -> str:
 
 def _unjudged(arm: Arm, found: Proposal) -> list[str]:
     open_ = [f"{i} ({arm.joints[i - 1].name})" for i in range(1, arm.n + 1) if not np.isfinite(found.expected[i - 1])]
-    told = "a bent tool, or a base that is not known, does the same"
-    return [f"not told by any poses: joint {', joint '.join(open_)}; {told}"] if open_ else []
+    caveat = "a bent tool, or a base that is not known, does the same"
+    return [f"not told by any poses: joint {', joint '.join(open_)}; {caveat}"] if open_ else []
 
 
 def _output(result: Mastering, arm: Arm, rejected: list[tuple[int, str]], notes: list[str]) -> MasteringOutput:

@@ -29,7 +29,7 @@ NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def verify_output(
-    result: Verification, arm: Arm | None, file: MeasuredFile, iso: dict[str, IsoFigure], told: tuple[str, ...] = ()
+    result: Verification, arm: Arm | None, file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[str, ...] = ()
 ) -> VerifyOutput:
     """Return the figures of a verification as --json gives them; told: what to know of the figures of ISO 9283."""
     cause, found = result.cause, result.configurations
@@ -51,12 +51,12 @@ def verify_output(
         decide_by=None if result.deciding is None or arm is None else arm.readings(result.deciding).tolist(),
         iso9283=iso,
         rejected=[RejectedRow(row=row, why=why) for row, why in rejected],
-        doubts=[*file.notes, *result.doubts, *told],
+        doubts=[*file.notes, *result.doubts, *notes],
         verdict=_verdict(result),
     )
 
 
-def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], told: tuple[str, ...]) -> VerifyOutput:
+def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[str, ...]) -> VerifyOutput:
     """Return what repeats alone tell, without an arm or a command for each row."""
     given = {name: item for name, item in iso.items() if item.value is not None and " " not in name}
     worst = given.get("RP_m", given.get("RT_m"))
@@ -81,7 +81,7 @@ def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], told: tuple[st
         explained=Explained(measurement=None, joint=None, zeros=None, model=None),
         iso9283=iso,
         rejected=[RejectedRow(row=row, why=why) for row, why in file.rejected],
-        doubts=[*file.notes, *told],
+        doubts=[*file.notes, *notes],
         verdict=f"Repeats alone, {len(file.measured)} rows: {shown}. Where the tool should be was not told row by row.",
     )
 
@@ -180,10 +180,10 @@ def _verdict(result: Verification) -> str:
     turn = "" if error.rms_rad is None else f" and {figure_of(error.rms_rad / DEG, 'deg')}"
     laid = f" with {' and '.join(result.how.parts)} laid best" if result.how.parts else ""
     off = f"{figure_of(error.rms_m / MM, 'mm')}{turn} (RMS)"
-    told = f"The tool is {off} from where it should be{laid}, {len(result.task)} rows."
+    text = f"The tool is {off} from where it should be{laid}, {len(result.task)} rows."
     if result.cause is None:
-        return f"{told} Without an arm's model no cause is looked for."
-    return f"{told} {result.cause.sentence}"
+        return f"{text} Without an arm's model no cause is looked for."
+    return f"{text} {result.cause.sentence}"
 
 
 def errors_csv(result: Verification) -> str:
@@ -205,13 +205,13 @@ def errors_csv(result: Verification) -> str:
 def repeats_csv(file: MeasuredFile) -> str:
     """Return the measured places row by row with their repeat, and how far each is from the mean of its pose."""
     lines = ["row,pose,visit,run,x_m,y_m,z_m,from_mean_m"]
-    told, xyz = file.repeats, file.measured.xyz_m
-    pose = np.array(told.at_pose)
+    repeats, xyz = file.repeats, file.measured.xyz_m
+    pose = np.array(repeats.at_pose)
     apart = np.full(len(xyz), np.nan)
     for name in sorted(set(pose) - {""}):
         own = pose == name
         apart[own] = np.linalg.norm(xyz[own] - xyz[own].mean(axis=0), axis=1)
     for k, row in enumerate(file.measured.rows):
-        words = ",".join(word(text) for text in (told.pose[k], told.visit[k], told.run[k]))
+        words = ",".join(word(text) for text in (repeats.pose[k], repeats.visit[k], repeats.run[k]))
         lines.append(f"{row},{words},{cells([*xyz[k], apart[k]])}")
     return "\n".join(lines) + "\n"

@@ -41,7 +41,7 @@ class _Expected:
     arm: Arm | None
     reported: Reported
     turned: bool
-    told: CommandedFile | None = None
+    commanded: CommandedFile | None = None
 
 
 def run_verify(job: VerifyJob) -> VerifyOutput:
@@ -60,7 +60,7 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
         return _repeats_alone(job, file, None, other)
     expected = _expected(job, file)
     measured = file.measured if expected.turned else replace(file.measured, rotation=None)
-    commands = expected.told
+    commands = expected.commanded
     if commands is not None and by_name(file, commands):
         expected = replace(expected, reported=named_rows(file, commands))
         file = replace(file, notes=(*file.notes, *uncommanded(file, commands)))
@@ -71,8 +71,8 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
     how = _align(job, expected.turned)
     result = verify(expected.arm, expected.reported, measured, how, pose=_pose(file, measured))
     command = command_of(result, commands, file, expected.turned)
-    iso, told = iso_figures(file, file.measured, command, job.band_m)
-    done = _beside(job, verify_output(result, expected.arm, file, iso, told), other)
+    iso, commanded = iso_figures(file, file.measured, command, job.band_m)
+    done = _beside(job, verify_output(result, expected.arm, file, iso, commanded), other)
     page = verify_report(result, done, arm=expected.arm, inputs=_inputs(job), other=_other_run(job.compare, other))
     return _written(job, done, errors_csv(result), page)
 
@@ -88,7 +88,7 @@ def _pose(file: MeasuredFile, measured: Measured) -> Array | None:
     return None if file.pose is None else file.pose[np.isin(file.measured.rows, measured.rows)]
 
 
-def _repeats_alone(job: VerifyJob, file: MeasuredFile, told: CommandedFile | None, other: Other) -> VerifyOutput:
+def _repeats_alone(job: VerifyJob, file: MeasuredFile, commanded: CommandedFile | None, other: Other) -> VerifyOutput:
     """Return and write what repeats tell without a command for each row; told: the paths that were commanded."""
     if not file.repeats.any:
         raise UsageError(
@@ -98,13 +98,13 @@ def _repeats_alone(job: VerifyJob, file: MeasuredFile, told: CommandedFile | Non
         )
     check_unit(file.measured)
     command = None
-    if told is not None:
+    if commanded is not None:
         command = Command(
             row=np.empty(0, dtype=np.intp),
             T=np.empty((0, 4, 4)),
-            turned=told.turned,
-            in_frame=_align(job, told.turned) is Align.NONE,
-            paths=named_paths(told),
+            turned=commanded.turned,
+            in_frame=_align(job, commanded.turned) is Align.NONE,
+            paths=named_paths(commanded),
         )
     iso, notes = iso_figures(file, file.measured, command, job.band_m)
     done = _beside(job, repeats_output(file, iso, notes), other)
@@ -155,8 +155,8 @@ def _align(job: VerifyJob, turned: bool) -> Align:
 def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
     """Return the arm and what the controller says, or what was commanded."""
     if job.commanded is not None:
-        told = read_commanded(job.commanded, job.table)
-        return _Expected(arm=None, reported=told.reported, turned=told.turned, told=told)
+        commanded = read_commanded(job.commanded, job.table)
+        return _Expected(arm=None, reported=commanded.reported, turned=commanded.turned, commanded=commanded)
     arm = load_arm(job.arm or "")
     names = job.table.of_joints([joint.name for joint in arm.joints])
     found = file.reported if job.joints is None else read_reported_joints(job.joints, names)

@@ -103,14 +103,14 @@ class Supervision:
         zero_s = self._ahead_s if self.devices.origin_s is None else self.devices.origin_s()
         compared, lost = self._compared(pose, pose.t_s + zero_s)
         alarm = None if compared is None else self._watch.add(compared)
-        told = alarm or self._sight(pose.t_s, compared is not None, lost)
+        raised = alarm or self._sight(pose.t_s, compared is not None, lost)
         if alarm is not None and alarm.level is Level.STOP:
             self._stop(pose.t_s)
         ms = (time.perf_counter() - begun_s) * 1e3
         self.log.add(pair[0].sequence, pose, compared, self._watch.level, lost, ms)
-        if told is not None:
-            self.log.raised(told)
-        self._record(pair, measured, told, zero_s)
+        if raised is not None:
+            self.log.raised(raised)
+        self._record(pair, measured, raised, zero_s)
         self._show(pose, compared, self._watch.level, lost)
 
     def ended(self) -> bool:
@@ -150,7 +150,7 @@ class Supervision:
         self._stopped_s = t_s
         self.log.stopped = True
 
-    def _record(self, pair: tuple[Frame, Frame], measured: Measured, told: Alarm | None, zero_s: float) -> None:
+    def _record(self, pair: tuple[Frame, Frame], measured: Measured, raised: Alarm | None, zero_s: float) -> None:
         recorder = self._recorder
         if recorder is None:
             return
@@ -163,8 +163,8 @@ class Supervision:
             for reading in readings:
                 writer.joints(replace(reading, t_s=reading.t_s - zero_s))
             writer.pose(pose)
-            if told is not None:
-                writer.event(told.t_s, told.why, level="error" if told.level is Level.STOP else "warning")
+            if raised is not None:
+                writer.event(raised.t_s, raised.why, level="error" if raised.level is Level.STOP else "warning")
 
         recorder.add(write)
 

@@ -44,7 +44,7 @@ def standard_bytes(path: Path, role: str, format_: TableFormat = OURS) -> bytes:
     """Return a table as CSV of ours; see interpret. What was understood is told through format_.tell."""
     found = interpret(path, role, format_)
     for note in found.notes:
-        format_.tell(f"{path.name}: {note}")
+        format_.notify(f"{path.name}: {note}")
     return found.data
 
 

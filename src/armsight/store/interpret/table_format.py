@@ -32,7 +32,7 @@ class TableFormat:
     joints: tuple[str, ...] = ()
     as_stated: bool = False
     on_hand: bool | None = None
-    tell: Callable[[str], None] = _silent
+    notify: Callable[[str], None] = _silent
 
     @property
     def order(self) -> EulerOrder | None:
