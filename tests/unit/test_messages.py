@@ -18,7 +18,7 @@ from armsight.kinematics import Joint
 from armsight.records.motion import JointHistory
 from armsight.store import tracks
 from armsight.store.arm_points import read_arm_points
-from armsight.store.outputs import held_outputs, refuse_place
+from armsight.store.outputs import held_outputs, refuse_output
 from armsight.store.yamls import parse_yaml
 
 ON_A_LINE = np.outer(np.arange(4), [1.0, 2.0, 3.0])
@@ -83,7 +83,7 @@ def two_sets_of_columns() -> None:
 
 MESSAGES: dict[type[errors.ArmsightError], tuple[Callable[[], object], Sequence[str]]] = {
     errors.UsageError: (
-        lambda: refuse_place(Path("-")),
+        lambda: refuse_output(Path("-")),
         (
             "- is the standard output, which cannot hold what is written here.",
             "Nothing was done.",

@@ -188,10 +188,10 @@ def kernel_cache(*packages: Path) -> KernelCache:
     Where: the first package, or the first that nothing can be added to.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(given)] if given else packages
-    closed = [place for place in places if not os.access(place, os.W_OK)]
-    kept = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
-    return KernelCache(folder=str([*closed, *places][0]), compiled=kept, writable=not closed)
+    folders = [Path(given)] if given else packages
+    closed = [folder for folder in folders if not os.access(folder, os.W_OK)]
+    kept = sum(1 for folder in folders if folder.is_dir() for _ in folder.rglob("*.nbc"))
+    return KernelCache(folder=str([*closed, *folders][0]), compiled=kept, writable=not closed)
 
 
 def _versions() -> dict[str, str]:

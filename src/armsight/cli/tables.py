@@ -61,8 +61,8 @@ def figure(value: float | None, digits: int = 3) -> str:
         return "-"
     if abs(value) < NOTHING:
         return "0"
-    places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-    return f"{value:.{min(places, 9)}f}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(decimals, 9)}f}"
 
 
 def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
@@ -73,9 +73,9 @@ def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
 
 def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: place in mm and rotation vector in degrees, each with its standard deviation."""
-    places = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.translation.tolist(), std)]
+    rows = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.translation.tolist(), std)]
     turns = zip("xyz", pose.rotation.as_rotvec(), std.rotation_rad, strict=True)
-    return places + [
+    return rows + [
         [f"rotation vector {axis}, deg", figure(value / DEG, 6), figure(deviation / DEG, 2)]
         for axis, value, deviation in turns
     ]

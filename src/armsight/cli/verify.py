@@ -255,9 +255,9 @@ class LiveLine(StatusLine):
         if compared is None:
             self.draw(f"{line}LOST  {lost}")
             return
-        place, place_std = compared.error_m / MM, compared.std_m / MM
+        distance_mm, distance_std_mm = compared.error_m / MM, compared.std_m / MM
         turn, turn_std = compared.error_rad / DEG, compared.std_rad / DEG
-        position_text = f"{place:.3f} +- {place_std:.3f} mm"
+        position_text = f"{distance_mm:.3f} +- {distance_std_mm:.3f} mm"
         self.draw(f"{line}{level.word.upper():4}  {position_text}  {turn:.3f} +- {turn_std:.3f} deg")
 
 

@@ -202,9 +202,9 @@ class Sweeper:
             fresh = look.taken_s >= arrived_s + HELD_BACK_S
             still = still + 1 if fresh and _same(before, reading, seen, look) else 0
             before, seen = reading, look
-        self._check_place(before.q)
+        self._check_start(before.q)
 
-    def _check_place(self, q: Array) -> None:
+    def _check_start(self, q: Array) -> None:
         off = np.abs(q - self._sent())
         j = int(np.argmax(off / self.travel))
         if off[j] > FOLLOW_SHARE * self.travel[j]:

@@ -84,7 +84,7 @@ def _cards(result: ArmCalibration) -> list[Card]:
             note=f"mean, {kind}; they scatter by {spread}",
         ),
         Card(name="largest error after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
-        Card(name="noise of a place", value=figure_of(result.place_noise_m / MM, "mm"), note="one coordinate"),
+        Card(name="noise of a place", value=figure_of(result.position_noise_m / MM, "mm"), note="one coordinate"),
         Card(name="parameters corrected", value=str(len(result.free)), note=f"condition {result.condition:.3g}"),
     ]
 

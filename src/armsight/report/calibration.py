@@ -187,17 +187,17 @@ def _add_coverage(page: Page, run: CalibrationRun) -> None:
     fits = [fit for fit in run.cameras if len(fit.uv_px)]
     if not fits:
         return
-    places = []
+    figures = []
     for fit in fits:
         figure = coverage_figure(fit.uv_px, fit.residual_px, fit.camera.width, fit.camera.height)
         scale = STROKE * fit.camera.width / (pooled_rms([fit.residual_px]) or 1.0)
         caption = f"{fit.name}, residuals {scale:.0f} times enlarged"
-        places.append(f"<figure>{page.plot(figure)}<figcaption>{text(caption)}</figcaption></figure>")
+        figures.append(f"<figure>{page.plot(figure)}<figcaption>{text(caption)}</figcaption></figure>")
     page.add(
         "Coverage of the image",
         "Each dot is a point of the board in some image, each stroke its residual. The lens is known where dots are; "
         "strokes that lean the same way side by side are lens that the model misses.",
-        f'<div class="pair">{"".join(places)}</div>',
+        f'<div class="pair">{"".join(figures)}</div>',
     )
 
 

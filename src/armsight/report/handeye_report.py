@@ -107,10 +107,10 @@ def _verdict(result: HandEye) -> Verdict:
 
 def _cards(result: HandEye) -> list[Card]:
     std = result.std()
-    place_m = max(std[name] for name in ("x_m", "y_m", "z_m"))
+    position_m = max(std[name] for name in ("x_m", "y_m", "z_m"))
     turn_rad = max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad"))
     cards = [
-        Card(name="camera's place, 95 %", value=figure_of(1.96 * place_m / MM, "mm"), note="weakest direction"),
+        Card(name="camera's place, 95 %", value=figure_of(1.96 * position_m / MM, "mm"), note="weakest direction"),
         Card(name="camera's orientation, 95 %", value=figure_of(1.96 * turn_rad / DEG, "°"), note="weakest axis"),
         Card(
             name="pose left out",

@@ -21,8 +21,8 @@ NAMED = 12
 
 def line(xyz: Array, name: str, style: Plot, **more: Any) -> Plot:
     """Return a line in space through points (n, 3) in mm."""
-    places = {"x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
-    return {"type": "scatter3d", **places, "name": name, "mode": "lines", "line": style, **more}
+    coordinates = {"x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
+    return {"type": "scatter3d", **coordinates, "name": name, "mode": "lines", "line": style, **more}
 
 
 def camera_line(rig: Rig, side: str, T_parent_rig: RigidTransform | None, *, depth_m: float) -> Plot:

@@ -49,7 +49,7 @@ class Columns(Protocol):
     def numbers(self) -> Mapping[str, Array]:
         """The columns by name."""
 
-    def place(self, row: int) -> str:
+    def location(self, row: int) -> str:
         """Return the file and line of a row."""
 
 
@@ -86,7 +86,7 @@ def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "")
     if len(there) < len(names):
         missing = next(name for name in names if name not in table.numbers)
         raise BadFile(
-            f"{table.place(rows[0])}: the column {missing} is missing beside {there[0]}",
+            f"{table.location(rows[0])}: the column {missing} is missing beside {there[0]}",
             consequence="The file is not used",
             cure="Give the whole upper triangle of the covariance, or standard deviations only",
         )
@@ -119,7 +119,7 @@ def pose_covariances(
         for part in (std, shared):
             bad = ((part < 0.0) | (part > LARGEST)).any(axis=1)
             if bad.any():
-                with named(table.place(rows[int(np.argmax(bad))])):
+                with named(table.location(rows[int(np.argmax(bad))])):
                     raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
         whole = covariances(table, np.nan_to_num(std), rows)
         given = [i for i, row in enumerate(shared) if not np.isnan(row).any()]
@@ -144,7 +144,7 @@ def _require_positive(table: Columns, covariance: Array, std: Array, rows: Seque
     if impossible.any():
         row = rows[int(related[int(np.argmax(impossible))])]
         raise BadFile(
-            f"{table.place(row)}: its columns cov_... are no covariance beside its standard deviations",
+            f"{table.location(row)}: its columns cov_... are no covariance beside its standard deviations",
             consequence="The file is not used",
             cure="Write covariances in m and rad, in the axes of the standard deviations",
         )

@@ -177,7 +177,7 @@ def read_robot_poses(
     for row, name in enumerate(files):
         if not name or name in files[:row]:
             raise BadFile(
-                f"{table.place(row)}, column file: {name[:40]!r} is empty or stands twice",
+                f"{table.location(row)}, column file: {name[:40]!r} is empty or stands twice",
                 consequence="Nobody knows which pose belongs to the image",
                 cure="Give every image one row",
             )
@@ -311,6 +311,6 @@ def _poses(table: Table, prefix: str) -> list[RigidTransform]:
     quat = table.stacked([f"{prefix}{cell}" for cell in QUATERNION])
     out = []
     for row in range(len(table)):
-        with named(table.place(row)):
+        with named(table.location(row)):
             out.append(pose_from_quat(xyz[row], quat[row]))
     return out

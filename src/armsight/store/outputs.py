@@ -22,12 +22,12 @@ def held_outputs(outs: Iterable[Path]) -> Iterator[None]:
     """
     with contextlib.ExitStack() as held:
         for out in dict.fromkeys(outs):
-            refuse_place(out)
+            refuse_output(out)
             held.enter_context(_written_once(out))
         yield
 
 
-def refuse_place(out: Path) -> None:
+def refuse_output(out: Path) -> None:
     """Raise UsageError for a device, a pipe, a link to a file in another folder, and the standard output."""
     why = ""
     if out == STREAM:

@@ -66,14 +66,14 @@ def parse_path(data: bytes, where: str, *, parent: str = "world") -> TaughtPath:
     index = table.numbers.get("index")
     if index is not None and np.any(np.diff(index) <= 0.0):
         row = int(np.argmax(np.diff(index) <= 0.0)) + 1
-        raise BadFile(f"{table.place(row)}, column index: {index[row]:g} does not follow {index[row - 1]:g}")
+        raise BadFile(f"{table.location(row)}, column index: {index[row]:g} does not follow {index[row - 1]:g}")
     tags = table.text.get("tag", ("",) * n)
     for row, tag in enumerate(tags):
-        _check_tag(tag, table.place(row))
+        _check_tag(tag, table.location(row))
     T = np.empty((n, 4, 4))
     xyz, quat = table.stacked(POSITION), table.stacked(QUATERNION)
     for row in range(n):
-        with named(table.place(row)):
+        with named(table.location(row)):
             T[row] = pose_from_quat(xyz[row], quat[row]).as_matrix()
     nothing = np.full(n, np.nan)
     try:

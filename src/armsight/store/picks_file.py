@@ -39,7 +39,7 @@ def parse_picks(data: bytes, where: str) -> Picks:
     for row, edge in enumerate(edges):
         if edge and edge in ended:
             raise BadFile(
-                f"{table.place(row)}, column edge: {edge[:40]!r} ended further up",
+                f"{table.location(row)}, column edge: {edge[:40]!r} ended further up",
                 consequence="The picks are not used",
                 cure="Let the rows of an edge follow each other",
             )

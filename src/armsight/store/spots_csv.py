@@ -38,7 +38,7 @@ def parse_spot_track(data: bytes, where: str) -> SpotTrack:
     back = np.flatnonzero(np.diff(t) < 0.0)
     if len(back):
         raise BadFile(
-            f"{table.place(int(back[0]) + 1)}, column t_s: the time goes back, or a frame stands in two places",
+            f"{table.location(int(back[0]) + 1)}, column t_s: the time goes back, or a frame stands in two places",
             consequence=UNUSED,
             cure="Give the frames in the order of time, and the spots of a frame in rows of the same t_s",
         )
@@ -84,7 +84,7 @@ def _require_sizes(table: Table) -> None:
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             raise BadFile(
-                f"{table.place(row)}, column {name}: {values[row]:g} is {what}",
+                f"{table.location(row)}, column {name}: {values[row]:g} is {what}",
                 consequence=UNUSED,
                 cure="Correct the cell, or remove the row",
             )
@@ -96,13 +96,13 @@ def _require_once(table: Table, frame: NDArray[np.intp], names: tuple[str, ...])
     for row, (k, name) in enumerate(zip(frame.tolist(), names, strict=True)):
         if not name and "spot" in table.text:
             raise BadFile(
-                f"{table.place(row)}, column spot: empty",
+                f"{table.location(row)}, column spot: empty",
                 consequence=UNUSED,
                 cure="Name every spot, or leave the column away",
             )
         if name and (k, name) in seen:
             raise BadFile(
-                f"{table.place(row)}, column spot: {name[:40]!r} stands twice at this t_s",
+                f"{table.location(row)}, column spot: {name[:40]!r} stands twice at this t_s",
                 consequence=UNUSED,
                 cure="Give each light of a frame once; frames that follow each other need different times",
             )

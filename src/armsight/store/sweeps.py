@@ -39,7 +39,7 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     joint = table.numbers["joint"]
     if not (joint == np.round(joint)).all():
         row = int(np.argmax(joint != np.round(joint)))
-        raise BadFile(f"{table.place(row)}, column joint: {joint[row]:g} is not the number of a joint")
+        raise BadFile(f"{table.location(row)}, column joint: {joint[row]:g} is not the number of a joint")
     xyz = table.stacked(POSITION) if positions else np.zeros((len(table), 3))
     uv = table.stacked(PIXELS).reshape(-1, 2, 2) if pixels else None
     std = table.numbers.get(STD)
@@ -60,7 +60,7 @@ def read_sweep_joints(
         whole = (column == np.round(column)) & (column >= 0.0)
         if not whole.all():
             row = int(np.argmin(whole))
-            raise BadFile(f"{table.place(row)}, column {name}: {column[row]:g} is not a number to count with")
+            raise BadFile(f"{table.location(row)}, column {name}: {column[row]:g} is not a number to count with")
     return frame.astype(np.intp), joint.astype(np.intp) - 1, table.stacked(readings)
 
 

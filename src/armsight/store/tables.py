@@ -46,7 +46,7 @@ class Table:
         """Return the columns of numbers as (n, len(names))."""
         return np.stack([self.numbers[name] for name in names], axis=1) if names else np.empty((len(self), 0))
 
-    def place(self, row: int) -> str:
+    def location(self, row: int) -> str:
         """Return 'file, line 7' for a row counted from 0."""
         return f"{self.where}, line {self.lines[row]}"
 
@@ -208,7 +208,7 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
         before, row = int(kept[late[0]]), int(kept[late[0] + 1])
         back = t_s[row] < t_s[before]
         raise BadFile(
-            f"{table.place(row)}, column t_s: "
+            f"{table.location(row)}, column t_s: "
             + (f"{t_s[row]:.9g} s after {t_s[before]:.9g} s" if back else f"{t_s[row]:.9g} s again, with other values"),
             consequence="Nobody knows what came when",
             cure="Put the rows in the order of time" if back else "Write finer stamps, or leave one row out",

@@ -218,7 +218,7 @@ def parse_poses(
     quat = np.array([_full(table, row, QUATERNION) if statuses[row].size == 6 else IDENTITY for row in seen]).reshape(
         -1, 4
     )
-    T = _stack(xyz, quat, [table.place(row) for row in seen]).as_matrix() if seen else ()
+    T = _stack(xyz, quat, [table.location(row) for row in seen]).as_matrix() if seen else ()
     poses = dict(zip(seen, T, strict=True))
     known = pose_covariances(table, [status.size for status in statuses], of_lights)
     return tuple(
@@ -238,20 +238,20 @@ def _status(table: Table, row: int) -> PoseStatus:
         return PoseStatus(word)
     except ValueError:
         raise BadFile(
-            f"{table.place(row)}, column status: {word[:40]!r}",
+            f"{table.location(row)}, column status: {word[:40]!r}",
             consequence="The file is not used",
             cure=f"Write one of {', '.join(PoseStatus)}",
         ) from None
 
 
-def _stack(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> RigidTransform:
+def _stack(xyz_m: Array, quat_xyzw: Array, locations: Sequence[str]) -> RigidTransform:
     """Return the poses as a stack; BadFile, with the row's place, where a quaternion is none.
 
     At once: one by one takes a millisecond each.
     """
     far = np.abs(np.linalg.norm(np.clip(quat_xyzw, -LARGEST, LARGEST), axis=1) - 1.0) > QUAT_NORM_TOLERANCE
     for row in np.flatnonzero(far).tolist():
-        with named(places[row]):
+        with named(locations[row]):
             pose_from_quat(xyz_m[row], quat_xyzw[row])
     return RigidTransform.from_components(xyz_m, Rotation.from_quat(quat_xyzw))
 
@@ -267,7 +267,7 @@ def _target_pose(
     of_lights: bool,
 ) -> TargetPose:
     covariance, systematic = (None, None) if known is None else known
-    with named(table.place(row)):
+    with named(table.location(row)):
         return TargetPose(
             t_s=float(table.numbers["t_s"][row]),
             status=status,
@@ -287,7 +287,7 @@ def _full(table: Table, row: int, names: Sequence[str]) -> Array:
     for name, value in zip(names, values, strict=True):
         if np.isnan(value):
             raise BadFile(
-                f"{table.place(row)}, column {name}: empty, though the status is not lost",
+                f"{table.location(row)}, column {name}: empty, though the status is not lost",
                 consequence="The file is not used",
                 cure="Fill the cell, or set the status to lost",
             )
@@ -331,14 +331,14 @@ def parse_times(data: bytes, where: str) -> Array:
     far = np.flatnonzero(np.abs(t_s) > LATEST_S)
     if far.size:
         raise BadFile(
-            f"{table.place(int(far[0]))}, column t_s: {t_s[far[0]]:g} s is more than 3000 years",
+            f"{table.location(int(far[0]))}, column t_s: {t_s[far[0]]:g} s is more than 3000 years",
             consequence="This is no time in seconds",
             cure="Give seconds; milliseconds are divided by 1e3, nanoseconds by 1e9",
         )
     late = np.flatnonzero(np.diff(t_s) <= 0.0)
     if late.size:
         raise BadFile(
-            f"{table.place(int(late[0]) + 1)}, column t_s: the time does not increase",
+            f"{table.location(int(late[0]) + 1)}, column t_s: the time does not increase",
             consequence="The frames have no order",
             cure="Give one row per frame, in the order of the frames",
         )
@@ -367,7 +367,7 @@ def parse_tum(data: bytes, where: str) -> PoseTrack:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise BadFile(f"{where}: byte {error.start} is not UTF-8 text", consequence="It cannot be read") from error
-    rows, places = [], []
+    rows, locations = [], []
     for i, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -384,8 +384,8 @@ def parse_tum(data: bytes, where: str) -> PoseTrack:
                 cure="Correct the line or remove it",
             )
         rows.append(values)
-        places.append(location)
+        locations.append(location)
     if not rows:
         raise BadFile(f"{where}: holds no pose", consequence="There is nothing to do", cure="Check the file")
     table = np.array(rows)
-    return PoseTrack(t_s=table[:, 0], pose=_stack(table[:, 1:4], table[:, 4:], places))
+    return PoseTrack(t_s=table[:, 0], pose=_stack(table[:, 1:4], table[:, 4:], locations))

@@ -317,10 +317,10 @@ def moved_rig(evidence: Evidence, noise: Noise, case: Case, explained: float) ->
     m = len(case.q)
     if m < 2 * FEWEST_ROWS:
         return ""
-    places = np.unique(np.linspace(FEWEST_ROWS, m - FEWEST_ROWS, SPLITS).astype(int))
+    splits = np.unique(np.linspace(FEWEST_ROWS, m - FEWEST_ROWS, SPLITS).astype(int))
     columns = noise.whiten(_placement(case.measured.xyz_m, evidence.linear.residual.shape[1]))
     plain = evidence.plain()
-    tried = {int(k): fit_linear(evidence.linear, columns * (np.arange(m) >= k)[:, None, None]) for k in places}
+    tried = {int(k): fit_linear(evidence.linear, columns * (np.arange(m) >= k)[:, None, None]) for k in splits}
     at = min(tried, key=lambda k: tried[k].squares)
     best = tried[at]
     if best.squares > SHARE * explained or len(tried) * by_chance(evidence.linear, plain, best) > CHANCE:

@@ -14,7 +14,7 @@ from armsight.cli.command import WRITTEN, Command
 from armsight.cli.commands import app
 from armsight.cli.examples import every_command
 from armsight.errors import DeviceFailed, UsageError
-from armsight.store.outputs import held_outputs, refuse_place
+from armsight.store.outputs import held_outputs, refuse_output
 from refusals import refuses
 
 JOINTS = "q1,q2,q3,q4,q5,q6\n0.1,-1.0,1.2,-0.3,1.2,0.4\n"
@@ -28,9 +28,9 @@ def test_devices_pipes_links_out_and_the_standard_output_are_no_places(tmp_path:
     (tmp_path / "in" / "folder").symlink_to(tmp_path)
     for bad in (Path("/dev/null"), tmp_path / "pipe", tmp_path / "in" / "out", Path("-")):
         with refuses(UsageError, "Nothing was done"):
-            refuse_place(bad)
+            refuse_output(bad)
     for good in ("near", "folder", "new.csv"):
-        refuse_place(tmp_path / "in" / good)
+        refuse_output(tmp_path / "in" / good)
 
 
 def test_a_second_writer_is_told_and_the_first_ones_end_lets_go(tmp_path: Path) -> None:

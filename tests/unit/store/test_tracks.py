@@ -303,7 +303,7 @@ def test_huge_numbers_are_read_or_refused_without_a_warning(column):
 
 def test_a_table_knows_its_lines():
     table = parse_table(b"a,b\n\n1,x\n2,y\n", "t.csv", ("a", "b"), text=("b",))
-    assert table.place(1) == "t.csv, line 4"
+    assert table.location(1) == "t.csv, line 4"
     assert table.stacked(()).shape == (2, 0)
 
 

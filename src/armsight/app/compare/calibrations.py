@@ -222,8 +222,8 @@ def _reach_effects(a: Arm, b: Arm) -> list[Effect]:
     low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
     q = np.random.default_rng(0).uniform(low, high, (POSTURES, a.n))
     bare = [arm.based() for arm in (a, b)]
-    places = [np.array([pose(arm, arm.sagged(row)).translation for row in q]) for arm in bare]
-    off = np.linalg.norm(places[1] - places[0], axis=1)
+    positions = [np.array([pose(arm, arm.sagged(row)).translation for row in q]) for arm in bare]
+    off = np.linalg.norm(positions[1] - positions[0], axis=1)
     return [
         Effect(name="tool apart, RMS over postures", value=float(np.sqrt(np.mean(off**2))), unit="m"),
         Effect(name="tool apart, largest", value=float(off.max()), unit="m"),

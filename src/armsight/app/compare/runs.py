@@ -171,10 +171,10 @@ def _means(a: Array, values: Array, std: Array) -> list[Difference]:
 
 def _apart(values: Array, inside: float | None) -> list[Effect]:
     """Return how far the poses are apart, and the share of them inside the 95 % ellipsoid of the difference."""
-    place, turn = np.linalg.norm(values[:, :3], axis=1), np.linalg.norm(values[:, 3:], axis=1)
+    distance, turn = np.linalg.norm(values[:, :3], axis=1), np.linalg.norm(values[:, 3:], axis=1)
     return [
-        Effect(name="place apart, RMS", value=float(np.sqrt(np.mean(place**2))), unit="m"),
-        Effect(name="place apart, largest", value=float(place.max()), unit="m"),
+        Effect(name="place apart, RMS", value=float(np.sqrt(np.mean(distance**2))), unit="m"),
+        Effect(name="place apart, largest", value=float(distance.max()), unit="m"),
         Effect(name="turned, RMS", value=float(np.sqrt(np.mean(turn**2))), unit="rad"),
         Effect(name="turned, largest", value=float(turn.max()), unit="rad"),
         *([] if inside is None else [Effect(name="inside their 95 % ellipsoid", value=inside, unit="1")]),

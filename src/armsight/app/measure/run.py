@@ -143,7 +143,7 @@ def run(
     report.write(out / REPORT, summary, about)
     write_json(out / SUMMARY, summary.to_dict())
     if failure is not None:
-        raise _with_place(failure, outputs, out)
+        raise _with_path(failure, outputs, out)
     return summary, report.poses
 
 
@@ -300,7 +300,7 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency, *, board: bool) ->
     )
 
 
-def _with_place(failure: ArmsightError, outputs: Outputs, out: Path) -> ArmsightError:
+def _with_path(failure: ArmsightError, outputs: Outputs, out: Path) -> ArmsightError:
     """Add to an error what was measured until it came, and where it is."""
     kept = f"What was measured until then ({outputs.n_seen} poses of {outputs.n_frames} pairs) is in {out}"
     failure.consequence = ". ".join(part.rstrip(".") for part in (failure.consequence, kept) if part)

@@ -75,16 +75,16 @@ class StationObserver:
 
         It is found by its name, or as what it has become.
         """
-        places, covariances, view = [], [], shown.view
+        centres, covariances, view = [], [], shown.view
         for pictured, spots, side in zip((view.left, view.right), shown.spots, (0, 1), strict=True):
-            place = _named(pictured, self._light)
-            if place is None and self._uv is not None:
-                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
-            if place is None:
+            centre = _named(pictured, self._light)
+            if centre is None and self._uv is not None:
+                centre = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
+            if centre is None:
                 return None
-            places.append(place)
-            covariances.append(spots.covariance_px2[np.argmin(np.linalg.norm(spots.uv_px - place, axis=1))])
-        return np.array(places), np.array(covariances)
+            centres.append(centre)
+            covariances.append(spots.covariance_px2[np.argmin(np.linalg.norm(spots.uv_px - centre, axis=1))])
+        return np.array(centres), np.array(covariances)
 
 
 def _named(view: SideView, name: str) -> Array | None:

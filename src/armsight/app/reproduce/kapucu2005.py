@@ -177,11 +177,11 @@ def _printed_table() -> Mapping[str, tuple[float | None, float | None, bool, str
     }
 
 
-def _entries(run: _Run, found: Sequence[PathJoint], places: Array) -> dict[str, float]:
+def _entries(run: _Run, found: Sequence[PathJoint], positions: Array) -> dict[str, float]:
     """Return the entries of Table 1 from joints and the beacon's places (30, 3) in world."""
     lines = [(joint.point_m, joint.direction) for joint in found]
     slide = run.rows(2)
-    one, two, d3 = _paper().rrp_links(lines, places[slide[0]], np.array([1.0, 0.0, 0.0]))
+    one, two, d3 = _paper().rrp_links(lines, positions[slide[0]], np.array([1.0, 0.0, 0.0]))
     return {
         "a1_m": one.a_m,
         "d1_m": one.d_m,
@@ -191,14 +191,14 @@ def _entries(run: _Run, found: Sequence[PathJoint], places: Array) -> dict[str, 
         "alpha2_rad": two.alpha_rad,
         "theta2_rad": two.theta_rad % (2.0 * np.pi),
         "d3_at_start_m": d3,
-        "d3_travel_m": float(np.linalg.norm(places[slide[-1]] - places[slide[0]])),
+        "d3_travel_m": float(np.linalg.norm(positions[slide[-1]] - positions[slide[0]])),
     }
 
 
 def _parameters(run: _Run, joints: Sequence[Sequence[PathJoint]]) -> ComparisonTable:
     """Return Table 1 by both methods and in truth."""
-    places = (run.method_m, run.ours_m, run.true_m)
-    method, ours, true = (_entries(run, found, at) for found, at in zip(joints, places, strict=True))
+    positions = (run.method_m, run.ours_m, run.true_m)
+    method, ours, true = (_entries(run, found, at) for found, at in zip(joints, positions, strict=True))
     rows = [
         ComparedRow(
             name=name,
@@ -310,13 +310,13 @@ def _figures(run: _Run) -> tuple[PaperFigure, ...]:
                 panels=tuple(_image_panel(run, side, rows) for side in (0, 1)),
             )
         )
-        for more, axes, places in ((1, "c", in_camera), (2, "w", in_world)):
+        for more, axes, positions in ((1, "c", in_camera), (2, "w", in_world)):
             frame = "camera" if axes == "c" else "world"
             out.append(
                 PaperFigure(
                     name=f"Fig. {number + more}: joint {j + 1} in the {frame} frame",
                     text="Three views: the true places, the paper's method, and the arm that armsight identified.",
-                    panels=_views([p[rows] / CM for p in places], axes),
+                    panels=_views([p[rows] / CM for p in positions], axes),
                 )
             )
     return tuple(out)
@@ -332,12 +332,12 @@ def _image_panel(run: _Run, side: int, rows: NDArray[np.intp]) -> Panel:
     return Panel(x_title=f"X{letter}, px", y_title=f"Y{letter}, px", curves=tuple(curves), equal=True, downward=True)
 
 
-def _views(places: Sequence[Array], frame: str) -> tuple[Panel, ...]:
+def _views(positions: Sequence[Array], frame: str) -> tuple[Panel, ...]:
     """Return the three views of places in cm: true, by the paper's method, armsight's."""
     order = ((2, 1), (0, 1), (0, 2)) if frame == "c" else ((0, 2), (1, 2), (0, 1))
     panels = []
     for h, v in order:
-        true, method, ours = (p[:, [h, v]].T for p in places)
+        true, method, ours = (p[:, [h, v]].T for p in positions)
         curves = (
             Curve(name="truth", x=true[0], y=true[1], who="truth", mode="lines"),
             Curve(name="the paper's method", x=method[0], y=method[1], who="method"),

@@ -152,11 +152,11 @@ def _by_paper(
             ]
         except NotEnoughData:
             continue
-        out[frame] = method_of("pachidis2005").pose_of_three(places(rig, uv[0], uv[1]), target.xyz_m)
+        out[frame] = method_of("pachidis2005").pose_of_three(positions(rig, uv[0], uv[1]), target.xyz_m)
     return out
 
 
-def places(rig: Rig, left_px: Array, right_px: Array) -> Array:
+def positions(rig: Rig, left_px: Array, right_px: Array) -> Array:
     """Return places (n, 3) in rig axes of pixels (n, 2) by eq. (10), the sensor's image inverted."""
     focal_m = float(rig.left.intrinsics[0]) * PIXEL_M
     baseline_m = rig.baseline_m

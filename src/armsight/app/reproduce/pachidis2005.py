@@ -185,7 +185,7 @@ def _by_paper(folder: Path, vision: _Vision) -> dict[int, Array]:
             left, right = paper.light_pairs(paper.lit_areas(read_image(path), THRESHOLD, mask))
         except NotEnoughData:
             continue
-        out[i] = paper.pose_of_three(psvs.places(left, right), vision.target.xyz_m[order])
+        out[i] = paper.pose_of_three(psvs.positions(left, right), vision.target.xyz_m[order])
     return out
 
 

@@ -115,11 +115,11 @@ def write_world_files(world: Any, out: Path, *, frames: int | None = None) -> No
         write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
     if world.sweeps:
         n = world.nominal.n
-        place = {index: row for row, index in enumerate(kept)}
+        row_of = {index: row for row, index in enumerate(kept)}
         rows = [
-            f"{place[frame]},{joint},{cells(world.servo.read(frame / world.fps)[0])}"
+            f"{row_of[frame]},{joint},{cells(world.servo.read(frame / world.fps)[0])}"
             for frame, joint in world.sweeps
-            if frame in place
+            if frame in row_of
         ]
         header = ",".join(["frame", "joint", *(f"q{i + 1}" for i in range(n))])
         write_text(out / "sweep_joints.csv", "\n".join([header, *rows]) + "\n")
@@ -198,8 +198,8 @@ def simulate_set(name: str, out: Path, *, seed: int, size: int | None, progress:
     """
     made = cast(Dataset, load(SETS, name)(seed, size))
     done, folders = 0, set()
-    for done, (place, frame) in enumerate(made.images(), start=1):
-        file = out / f"{place}.png"
+    for done, (path, frame) in enumerate(made.images(), start=1):
+        file = out / f"{path}.png"
         file.parent.mkdir(parents=True, exist_ok=True)
         folders.add(file.parent.name)
         write_png(file, frame)

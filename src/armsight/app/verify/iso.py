@@ -116,14 +116,14 @@ def _speed(commanded: CommandedFile, rows: NDArray[np.intp]) -> float | None:
 
 def _first_runs(file: MeasuredFile, rows: NDArray[np.intp], T: Array, turned: bool) -> dict[str, CommandedPath]:
     """Return for each path what was commanded along its first run."""
-    place = {int(row): i for i, row in enumerate(rows)}
+    index_of = {int(row): i for i, row in enumerate(rows)}
     first: dict[str, tuple[str, str]] = {}
     members: dict[str, list[int]] = {}
     commanded = file.repeats
     runs = zip(commanded.robot, commanded.run, strict=True)
     for row, run, name in zip(file.measured.rows.tolist(), runs, commanded.path, strict=True):
-        if run[1] and first.setdefault(name or PATH, run) == run and row in place:
-            members.setdefault(name or PATH, []).append(place[row])
+        if run[1] and first.setdefault(name or PATH, run) == run and row in index_of:
+            members.setdefault(name or PATH, []).append(index_of[row])
     found = {name: polyline(T[index], turned) for name, index in members.items()}
     return {name: path for name, path in found.items() if path is not None}
 

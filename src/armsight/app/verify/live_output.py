@@ -127,11 +127,11 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
 def _errors(series: LiveSeries, known: NDArray[np.bool_]) -> LiveErrors:
     if not known.any():
         return LiveErrors(rms_m=None, max_m=None, rms_rad=None, max_rad=None, std_m=None, std_rad=None)
-    place, turn = series.place_m[known], series.turn_rad[known]
+    distance, turn = series.place_m[known], series.turn_rad[known]
     std = np.sqrt(np.mean(series.std[known] ** 2, axis=0))
     return LiveErrors(
-        rms_m=float(np.sqrt(np.mean(place**2))),
-        max_m=float(place.max()),
+        rms_m=float(np.sqrt(np.mean(distance**2))),
+        max_m=float(distance.max()),
         rms_rad=float(np.sqrt(np.mean(turn**2))),
         max_rad=float(turn.max()),
         std_m=float(std[0]),
@@ -151,8 +151,8 @@ def _verdict(log: LiveLog, series: LiveSeries, known: NDArray[np.bool_], grave: 
     if not known.any():
         return "Nothing could be compared: whether the arm is where it says it is, is not known."
     lost = len(log.rows) - int(known.sum())
-    place_mm, turn_deg = series.place_m[known].max() / MM, series.turn_rad[known].max() / DEG
-    largest = f"{figure_of(place_mm, 'mm')} and {figure_of(turn_deg, 'deg')}"
+    distance_mm, turn_deg = series.place_m[known].max() / MM, series.turn_rad[known].max() / DEG
+    largest = f"{figure_of(distance_mm, 'mm')} and {figure_of(turn_deg, 'deg')}"
     dark = f" {lost} of {len(log.rows)} pairs could not be compared." if lost else ""
     if grave is Level.GOOD:
         passed = "No level was set" if not log.limits.all else "No level was passed"

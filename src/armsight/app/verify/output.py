@@ -112,10 +112,10 @@ def _alignment(result: Verification, arm: Arm | None) -> VerifyAlignment:
 
 
 def _pose_error(residual: Array) -> PoseError:
-    place = np.linalg.norm(residual[:, :3], axis=1)
+    distance = np.linalg.norm(residual[:, :3], axis=1)
     turned = residual.shape[1] == 6
     turn = float(np.sqrt((residual[:, 3:] ** 2).sum(axis=1).mean())) if turned else None
-    return PoseError(rms_m=float(np.sqrt(np.mean(place**2))), rms_rad=turn, max_m=float(place.max()))
+    return PoseError(rms_m=float(np.sqrt(np.mean(distance**2))), rms_rad=turn, max_m=float(distance.max()))
 
 
 def _task(task: Array) -> dict[str, Figures]:
@@ -193,12 +193,12 @@ def errors_csv(result: Verification) -> str:
     header = ["row", "t_s", *NAMES, "error_m", "error_rad", *(f"dq{i + 1}" for i in range(n))]
     lines = [",".join(header)]
     at = result.paired.at_s
-    for k, place in enumerate(result.kept):
+    for k, index in enumerate(result.kept):
         error = result.task[k]
-        values = [np.nan if at is None else at[place], *error, *([] if turned else [np.nan] * 3)]
+        values = [np.nan if at is None else at[index], *error, *([] if turned else [np.nan] * 3)]
         values += [np.linalg.norm(error[:3]), np.linalg.norm(error[3:]) if turned else np.nan]
         values += [] if result.joints is None else result.joints.dq[k].tolist()
-        lines.append(f"{result.paired.measured.rows[place]},{cells(values)}")
+        lines.append(f"{result.paired.measured.rows[index]},{cells(values)}")
     return "\n".join(lines) + "\n"
 
 

@@ -24,7 +24,14 @@ from armsight.calibrate.arm.model_selection import (
 )
 from armsight.calibrate.arm.other_arm import other_arm
 from armsight.calibrate.arm.parameter_selection import still
-from armsight.calibrate.arm.plausibility import MOST_SHARE, check_apart, check_fit, check_one_place, exceeded, spread_m
+from armsight.calibrate.arm.plausibility import (
+    MOST_SHARE,
+    check_apart,
+    check_fit,
+    check_one_position,
+    exceeded,
+    spread_m,
+)
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
@@ -61,7 +68,7 @@ def calibrate_arm(
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
-    check_one_place(nominal, points)
+    check_one_position(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
     check_rotations(model, points)
     if holdout is not None:
@@ -180,7 +187,7 @@ def _result(
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{one}." for one in reached)]),
         error_m=after_m,
         before_m=before_m,
-        place_noise_m=points.typical_m(fitted.sigma_m),
+        position_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
         other_arm=None,
     )

@@ -155,7 +155,7 @@ PLACES_SEED = 13
 """The same measurements give the same answer."""
 
 
-def check_one_place(arm: Arm, points: ArmPoints) -> None:
+def check_one_position(arm: Arm, points: ArmPoints) -> None:
     """Raise Inconsistent where rows of one name, or rows without names, are of several places on the tool.
 
     Where joint positions have several rows each, those rows are looked at about their middle, in flange axes: the arm's
@@ -186,7 +186,7 @@ def _check_rows(arm: Arm, points: ArmPoints, label: str) -> None:
         rows = np.flatnonzero(count[which] > 1)
         off = np.einsum("mji,mj->mi", F[rows, :3, :3], (local - middle[which])[rows])
         if _about_one(off) > LEAST_SCATTER_M:
-            _check(label, _about_one(off), [_in_places(off, _parted(off, k)) for k in range(2, MOST_PLACES + 1)])
+            _check(label, _about_one(off), [_parted_into(off, _parted(off, k)) for k in range(2, MOST_PLACES + 1)])
         return
     at = model.pose(p, 1).translation
     wanted = np.einsum("mji,mj->mi", F[:, :3, :3], local - F[:, :3, 3])
@@ -205,7 +205,7 @@ class _Parting:
     """Rows (m,) given to places (k, 3) in m, and the RMS distance in m that they keep from them."""
 
     labels: Labels
-    places: Array
+    positions: Array
     left_m: float
 
 
@@ -216,19 +216,19 @@ def _check(label: str, one_m: float, parts: list[_Parting]) -> None:
     """
     best, left_m = None, one_m
     for part in parts:
-        if np.bincount(part.labels, minlength=len(part.places)).min() < FEWEST_EACH:
+        if np.bincount(part.labels, minlength=len(part.positions)).min() < FEWEST_EACH:
             break
-        apart_m = pdist(part.places).min()
+        apart_m = pdist(part.positions).min()
         if part.left_m < APART * one_m and part.left_m < FURTHER * left_m and apart_m > SEPARATE * part.left_m:
             best, left_m = part, part.left_m
     if best is None:
         return
-    distance = pdist(best.places)
+    distance = pdist(best.positions)
     rows, by, cure = "rows", "no column `point` names them", "Name the place of each row in a column `point`"
     if label:
         rows, by, cure = f"rows of point {label!r}", "all have its name", "Give each place a name of its own"
     raise Inconsistent(
-        f"the {rows} are of {len(best.places)} places on the tool, {distance.min() / MM:.3g} to "
+        f"the {rows} are of {len(best.positions)} places on the tool, {distance.min() / MM:.3g} to "
         f"{distance.max() / MM:.3g} mm apart, and {by}; about one place they scatter by {one_m / MM:.3g} mm",
         consequence="They cannot be one place at these readings, and nothing is written",
         cure=f"{cure}, for instance A, B, C; or give the rows of one place",
@@ -240,15 +240,15 @@ def _means(off_m: Array, labels: Labels) -> Array:
     return np.stack([off_m[labels == j].mean(axis=0) for j in range(labels.max() + 1)])
 
 
-def _in_places(off_m: Array, labels: Labels) -> _Parting:
+def _parted_into(off_m: Array, labels: Labels) -> _Parting:
     """Return offsets (m, 3) given to the middles of theirs."""
-    places = _means(off_m, labels)
-    left = np.square(off_m - places[labels]).sum() / max(len(off_m) - len(places), 1)
-    return _Parting(labels=labels, places=places, left_m=float(np.sqrt(left)))
+    positions = _means(off_m, labels)
+    left = np.square(off_m - positions[labels]).sum() / max(len(off_m) - len(positions), 1)
+    return _Parting(labels=labels, positions=positions, left_m=float(np.sqrt(left)))
 
 
-def _nearest(off_m: Array, places: Array) -> Labels:
-    return np.asarray(np.square(off_m[:, None] - places[None]).sum(axis=2).argmin(axis=1))
+def _nearest(off_m: Array, positions: Array) -> Labels:
+    return np.asarray(np.square(off_m[:, None] - positions[None]).sum(axis=2).argmin(axis=1))
 
 
 def _parted(off_m: Array, k: int) -> Labels:
@@ -256,17 +256,17 @@ def _parted(off_m: Array, k: int) -> Labels:
     rng = np.random.default_rng(PLACES_SEED)
     best, least = np.arange(len(off_m)) % k, np.inf
     for _ in range(STARTS):
-        places = off_m[rng.choice(len(off_m), 1)]
-        while len(places) < k:
-            distance = np.square(off_m[:, None] - places[None]).sum(axis=2).min(axis=1)
-            places = np.vstack([places, off_m[rng.choice(len(off_m), 1, p=distance / distance.sum())]])
-        labels = _nearest(off_m, places)
+        positions = off_m[rng.choice(len(off_m), 1)]
+        while len(positions) < k:
+            distance = np.square(off_m[:, None] - positions[None]).sum(axis=2).min(axis=1)
+            positions = np.vstack([positions, off_m[rng.choice(len(off_m), 1, p=distance / distance.sum())]])
+        labels = _nearest(off_m, positions)
         for _ in range(PLACE_TURNS):
             if len(np.unique(labels)) < k:
                 break
-            places = _means(off_m, labels)
-            labels = _nearest(off_m, places)
-        cost = float(np.square(off_m - places[labels]).sum())
+            positions = _means(off_m, labels)
+            labels = _nearest(off_m, positions)
+        cost = float(np.square(off_m - positions[labels]).sum())
         if cost < least and len(np.unique(labels)) == k:
             best, least = labels, cost
     return best
@@ -288,4 +288,4 @@ def _mounted(F: Array, xyz_m: Array, wanted_m: Array, k: int) -> _Parting:
         if np.array_equal(now, labels) or len(np.unique(now)) < k:
             break
         labels = now
-    return _Parting(labels=labels, places=at, left_m=left)
+    return _Parting(labels=labels, positions=at, left_m=left)

@@ -72,8 +72,9 @@ class ArmCalibration(Output):
     left out by cross-validation, in which all that looked at the rows, the kind of model included, is done again
     without them; left_before, left_after: on the holdout where one was given (held), else the same. model, fitted:
     names and values of the parameters (changes to the nominal arm), noise. outlier_rows: (row from 0, error in m).
-    before_m, error_m: (m,) before and after, by row. place_noise_m: of one coordinate of the middle row. correlation:
-    of the errors in time, of samples of a stream; folds are blocks of time then, and covariance is widened for it.
+    before_m, error_m: (m,) before and after, by row. position_noise_m: of one coordinate of the middle row.
+    correlation: of the errors in time, of samples of a stream; folds are blocks of time then, and covariance is widened
+    for it.
     """
 
     arm: Arm
@@ -100,7 +101,7 @@ class ArmCalibration(Output):
     verdict: Annotated[str, Doc("Whether the correction is worth it, in words.")]
     error_m: Array
     before_m: Array
-    place_noise_m: float
+    position_noise_m: float
     other_arm: Annotated[
         OtherArm | None,
         Doc("Where the nominal arm is another one than was measured: why; nothing is corrected then. Else null."),
@@ -147,7 +148,7 @@ class ArmCalibration(Output):
     @figure("Noise of the measurements.")
     def noise(self) -> ArmNoise:
         turned = self.fitted.sigma_rad if self.model.turned else None
-        return ArmNoise(place_m=self.place_noise_m, rotation_rad=turned)
+        return ArmNoise(place_m=self.position_noise_m, rotation_rad=turned)
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""

@@ -13,7 +13,7 @@ from scipy.special import stdtr
 
 from armsight.calibrate.arm.fit import MEDIAN_3, added_noise
 from armsight.calibrate.arm.initial_guess import placed
-from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_place, ranges, senseless, spread_m
+from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fields import Doc
@@ -82,8 +82,8 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     """
     check_points(arm, points)
     points = replace(points, q=arm.sagged(points.q))  # positions were measured at rest
-    check_one_place(arm, points)
-    local = _places(arm, points)
+    check_one_position(arm, points)
+    local = _positions(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))
     T, kept = _majority(base, points.xyz_m)
     notes = check_motion_scale(base[kept], points.xyz_m[kept])
@@ -126,7 +126,7 @@ def _weighed(
     return T, covariance, kept, text
 
 
-def _places(arm: Arm, points: ArmPoints) -> Array:
+def _positions(arm: Arm, points: ArmPoints) -> Array:
     """Return where the arm puts the rows' points, (m, 3) in world; Inconsistent where it does not know one of them."""
     T = fk(arm, points.q)
     known = {point.name: point for point in arm.tool_points}

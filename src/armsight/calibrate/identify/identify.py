@@ -25,10 +25,10 @@ from armsight.calibrate.identify.result import (
     JointFound,
     ParameterUncertainty,
     arm_of,
+    assign_frames,
     degeneracy_notes,
     deviations,
     measured_entries,
-    place_frames,
     propagate_covariance,
 )
 from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, check_sweeps, placed, position_residuals
@@ -134,10 +134,10 @@ def _at_once(
     notes += _notes(found, [axis.revolute for axis in model.axes])
     covariance = all_covariance(arm_fit.fit.names, arm_fit.fit.covariance, widen) + arm_fit.systematic(seen, rig)
     axes, beacon = model.axes_at(p)
-    table, first, tool = place_frames(axes, beacon, base)
+    table, first, tool = assign_frames(axes, beacon, base)
 
     def entries(x: Array) -> Array:
-        return place_frames(*model.axes_at(x), base)[0].ravel()
+        return assign_frames(*model.axes_at(x), base)[0].ravel()
 
     covariance, doubtful = _with_rivals(arm_fit, table, propagate_covariance(entries, p, covariance), base)
     notes += doubtful
@@ -176,7 +176,7 @@ def _with_rivals(arm_fit: GlobalFit, table: Array, covariance: Array, base: Arra
     std = deviations(covariance)
     wide, count = std.copy(), 0
     for rival in arm_fit.alternatives:
-        off = place_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
+        off = assign_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
         off[:, [0, 3, 4]] = np.mod(off[:, [0, 3, 4]] + np.pi, 2.0 * np.pi) - np.pi
         if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
             wide, count = np.maximum(wide, np.hypot(std, off)), count + 1
@@ -199,7 +199,7 @@ def _joint_by_joint(
     axes = [measured(item, sweeps) for item in found]
     beacon = _where_paths_meet([item.path for item in found], sweeps, home)
     notes = notes + _notes(found, [axis.revolute for axis in axes])
-    table, first, tool = place_frames(axes, beacon, base)
+    table, first, tool = assign_frames(axes, beacon, base)
     sizes = [len(item.path.names) for item in found]
     p = np.concatenate([np.zeros(size) for size in sizes])
     covariance = np.zeros((len(p), len(p)))
@@ -209,7 +209,7 @@ def _joint_by_joint(
     shifted = _shifter(found, axes, sizes)
 
     def entries(x: Array) -> Array:
-        return place_frames(shifted(x), beacon, base)[0].ravel()
+        return assign_frames(shifted(x), beacon, base)[0].ravel()
 
     covariance = propagate_covariance(entries, p, covariance)
     notes = [*notes, "only the order of the commanded values was used: joint values count from the pose at rest"]
@@ -294,7 +294,7 @@ def _from_paper(
     notes = notes + _notes(found, [axis.revolute for axis in seen_axes])
     axes = at_home(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
     beacon = beacon_at_zero(axes, sweeps, np.arange(len(sweeps)))
-    table, first, tool = place_frames(axes, beacon, base)
+    table, first, tool = assign_frames(axes, beacon, base)
     X = np.tile(beacon, (len(sweeps), 1))
     for axis, q in zip(axes[::-1], sweeps.q.T[::-1], strict=True):
         X = moved_by(axis, q, X)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.calibrate.identify.result import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
+from armsight.calibrate.identify.result import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
 from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew
@@ -158,10 +158,10 @@ def expected_deviations(
     axes, beacon = model.axes_at(at)
 
     def entries(x: Array) -> Array:
-        return place_frames(*model.axes_at(x), frame)[0].ravel()
+        return assign_frames(*model.axes_at(x), frame)[0].ravel()
 
     notes, known = degeneracy_notes(
-        axes, place_frames(axes, beacon, frame)[0], deviations(propagate_covariance(entries, at, covariance))
+        axes, assign_frames(axes, beacon, frame)[0], deviations(propagate_covariance(entries, at, covariance))
     )
     return tuple(dict(zip(KEYS, row.tolist(), strict=True)) for row in known), notes
 

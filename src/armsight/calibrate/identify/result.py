@@ -114,7 +114,7 @@ INTERSECT = 2.0
 ones."""
 
 
-def place_frames(
+def assign_frames(
     axes: Sequence[Axis], beacon_m: Array, base: Array, slide_at_beacon: bool = True
 ) -> tuple[Array, Array, Array]:
     """Return rows (n, 5) by KEYS, T_world_base (4, 4) and T_flange_tool (4, 4) of axes with all joints at zero.

@@ -140,8 +140,8 @@ class _Step:
             for i, (cell, n) in enumerate(zip(cells, state.coverage[side], strict=True)):
                 set_text(cell, str(n))
                 set_attribute(cell, "data-level", "good" if n else "idle")
-                place = texts.PLACES[i // 3][i % 3]
-                cell.props["aria-label"] = texts.COVERED.format(side=texts.SIDES[side], place=place, n=n)
+                cell_name = texts.PLACES[i // 3][i % 3]
+                cell.props["aria-label"] = texts.COVERED.format(side=texts.SIDES[side], place=cell_name, n=n)
         self._samples.clear()
         with self._samples, ui.element("table").classes("plain"):
             for i, sample in enumerate(state.samples):
@@ -161,8 +161,8 @@ class _Step:
 
 def hint_text(hint: Hint) -> str:
     """Return a hint in words."""
-    place = "" if hint.cell is None else texts.PLACES[hint.cell[1]][hint.cell[0]]
-    figures = {"place": place, "side": texts.SIDES.get(hint.side, ""), "why": hint.why}
+    cell_name = "" if hint.cell is None else texts.PLACES[hint.cell[1]][hint.cell[0]]
+    figures = {"place": cell_name, "side": texts.SIDES.get(hint.side, ""), "why": hint.why}
     return texts.NEXT[hint.what.value].format(**figures, axis=hint.axis, share=hint.share)
 
 

@@ -209,8 +209,8 @@ class _Iso:
 
 def format_plan(made: IsoPlan) -> str:
     """Return the cube of a test that is planned, and what is to be said of it."""
-    places = texts.ISO_PLANNED.format(side=made.test.cube.side_m / MM)
-    return " ".join([places, *(f"{note[0].upper()}{note[1:]}." for note in made.notes)])
+    planned = texts.ISO_PLANNED.format(side=made.test.cube.side_m / MM)
+    return " ".join([planned, *(f"{note[0].upper()}{note[1:]}." for note in made.notes)])
 
 
 FIELDS = ("measured", "joints")

@@ -163,9 +163,9 @@ def _words(names: Sequence[str], role: Role) -> dict[str, int]:
     out: dict[str, int] = {}
     for ours in role.words:
         known = (ours, *role.words[ours])
-        places = [k for k, name in enumerate(names) if name == ours or split_unit(name)[0] in known]
-        if places:
-            out[ours] = places[0]
+        columns = [k for k, name in enumerate(names) if name == ours or split_unit(name)[0] in known]
+        if columns:
+            out[ours] = columns[0]
     return out
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance, calibrate_arm, calibrate_world
 from armsight.calibrate.arm.fit import fit_arm, tool_points
 from armsight.calibrate.arm.initial_guess import start
-from armsight.calibrate.arm.plausibility import check_one_place
+from armsight.calibrate.arm.plausibility import check_one_position
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, Joint, ToolPoint, fk, in_convention, moved, pose, preset
 from refusals import refuses
@@ -42,10 +42,10 @@ def test_rows_of_three_places_without_names_are_refused(n: int, off_deg: float) 
     mixed = ArmPoints(q=q, xyz_m=x[np.arange(n), np.arange(n) % 3])
     for points in (together, mixed):
         with refuses(Inconsistent, "3 places", "point"):
-            check_one_place(arm, points)
+            check_one_position(arm, points)
         with refuses(Inconsistent, "A", "3 places"):
-            check_one_place(arm, replace(points, point=tuple("A") * len(points)))
-    check_one_place(arm, replace(together, point=tuple("ABC") * n))
+            check_one_position(arm, replace(points, point=tuple("A") * len(points)))
+    check_one_position(arm, replace(together, point=tuple("ABC") * n))
     with pytest.raises(Inconsistent, match="3 places"):
         calibrate_world(arm, together)
 
@@ -58,7 +58,7 @@ def test_rows_of_one_place_pass_with_noise_and_with_wrong_zeros(repeats: int, no
         arm = preset("kr6")
         true = moved(arm, {f"{j.name}.theta_rad": rng.normal() * np.deg2rad(2.0) for j in arm.joints})
         q = np.repeat(rng.uniform(-0.9, 0.9, (16, 6)), repeats, axis=0)
-        check_one_place(arm, ArmPoints(q=q, xyz_m=seen(true, q, TOOL[:1], rng, noise_m)[:, 0]))
+        check_one_position(arm, ArmPoints(q=q, xyz_m=seen(true, q, TOOL[:1], rng, noise_m)[:, 0]))
 
 
 def test_all_points_of_the_tool_reach_the_arm_with_true_deviations_and_place_a_rig() -> None:
