@@ -36,9 +36,9 @@ def test_places_come_back_from_their_pixels() -> None:
     rig = psvs()
     P = np.random.default_rng(0).uniform([-0.1, -0.1, 0.4], [0.1, 0.1, 0.8], (100, 3))
     left, right = views(rig, P)
-    assert rig.places(left, right) == pytest.approx(P, abs=1e-12)
+    assert rig.positions(left, right) == pytest.approx(P, abs=1e-12)
     with pytest.raises(Degenerate, match="disparity"):
-        rig.places(right, left)
+        rig.positions(right, left)
 
 
 def test_six_areas_are_found_and_paired_and_small_ones_are_not() -> None:

@@ -33,7 +33,7 @@ class LightSource(Protocol):
         """Spread of the light."""
         ...
 
-    def places_px(self) -> Array:
+    def centres_px(self) -> Array:
         """Return the places (n, 2) round which the light falls, as far as the spread function reaches."""
         ...
 
@@ -51,7 +51,7 @@ class PointSource:
     sigma_px: float
     bgr: Array
 
-    def places_px(self) -> Array:
+    def centres_px(self) -> Array:
         """Return the centres (n, 2)."""
         return self.uv_px
 
@@ -74,7 +74,7 @@ class RegionSource:
     sigma_px: float
     bgr: Array
 
-    def places_px(self) -> Array:
+    def centres_px(self) -> Array:
         """Return the nodes (m n, 2)."""
         return self.outlines_px.reshape(-1, 2)
 
@@ -92,7 +92,7 @@ def render_sources(backdrop: LightImage, sources: Sequence[LightSource]) -> Patc
     height, width = backdrop.shape[:2]
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for source in sources:
-        places = source.places_px()
+        places = source.centres_px()
         places = places[np.isfinite(places).all(axis=1)]
         reach = REACH_SIGMA * source.sigma_px + 2.0
         low = np.minimum(low, places.min(axis=0, initial=np.inf) - reach)

@@ -35,8 +35,8 @@ def fitted_scene(scene: Plot, data: Sequence[Plot]) -> Plot:
     shown = [trace for trace in data if trace.get("visible") != "legendonly"]
     traces = [trace for trace in shown if trace.get("type") == "scatter3d"]
     none = np.empty(0)
-    axes = [np.concatenate([none, *(np.asarray(trace[name], float).ravel() for trace in traces)]) for name in "xyz"]
-    known = [values[np.isfinite(values)] for values in axes]
+    columns = [np.concatenate([none, *(np.asarray(trace[name], float).ravel() for trace in traces)]) for name in "xyz"]
+    known = [values[np.isfinite(values)] for values in columns]
     if not all(values.size for values in known):
         return dict(scene)
     low, high = (np.array([end(values) for values in known]) for end in (np.min, np.max))

@@ -82,7 +82,7 @@ class Psvs:
     m_m: float
     l_m: float
 
-    def places(self, left_px: ArrayLike, right_px: ArrayLike) -> Array:
+    def positions(self, left_px: ArrayLike, right_px: ArrayLike) -> Array:
         """Return places (n, 3) in m in axes of the real camera of pixels (n, 2) of both views: eq. (4).
 
         The two equations for x and for y are averaged. Raises Degenerate where a disparity is not positive.

@@ -39,7 +39,7 @@ class CoverSource:
     share: NDArray[np.float32]
     sigma_px: float = 0.0
 
-    def places_px(self) -> Array:
+    def centres_px(self) -> Array:
         """Return the corners (2, 2)."""
         height, width = self.share.shape
         return np.array([[self.column, self.row], [self.column + width - 1, self.row + height - 1]], dtype=np.float64)
