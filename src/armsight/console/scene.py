@@ -85,7 +85,7 @@ class Scene:
         rig_file, target_file = (cell_path(folder, getattr(cell, name), name) for name in ("rig", "target"))
         self._arm = None if console.robot is None else console.robot.session.arm
         self._q: Array | None = self._joints()
-        self._placement = read_placement(folder, cell)
+        self._placement = read_placement(folder, cell, target=False)
         placed = self._placement.rig_pose(self._arm, self._q)
         if placed is None and rig_file is not None:
             self._arm = None  # where the arm stands before these cameras is not known yet

@@ -53,12 +53,12 @@ class Placement:
         return replace(arm, T_flange_tool=self.handeye.T_parent_target), T_world_rig
 
 
-def read_placement(folder: Path, cell: CellFile) -> Placement:
-    """Return what the cell's files tell. Raises BadFile."""
-    world, handeye = (cell_path(folder, getattr(cell, name), name) for name in ("world", "handeye"))
-    return Placement(
-        world=None if world is None else read_world(world), handeye=None if handeye is None else read_handeye(handeye)
-    )
+def read_placement(folder: Path, cell: CellFile, *, target: bool = True) -> Placement:
+    """Return what the cell's files tell; without target no more than the cameras' position takes. Raises BadFile."""
+    files = {name: cell_path(folder, getattr(cell, name), name) for name in ("world", "handeye")}
+    world = None if files["world"] is None else read_world(files["world"])
+    needed = files["handeye"] if target or world is None else None
+    return Placement(world=world, handeye=None if needed is None else read_handeye(needed))
 
 
 def flange_pose(arm: Arm, q: Array) -> RigidTransform:

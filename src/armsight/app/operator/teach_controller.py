@@ -121,7 +121,7 @@ class TeachController:
 def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
     """Return where the rig is in world at a moment."""
     arm = robot.session.arm
-    placement = read_placement(folder, cell)
+    placement = read_placement(folder, cell, target=cell.cameras == "carried")
     placed = placement.rig_pose(arm, robot.joints())
     if placed is None or arm is None:
         raise NotEnoughData(
