@@ -42,7 +42,7 @@ def made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[LiveRecording
 
 def test_a_file_that_is_being_closed_is_still_told_as_open(made: Any) -> None:
     live, slow, told = made
-    slow.meanwhile = live.tell
+    slow.meanwhile = live.notify
     live.end()
     assert [state.file is not None for state in told] == [True, True, False]
     live.notify()
