@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 Images = ImageLike | Iterable[ImageLike]
-Detector = Literal["auto", "classic", "sectors", "xcorner"]
+Detector = Literal["auto", "quick", "classic", "sectors", "xcorner"]
 Rejected = tuple[RejectedFile, ...]
 
 

@@ -12,7 +12,8 @@ import pytest
 
 from armsight.errors import BadImage, Inconsistent, Unseen, UsageError
 from armsight.measure.boards import find_board, same_way_up
-from armsight.measure.boards.kernels.subpixel import REST, ROWS, V, X, Y, corner_rows, dot_rows
+from armsight.measure.boards.kernels.edge_models import CHUNK, REST, ROWS, V, X, Y, corner_rows, dot_rows
+from armsight.measure.boards.saddle_grid import grid_at_a_glance
 from armsight.records import Target, TargetKind, board_target, spot_target
 from armsight.records.board import symmetries
 from refusals import refuses
@@ -170,12 +171,12 @@ def test_curved_edges_do_not_pull_corners() -> None:
     assert np.sqrt((error**2).mean()) / found.sigma_px == pytest.approx(1.0, abs=0.25)
 
 
-def test_either_detector_gives_the_same_corners() -> None:
+def test_every_detector_gives_the_same_corners() -> None:
     image, _ = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[0], np.random.default_rng(3))
     classic = find_board(image, CHECKERBOARD, detector="classic")
-    sectors = find_board(image, CHECKERBOARD, detector="sectors")
-    assert np.abs(classic.uv_px - sectors.uv_px).max() < 0.005
-    with refuses(UsageError, "auto", "classic", "sectors"):
+    for detector in ("auto", "quick", "sectors"):
+        assert np.abs(classic.uv_px - find_board(image, CHECKERBOARD, detector=detector).uv_px).max() < 0.001
+    with refuses(UsageError, "auto", "quick", "classic", "sectors"):
         find_board(image, CHECKERBOARD, detector="best")
 
 
@@ -219,7 +220,7 @@ def test_image_without_a_picture_is_refused_with_the_reason(image: np.ndarray, w
         find_board(image, CHECKERBOARD, source="a.png")
 
 
-@pytest.mark.parametrize("blur_px", [8.5, 9.0])
+@pytest.mark.parametrize("blur_px", [7.0, 8.5, 9.0])
 def test_blurred_board_is_refused_as_blurred(blur_px: float) -> None:
     image, _ = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[0], np.random.default_rng(7), blur_px=blur_px)
     with refuses(BadImage, unseen=Unseen.BLURRED):
@@ -233,6 +234,21 @@ def test_the_rim_of_a_blurred_board_is_no_further_corner() -> None:
         assert len(found) == 54
         error = found.uv_px - truth[found.index]
         assert np.sqrt((error**2).mean()) / found.sigma_px == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_glance_sees_a_board_larger_and_smaller_and_no_other(view: View) -> None:
+    image, truth = paint(checkerboard(9, 6), CHECKERBOARD, view, np.random.default_rng(9))
+    for factor in (0.75, 1.0, 3.0):
+        scaled = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        seen = grid_at_a_glance(scaled, 9, 6)
+        assert seen is not None
+        off = np.linalg.norm(seen[:, None] - ((truth + 0.5) * factor - 0.5)[None], axis=2).min(axis=0)
+        assert off.max() < 1.5 * max(1.0, factor)
+        for columns, rows in ((8, 6), (9, 5), (10, 6), (9, 7), (4, 3)):
+            assert grid_at_a_glance(scaled, columns, rows) is None
+    with pytest.raises(BadImage, match="10x6 inner corners was found at a glance"):
+        find_board(image, board_target(TargetKind.CHECKERBOARD, 10, 6, PITCH_M), detector="quick")
 
 
 def test_noise_is_no_board() -> None:
@@ -371,13 +387,13 @@ def test_symmetries_of_the_print(board: Target, count: int) -> None:
 def test_derivatives_of_the_grey_levels(rows: Callable, p: list[float]) -> None:
     rng = np.random.default_rng(19)
     n = 30
-    window = np.ones((ROWS, n))
-    window[[X, Y]] = rng.uniform(-6.0, 6.0, (2, n))
-    window[V] = 0.0
+    table = np.ones((ROWS, CHUNK))
+    table[[X, Y]] = rng.uniform(-6.0, 6.0, (2, CHUNK))
+    table[V] = 0.0
 
     def filled(q: np.ndarray) -> np.ndarray:
-        rows(n, q, window)
-        return window.copy()
+        rows(n, q, table.reshape(-1))
+        return table[:, :n].copy()
 
     derivatives = filled(np.array(p))[:10]
     for i in range(10):

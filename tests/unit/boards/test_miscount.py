@@ -59,6 +59,15 @@ def test_a_column_on_the_papers_edge_is_refused() -> None:
         refine_corners(printed(), board(10, 6), at(i, j), "a.png")
 
 
+def test_a_row_of_which_nothing_is_seen_is_refused() -> None:
+    covered = printed()
+    i, j = np.meshgrid(np.arange(9), np.arange(6))
+    for u, v in at(i, j)[:9]:
+        cv2.circle(covered, (round(u), round(v)), 13, 215, -1)
+    with pytest.raises(BadImage, match="most of the first row of 9x6 inner corners are not there"):
+        refine_corners(covered, board(9, 6), at(i, j), "a.png")
+
+
 def test_a_grid_across_the_squares_is_refused() -> None:
     i, j = np.meshgrid(np.arange(5), np.arange(3))
     with refuses(BadImage, "5x3", "squares"):

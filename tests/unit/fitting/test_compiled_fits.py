@@ -173,9 +173,9 @@ def test_a_boards_corner_is_the_engines() -> None:
     v = level(truth) + rng.normal(0.0, 1.0, x.shape)
     p = truth + np.array([0.2, 0.2, 0.05, -0.05, 0.2, -0.1, 5.0, 0.0, 0.0, -8.0])
     start = p.copy()
-    H, window = np.empty((10, 10)), np.ones((subpixel.ROWS, len(x)))
-    window[[subpixel.X, subpixel.Y, subpixel.V]] = x, y, v
-    subpixel._descend(0, len(x), p, 5.0, H, window)
+    H, window, work = np.empty((10, 10)), np.zeros((3, subpixel.LARGEST)), np.empty(subpixel.ROWS * subpixel.CHUNK)
+    window[:, : len(x)] = x, y, v
+    subpixel._descend(0, len(x), p, 5.0, subpixel.LAST_STEP_PX, subpixel.TRIALS, H, window.ravel(), work)
     slow = by_engine(lambda q: level(q) - v, start)
     assert slow.covariance is not None
     std = np.sqrt(np.diag(slow.covariance.matrix))

@@ -40,7 +40,7 @@ FOLDS = 5
 """Of the error on boards that were left out."""
 
 Detector: TypeAlias = Annotated[
-    str, Doc("How checkerboards are looked for: auto, classic, sectors, xcorner."), Flag(metavar="NAME")
+    str, Doc("How checkerboards are looked for: auto, quick, classic, sectors, xcorner."), Flag(metavar="NAME")
 ]
 Lens: TypeAlias = Annotated[
     str,

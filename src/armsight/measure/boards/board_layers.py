@@ -20,7 +20,7 @@ from armsight.measure.boards.checkerboard import (
 from armsight.measure.boards.corner_detector import Grid
 from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
 from armsight.measure.boards.kernels.render_board import render_pattern
-from armsight.measure.boards.kernels.subpixel import fit_corners
+from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.records import Target
 
 Array = NDArray[np.float64]
@@ -151,20 +151,8 @@ def measure_layer(light: Array, layer: Layer, other: Layer | None, board: Target
     size = np.linalg.norm(E, axis=1)
     reach = np.minimum(REACH, LAST_HALF_PX / size.max(axis=1))
     n = len(grid)
-    uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
-    contiguous = np.ascontiguousarray
     rest = without_layer(light, other, board)
-    fit_corners(
-        rest,
-        contiguous(smooth(grid)),
-        contiguous(E),
-        contiguous(Q),
-        contiguous(reach),
-        contiguous(layer.sign),
-        uv,
-        covariance,
-        quality,
-    )
+    uv, covariance, quality, _ = fit_corners(rest, smooth(grid), E, Q, reach, layer.sign, ALONE, LAST_STEP_PX, TRIALS)
     if other is None:  # half of the corners are disturbed: the others tell light and blur, the map stays
         clear = quality[:, 0] >= np.median(quality[:, 0])
         contrast, blur = np.median(quality[clear, 1:3], axis=0)

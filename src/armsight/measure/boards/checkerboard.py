@@ -1,7 +1,4 @@
-"""Checkerboards: found by OpenCV or by templates, their corners fitted and verified here.
-
-Corners may lie on a grid, but not on that of the squares: that is found, too, where the counts asked for are wrong.
-"""
+"""Checkerboards: found by their saddles, OpenCV or templates, their corners fitted and verified here."""
 
 from __future__ import annotations
 
@@ -11,32 +8,43 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import BadImage, Unseen
 from armsight.measure.boards.gridmap import GridMap, fit_map, most_upright
-from armsight.measure.boards.kernels.subpixel import fit_corners
+from armsight.measure.boards.kernels.gridmap import median
+from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
+from armsight.measure.boards.miscount import levels_at, outer_lines, refuse_miscount, too_few
+from armsight.measure.boards.saddle_grid import grid_at_a_glance, shrunk
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
-from armsight.records.board import grid_turns
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 REACH = 0.5
 """Half window in squares: the edges run on past it, and the next corner's blur stays out (0.4 to 0.7 do as well)."""
-FIRST_HALF_PX = 8.0
 LAST_HALF_PX = 24.0
-"""Largest half window in px, for the first fit and for the last: larger ones add time, no accuracy."""
+"""Largest half window in px of the last fit: a larger one adds time, no accuracy."""
+ROUGH = (8.0, 0.05, TRIALS)
+FITS = (ROUGH, ROUGH, (LAST_HALF_PX, LAST_STEP_PX, TRIALS))
+"""Each fit's largest half window, the step in px that is its last, and how often the model is evaluated. A window's
+middle is where the fit before put the corner, and moves the next one by some hundredths of its own error: after two
+small windows the last is the same to 1e-5 px, wherever the search began."""
 EXPLAINED = 0.6
 """A true corner's window is explained to 0.95 and better by the model, a corner beside one to less than this."""
+SURE = 0.9
+"""The last fit begins with the first one's edges, blur and light where they explained this share."""
 END_OF_BOARD = 0.9
 """Likeness of the end of a black square on an evenly white margin to a corner: 0.895-0.906 on painted boards, where
 true corners reach 0.97-0.999; a corner beyond the board must be nearer to its own corners' likeness."""
+OFF_GRID = 0.15
+"""A corner further than this from the smooth grid, in squares, is not the board's."""
+BEYOND = (8.0, 0.05, 8)
+"""Of the fit of a corner beyond the board: a true one is explained as far as it will be after six evaluations of the
+model, and what is none would take forty."""
 PERHAPS_BEYOND = 0.3
 """Where this share of one more row looks like corners, the whole image is searched for a larger board."""
 ALTERNATING = 0.5
 """Share of the board's own step from black to white that the squares beyond must show to be the board's."""
 BEHIND = 0.25
 """How far behind one more row of corners its squares are looked at: printed boards may end in half squares."""
-OFF_GRID = 0.15
-"""A corner further than this from the smooth grid, in squares, is not the board's."""
 SMOOTH = 0.02
 SCATTER = 8.0
 """... and after the last fit one further than this share of a square, and than this many times the median corner, is
@@ -45,17 +53,29 @@ LOW_CONTRAST = 0.2
 """A corner of less than this share of the board's usual contrast is hidden or in glare."""
 LOST_SHARE = 0.2
 """With more than this share of corners refused, the whole view is."""
-BLUR_SHARE = 0.3
-"""Edges blurred by more than this share of a square make neighbouring corners run together."""
+SEEN_SIDE = 0.5
+"""Share of an outer row's or column's corners that must be kept: else the board may have fewer."""
+BLUR_SHARE = 0.25
+"""Edges blurred by more than this share of a square make neighbouring corners run together, off by twice what the fit
+says."""
 COARSE_WIDTH_PX = 1300
 """The first search needs no more pixels than this; wider images are halved for it until they fit."""
 
 
 def find_checkerboard(image: Image, board: Target, source: str, detector: str) -> BoardView:
     """Return all corners of the board, or those that could be verified; raises BadImage with the reason."""
-    coarse = coarse_corners(image, board.columns, board.rows, detector)
+    quick = detector == "quick"
+    coarse = grid_at_a_glance(image, board.columns, board.rows) if quick or detector == "auto" else None
+    if coarse is not None:
+        try:
+            return refine_corners(image, board, number_corners(image, board, coarse), source)
+        except BadImage:
+            if quick:
+                raise
+    if not quick:
+        coarse = coarse_corners(image, board.columns, board.rows, detector)
     if coarse is None:
-        instead, unseen, size = _instead(image, board)
+        instead, unseen, size = (" at a glance", Unseen.OTHER, None) if quick else _instead(image, board)
         raise BadImage(
             f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found{instead}",
             consequence="The image is not used",
@@ -93,12 +113,6 @@ def coarse_corners(image: Image, columns: int, rows: int, detector: str) -> Arra
     return None
 
 
-def shrunk(image: Image, factor: int) -> Image:
-    """Return the image made smaller by a whole factor, grey levels averaged."""
-    small = cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.uint8)
-
-
 def _full_size(corners: ArrayLike, factor: float) -> Array:
     """Return the corners (n, 2) in pixels of the full image."""
     uv = np.asarray(corners, float).reshape(-1, 2)
@@ -110,13 +124,16 @@ def number_corners(image: Image | Array, board: Target, uv: Array) -> Array:
 
     Where the colours leave a choice, x points as far to the image's right as it can.
     """
-    n = board.columns
-    E, _ = fit_map(grid_of(board), uv)[0].derivatives(grid_of(board))
-    if np.linalg.det(E.mean(axis=0)) < 0.0:
-        uv = uv.reshape(-1, n, 2)[:, ::-1].reshape(-1, 2)
-    turned = [uv[turn] for turn in grid_turns(board).values()]
-    black_first = [t for t in turned if _first_square_is_black(image, board, t)]
-    return most_upright(black_first or turned, board)
+    table = uv.reshape(board.rows, board.columns, 2)
+    x, y = (table[:, -1] - table[:, 0]).mean(axis=0), (table[-1] - table[0]).mean(axis=0)
+    if x[0] * y[1] - x[1] * y[0] < 0.0:
+        uv = table[:, ::-1].reshape(-1, 2)
+    table = uv.reshape(board.rows, board.columns, 2)
+    alike = _squares_alike(board)
+    quarters = range(4) if board.columns == board.rows else (0, 2)
+    black = _first_square_is_black(image, board, uv)
+    black_first = [q for q in quarters if bool(np.rot90(alike, q)[0, 0]) == black]
+    return most_upright([np.rot90(table, q).reshape(-1, 2) for q in black_first or quarters], board)
 
 
 def grid_of(board: Target) -> Array:
@@ -131,44 +148,47 @@ def parity_of(board: Target) -> Array:
 
 def _first_square_is_black(image: Image | Array, board: Target, uv: Array) -> bool:
     """Tell whether the square between the first four corners is darker than its neighbours, over the whole board."""
-    grid = grid_of(board)
-    inner = (grid < grid.max(axis=0)).all(axis=1)
-    centres = fit_map(grid, uv)[0](grid[inner] + 0.5)
-    col = np.clip(np.rint(centres[:, 0]).astype(int), 0, image.shape[1] - 1)
-    row = np.clip(np.rint(centres[:, 1]).astype(int), 0, image.shape[0] - 1)
-    level = image[row, col].astype(float)
-    dark = parity_of(board)[inner] < 0.0
-    if dark.all():
-        return True
-    return bool(level[dark].mean() < level[~dark].mean())
+    table = uv.reshape(board.rows, board.columns, 2)
+    centres = 0.25 * (table[:-1, :-1] + table[:-1, 1:] + table[1:, :-1] + table[1:, 1:])
+    level = levels_at(image, centres.reshape(-1, 2)).reshape(centres.shape[:2])
+    alike = _squares_alike(board)
+    return bool(alike.all() or level[alike].mean() < level[~alike].mean())
+
+
+def _squares_alike(board: Target) -> NDArray[np.bool_]:
+    """Tell which of the squares between the corners (rows - 1, columns - 1) have the first one's colour."""
+    return np.asarray(np.add.outer(np.arange(board.rows - 1), np.arange(board.columns - 1)) % 2 == 0)
 
 
 def refine_corners(image: Image, board: Target, guess: Array, source: str) -> BoardView:
-    """Fit every corner twice, the second time with straightened edges, and keep what passes the checks."""
+    """Fit every corner three times, the last in a large window, and keep what passes the checks."""
     grid, sign = grid_of(board), parity_of(board)
     refuse_miscount(image, board, guess, source)
     if not _first_square_is_black(image, board, guess):
         sign = -sign
-    uv = guess
-    for half_px in (FIRST_HALF_PX, LAST_HALF_PX):
+    uv, like = guess, ALONE
+    for effort in FITS:
         smooth, distance = fit_map(grid, uv)
         size = _square_px(smooth, grid)
-        uv, covariance, quality = _fit(
-            image, smooth, grid, np.where((distance > OFF_GRID * size)[:, None], smooth(grid), uv), sign, half_px
-        )
+        start = np.where((distance > OFF_GRID * size)[:, None], smooth(grid), uv)
+        uv, covariance, quality, like = _fit(image, smooth, grid, start, sign, effort, like)
+        like = np.where((quality[:, 0] > SURE)[:, None], like, np.nan)
     smooth, distance = fit_map(grid, uv)
     size = _square_px(smooth, grid)
     contrast = quality[:, 1]
-    limit = np.clip(SCATTER * np.median(distance), SMOOTH * size, OFF_GRID * size)
+    limit = np.clip(SCATTER * median(distance), SMOOTH * size, OFF_GRID * size)
     good = (quality[:, 0] > EXPLAINED) & (distance < limit)
-    usual = float(np.median(contrast[good])) if good.any() else 0.0
+    usual = float(median(contrast[good])) if good.any() else 0.0
     good &= contrast > LOW_CONTRAST * usual
     _refuse(image, board, source, smooth, good, quality, size, sign)
+    for side, axis, place in outer_lines(board):
+        if good[np.abs(grid[:, axis] - place) < 0.5].mean() < SEEN_SIDE:
+            raise too_few(f"{source}: most of the {side} of {board.columns}x{board.rows} inner corners are not there")
     index = np.flatnonzero(good)
     return BoardView(
         uv_px=uv[index],
         index=index,
-        sigma_px=float(np.sqrt(np.median(np.trace(covariance[index], axis1=1, axis2=2)) / 2.0)),
+        sigma_px=float(np.sqrt(median(np.trace(covariance[index], axis1=1, axis2=2)) / 2.0)),
         width=image.shape[1],
         height=image.shape[0],
         source=source,
@@ -182,19 +202,20 @@ def _square_px(smooth: GridMap, grid: Array) -> Array:
 
 
 def _fit(
-    image: Image, smooth: GridMap, grid: Array, guess: Array, sign: Array, half_px: float
-) -> tuple[Array, Array, Array]:
-    """Return the fitted corners (n, 2), covariances (n, 2, 2) and quality (n, 4)."""
+    image: Image,
+    smooth: GridMap,
+    grid: Array,
+    guess: Array,
+    sign: Array,
+    effort: tuple[float, float, int],
+    like: Array = ALONE,
+) -> tuple[Array, Array, Array, Array]:
+    """Return the fitted corners (n, 2), covariances (n, 2, 2), quality (n, 4) and parameters (n, 10)."""
     E, Q = smooth.derivatives(grid)
-    longer = np.linalg.norm(E, axis=1).max(axis=1)
-    n = len(grid)
-    uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
-    reach = np.minimum(REACH, half_px / longer)
-    contiguous = np.ascontiguousarray
-    fit_corners(
-        image, contiguous(guess), contiguous(E), contiguous(Q), contiguous(reach), sign, uv, covariance, quality
-    )
-    return uv, covariance, quality
+    half_px, last_px, most = effort
+    reach = np.minimum(REACH, half_px / np.linalg.norm(E, axis=1).max(axis=1))
+    fitted: tuple[Array, Array, Array, Array] = fit_corners(image, guess, E, Q, reach, sign, like, last_px, most)
+    return fitted
 
 
 def _refuse_unclear(source: str, good: NDArray[np.bool_], quality: Array, size: Array) -> None:
@@ -206,7 +227,7 @@ def _refuse_unclear(source: str, good: NDArray[np.bool_], quality: Array, size: 
             consequence="The image is not used",
             cure="Show the whole board without reflections",
         )
-    blur = float(np.median(quality[good, 2] / size[good]))
+    blur = float(median(quality[good, 2] / size[good]))
     if blur > BLUR_SHARE:
         raise BadImage(
             f"{source}: blurred: the edges are {blur:.2f} of a square wide (standard deviation)",
@@ -228,11 +249,16 @@ def _refuse(
 ) -> None:
     """Raise BadImage where the corners are not those of this board, or too blurred to be placed."""
     _refuse_unclear(source, good, quality, size)
-    for side, more in _beyond(board).items():
-        uv, _, beyond = _fit(image, smooth, more, smooth(more), _sign_at(more, sign), FIRST_HALF_PX)
-        near = np.linalg.norm(uv - smooth(more), axis=1) < OFF_GRID * float(np.median(size))
-        clear, contrast = np.median(quality[good, :2], axis=0)
-        like = near & (beyond[:, 0] > 0.5 * (END_OF_BOARD + clear)) & (beyond[:, 1] > 0.5 * contrast)
+    sides = _beyond(board)
+    around = np.concatenate(list(sides.values()))
+    there = smooth(around)
+    uv, _, beyond, _ = _fit(image, smooth, around, there, _sign_at(around, sign), BEYOND)
+    clear, contrast = median(quality[good, 0]), median(quality[good, 1])
+    off = np.linalg.norm(uv - there, axis=1)
+    corners = (off < OFF_GRID * median(size)) & (beyond[:, 0] > 0.5 * (END_OF_BOARD + clear))
+    corners &= beyond[:, 1] > 0.5 * contrast
+    ends = np.cumsum([len(more) for more in sides.values()])[:-1]
+    for (side, more), like in zip(sides.items(), np.split(corners, ends), strict=True):
         if like.mean() <= PERHAPS_BEYOND:
             continue
         sure = like.mean() > 1.0 - LOST_SHARE and not _margin(image, board, smooth, more, sign)
@@ -264,11 +290,10 @@ def _margin(image: Image, board: Target, smooth: GridMap, more: Array, sign: Arr
 
 def _step(image: Image, uv: Array, sign: Array) -> float:
     """Return how much brighter the image is at the pixels (n, 2) of sign +1 than at the others; NaN for none."""
-    at = np.rint(uv).astype(int)
-    seen = ((at >= 0) & (at < [image.shape[1], image.shape[0]])).all(axis=1)
+    seen = ((uv >= -0.5) & (uv < [image.shape[1] - 0.5, image.shape[0] - 0.5])).all(axis=1)
     if len(np.unique(sign[seen])) < 2:
         return float("nan")
-    level = image[at[seen, 1], at[seen, 0]].astype(float)
+    level = levels_at(image, uv[seen])
     return float(level[sign[seen] > 0.0].mean() - level[sign[seen] < 0.0].mean())
 
 
@@ -328,55 +353,3 @@ def _largest_grid(image: Image) -> tuple[int, int] | None:
     if not found or corners is None or meta is None:
         return None
     return int(max(meta.shape[:2])), int(min(meta.shape[:2]))
-
-
-OFF_LINE = 0.3
-"""An outer row or column further than this from where the rest of the board puts it, in squares, is not the board's:
-the paper's edge behind half squares is off by half a square."""
-ALTERNATE = 0.9
-"""Share of neighbouring squares that must differ as black and white do: of boards in photographs all do, of grids laid
-across the squares 0.4 to 0.82."""
-WITHIN = (0.3, 0.7)
-"""Where in a square its grey level is read, along each axis."""
-
-
-def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> None:
-    """Raise BadImage where corners (n, 2) px are not those of columns x rows neighbouring squares' corners."""
-    grid = np.rint(board.xyz_m[:, :2] / board.pitch_m)
-    smooth, _ = fit_map(grid, guess)
-    if alternating_share(image, board, smooth) < ALTERNATE:
-        raise BadImage(
-            f"{source}: the grid of {board.columns}x{board.rows} corners that is there has no squares between them",
-            consequence="The image is not used",
-            cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
-        )
-    for axis, count in enumerate((board.columns, board.rows)):
-        for end, name in ((0, "first"), (count - 1, "last")):
-            if off_line(grid, guess, grid[:, axis] == end) > OFF_LINE:
-                raise BadImage(
-                    f"{source}: the {name} {'row' if axis else 'column'} of {board.columns}x{board.rows} inner corners "
-                    f"is not where the others put it",
-                    consequence="There may be fewer, and the image is not used",
-                    cure="Count the inner corners again",
-                )
-
-
-def off_line(grid: Array, uv_px: Array, line: NDArray[np.bool_]) -> float:
-    """Return how far the corners of a line (n,) are from where the map of the others puts them: median, in squares."""
-    smooth, _ = fit_map(grid[~line], uv_px[~line])
-    square = np.linalg.norm(smooth.derivatives(grid[line])[0], axis=1).min(axis=1)
-    return float(np.median(np.linalg.norm(smooth(grid[line]) - uv_px[line], axis=1) / square))
-
-
-def alternating_share(image: Image, board: Target, smooth: GridMap) -> float:
-    """Return the share of neighbouring inner squares, read at four places each, whose grey levels differ in turn."""
-    x, y = np.meshgrid(np.arange(board.columns - 1.0), np.arange(board.rows - 1.0))
-    steps: list[Array] = []
-    for dx in WITHIN:
-        for dy in WITHIN:
-            at = np.rint(smooth(np.stack([(x + dx).ravel(), (y + dy).ravel()], axis=1))).astype(int)
-            column, row = (np.clip(at[:, i], 0, image.shape[1 - i] - 1) for i in range(2))
-            level = image[row, column].astype(float).reshape(x.shape) * np.where((x + y) % 2 == 0, 1.0, -1.0)
-            steps += [(level[:, 1:] + level[:, :-1]).ravel(), (level[1:] + level[:-1]).ravel()]
-    bright_less_dark = np.concatenate(steps)
-    return float(max(np.mean(bright_less_dark > 0.0), np.mean(bright_less_dark < 0.0)))

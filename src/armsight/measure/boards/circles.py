@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from armsight.errors import BadImage
 from armsight.measure.boards.gridmap import axis_px, fit_map
-from armsight.measure.boards.kernels.subpixel import fit_dots
+from armsight.measure.boards.kernels.subpixel import TRIALS, fit_dots
 from armsight.measure.boards.lattice import (
     FULL_SIDE,
     LOST_SHARE,
@@ -45,6 +45,8 @@ NARROW = 1.4
 """Radius of the smaller window."""
 CLEAN = 0.98
 """Where a dot explains less of its window's grey levels, the paper's edge may be in it: a smaller one is tried."""
+BEYOND_TRIALS = 10
+"""Evaluations of the model for a dot beyond the board: a true one is there after eight, what is none would take 40."""
 GLARE = 0.3
 """The inner part of a dot, as a share of its area, that is not looked at: lamps mirror there."""
 EXPLAINED = 0.8
@@ -75,14 +77,14 @@ class _Search:
     grid: Grid
     source: str
     best: BoardView | None = None
-    largest: Lattice = field(default_factory=dict)
+    largest: Lattice | None = None
     beyond: bool = False
     unclean: BadImage | None = None
 
     def look(self, dots: Dots) -> None:
         """Look for the board in one image's dots. Raises BadImage for a mirrored board."""
         for lattice in lattices(dots):
-            if len(lattice) > len(self.largest):
+            if self.largest is None or len(lattice) > len(self.largest):
                 self.largest = lattice
             ways = placements(lattice, dots, self.grid)
             self.beyond = self.beyond or any(way.beyond for way in ways)
@@ -274,7 +276,7 @@ def _goes_on(image: Image, grid: Grid, dots: Dots, numbering: Index, contrast: f
     """
     for side in grid.beyond:
         guess, shape, _ = _usual_dots(grid, dots, numbering, side)
-        uv, _, quality = _centred(image, guess, shape)
+        uv, _, quality = _centred(image, guess, shape, BEYOND_TRIALS)
         alike = _clean(uv, quality, guess, shape, contrast) & _as_large(quality, shape, radius)
         if np.count_nonzero(alike) >= FULL_SIDE * len(side):
             return True
@@ -299,20 +301,14 @@ def _clean(uv: Array, quality: Array, guess: Array, shape: Array, contrast: floa
     return np.asarray(good & (np.linalg.norm(uv - guess, axis=1) < near))
 
 
-def _centred(image: Image, guess: Array, shape: Array) -> tuple[Array, Array, Array]:
+def _centred(image: Image, guess: Array, shape: Array, most: int = TRIALS) -> tuple[Array, Array, Array]:
     """Return centres (n, 2), their covariance (n, 2, 2) and quality (n, 4) by a fit of every dot's edge."""
 
-    def fit(at: Array, axes: Array, reach: Array) -> tuple[Array, Array, Array]:
-        n = len(at)
-        uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
-        fit_dots(image, at, np.ascontiguousarray(axes), reach, GLARE, uv, covariance, quality)
-        return uv, covariance, quality
-
     reach = _reach(guess, shape)
-    first = fit(guess, shape, reach)
+    first: tuple[Array, Array, Array] = fit_dots(image, guess, shape, reach, GLARE, most)
     unclean = np.flatnonzero(first[2][:, 0] < CLEAN)
     if len(unclean):
-        second = fit(guess[unclean], shape[unclean], np.minimum(NARROW, reach[unclean]))
+        second = fit_dots(image, guess[unclean], shape[unclean], np.minimum(NARROW, reach[unclean]), GLARE, most)
         better = second[2][:, 0] > first[2][unclean, 0]
         # a ring this narrow may be explained by a dot with no light level in common with the others
         usual = float(np.median(first[2][:, 1]))
@@ -330,9 +326,9 @@ def _reach(uv: Array, shape: Array) -> Array:
     return np.asarray(np.clip(gap, LEAST_REACH, REACH))
 
 
-def _instead(lattice: Lattice, board: Target, *, beyond: bool) -> str:
+def _instead(lattice: Lattice | None, board: Target, *, beyond: bool) -> str:
     """Return words on the grid that was found, if it is large enough to mean anything."""
-    if len(lattice) < 9:
+    if lattice is None or len(lattice) < 9:
         return ""
     size = _whole_size(lattice, board)
     if size is not None:
@@ -342,12 +338,12 @@ def _instead(lattice: Lattice, board: Target, *, beyond: bool) -> str:
     return f" (the largest grid has {len(lattice)} circles of {len(board.names)})"
 
 
-def _whole_size(lattice: Lattice, board: Target) -> tuple[int, int] | None:
+def _whole_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | None:
     """Return counts of a whole grid of another size, or None: of a symmetric one the larger first, of an asymmetric one
     columns and rows exchanged."""
-    if len(lattice) < 9:
+    if lattice is None or len(lattice) < 9:
         return None
-    found = np.array(list(lattice))
+    found = lattice.places
     if board.kind is TargetKind.ACIRCLES:
         return (board.rows, board.columns) if _is_exchanged(found, board) else None
     i, j = (np.ptp(found, axis=0) + 1).tolist()

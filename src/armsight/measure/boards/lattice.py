@@ -5,9 +5,8 @@ And the board's own dots taken out of a lattice that strangers joined.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -18,15 +17,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.measure.boards.gridmap import GridMap, fit_map
+from armsight.measure.boards.kernels.lattice import chain, grow_lattice, seed_steps
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Lattice = dict[tuple[int, int], int]
-"""Integer place -> position of the dot."""
 
 NEIGHBOURS = 8
 OPPOSITE = 0.2
 """The middle of two opposite neighbours lies within this share of their distance from the dot between them."""
+CELL_PX = 16.0
+"""Width of the cells by which the nearest dot is found."""
 MOST_SEEDS = 60
 """Dots from which a lattice is grown; the most regular come first, so this ends a search among strangers only."""
 NEAR = 0.3
@@ -70,6 +70,17 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lattice:
+    """Dots (m,) and their places (m, 2) in whole numbers, from the first one's on."""
+
+    members: Index
+    places: Index
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placed:
     """One way a board may lie on a lattice: dot (n,) of each of its points, -1 where none; beyond: the grid goes on."""
 
@@ -86,86 +97,38 @@ def lattices(dots: Dots) -> Iterator[Lattice]:
     """Yield the lattices of at least four dots grown from the most regular dots outwards, none from a used dot."""
     if len(dots.uv) < 4:
         return
-    used: set[int] = set()
+    used = np.zeros(len(dots.uv), dtype=np.bool_)
+    order, steps = _seeds(dots)
     tried = 0
-    for seed, steps in _seeds(dots):
-        if seed in used:
+    first, after = dots.chained
+    for seed in order.tolist():
+        if used[seed]:
             continue
-        lattice = _grow(dots, seed, steps)
+        members, places = grow_lattice(dots.uv, dots.area, first, after, CELL_PX, seed, steps[seed], NEAR, ALIKE)
         tried += 1
-        if len(lattice) >= 4:
-            used |= set(lattice.values())
-            yield lattice
+        if len(members) >= 4:
+            used[members] = True
+            yield Lattice(members=members, places=places)
         if tried >= MOST_SEEDS:
             return
 
 
-def _seeds(dots: Dots) -> Iterator[tuple[int, Array]]:
-    """Yield dots with two pairs of opposite, alike neighbours, the most regular first, and the steps (2, 2) to them."""
+def _seeds(dots: Dots) -> tuple[Index, Array]:
+    """Return dots (m,) with two pairs of opposite, alike neighbours, the most regular first, and the steps to them
+    (n, 2, 2) of all dots."""
     n = min(NEIGHBOURS + 1, len(dots.uv))
-    near = np.asarray(dots.tree.query(dots.uv, k=n)[1])[:, 1:]  # (m, k)
+    near = np.asarray(dots.tree.query(dots.uv, k=n)[1])[:, 1:]  # (n, k)
     step = dots.uv[near] - dots.uv[:, None]
     length = np.linalg.norm(step, axis=2)
     log_area = np.log(dots.area)
     alike = np.abs(log_area[near] - log_area[:, None]) < np.log(ALIKE)
     a, b = np.triu_indices(n - 1, 1)
     error = np.linalg.norm(step[:, a] + step[:, b], axis=2) / np.maximum(length[:, a] + length[:, b], 1e-9)
-    error = np.where(alike[:, a] & alike[:, b], error, np.inf)
-    found: list[tuple[float, int, Array]] = []
-    for dot in np.flatnonzero((error < OPPOSITE).sum(axis=1) >= 2).tolist():
-        pairs = np.flatnonzero(error[dot] < OPPOSITE)
-        pairs = pairs[np.argsort(np.minimum(length[dot, a[pairs]], length[dot, b[pairs]]), kind="stable")]
-        first = pairs[0]
-        e = step[dot, a[first]]
-        for other in pairs[1:]:
-            f = step[dot, a[other]]
-            if abs(e[0] * f[1] - e[1] * f[0]) > 0.35 * np.linalg.norm(e) * np.linalg.norm(f):
-                found.append((float(error[dot, first] + error[dot, other]), dot, np.stack([e, f], axis=1)))
-                break
-    for _, dot, steps in sorted(found, key=lambda entry: entry[:2]):
-        yield dot, steps
-
-
-def _grow(dots: Dots, seed: int, steps: Array) -> Lattice:
-    """Grow a lattice, the best-fitting dot next: strangers, which fit worse, come last and lead nothing astray."""
-    lattice: Lattice = {}
-    taken: set[int] = set()
-    waiting: list[tuple[float, int, tuple[int, int], int, Array]] = []
-    order = 0
-
-    def offer(place: tuple[int, int], dot: int, E: Array) -> None:
-        nonlocal order
-        for axis, sense in product((0, 1), (1, -1)):
-            after = (place[0] + sense, place[1]) if axis == 0 else (place[0], place[1] + sense)
-            if after in lattice:
-                continue
-            step = sense * E[:, axis]
-            distance, k = dots.tree.query(dots.uv[dot] + step)
-            error = float(distance / np.linalg.norm(step))
-            if error > NEAR or not _alike(dots, dot, int(k)):
-                continue
-            updated = E.copy()
-            updated[:, axis] = sense * (dots.uv[k] - dots.uv[dot])
-            order += 1
-            heapq.heappush(waiting, (error, order, after, int(k), updated))
-
-    lattice[0, 0] = seed
-    taken.add(seed)
-    offer((0, 0), seed, steps)
-    while waiting:
-        _, _, place, dot, E = heapq.heappop(waiting)
-        if place in lattice or dot in taken:
-            continue
-        lattice[place] = dot
-        taken.add(dot)
-        offer(place, dot, E)
-    return lattice
-
-
-def _alike(dots: Dots, a: int, b: int) -> bool:
-    """Tell whether two dots may be neighbours in one grid."""
-    ratio = float(dots.area[b] / dots.area[a])
-    return 1.0 / ALIKE < ratio < ALIKE
+    error = np.where(alike[:, a] & alike[:, b] & (error < OPPOSITE), error, np.inf)
+    order = np.argsort(np.minimum(length[:, a], length[:, b]), axis=1, kind="stable")
+    irregular, steps = seed_steps(step, error, np.stack([a, b], axis=1), order)
+    best = np.argsort(irregular, kind="stable")
+    return best[irregular[best] < np.inf], steps
 
 
 def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
@@ -176,27 +139,37 @@ def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
     """
     wanted = grid.places
     found: list[Placed] = []
-    places = np.array(list(lattice), dtype=np.intp)
-    members = np.array(list(lattice.values()), dtype=np.intp)
+    places, members = lattice.places, lattice.members
     if len(places) < PART * len(wanted):
         return found
+    fitted: dict[bytes, tuple[Placed | None, Index]] = {}
     mask = np.zeros(wanted.max(axis=0) + 1, np.int64)
     mask[wanted[:, 0], wanted[:, 1]] = 1
     for basis in BASES:
         moved = places @ basis.T
-        moved = moved - moved.min(axis=0)
+        low = moved.min(axis=0)
+        moved = moved - low
         table = np.full(moved.max(axis=0) + 1, -1, dtype=np.intp)
         table[moved[:, 0], moved[:, 1]] = members
         margin = np.array(mask.shape) - 1
+        shift = low - margin
         table = np.pad(table, ((margin[0],) * 2, (margin[1],) * 2), constant_values=-1)
         held = np.einsum("ijkl,kl->ij", sliding_window_view(table >= 0, mask.shape), mask)
         best = int(held.max())
         if best < PART * len(wanted):
             continue
         for corner in np.argwhere(held == best):
-            fitted = _fitted(table, corner + wanted, dots, grid)
-            if fitted is not None:
-                found.append(fitted)
+            at = corner + wanted
+            on_lattice = np.rint((at + shift) @ np.linalg.inv(basis).T).astype(np.intp)
+            order = np.lexsort(on_lattice.T)
+            key = on_lattice[order].tobytes()
+            if key not in fitted:  # a board's own turns lie on the same places
+                fitted[key] = _fitted(table, at, dots, grid), order
+            placed, first = fitted[key]
+            if placed is not None:
+                numbering = np.empty(len(wanted), dtype=np.intp)
+                numbering[order] = placed.numbering[first]
+                found.append(replace(placed, numbering=numbering))
     return sorted(found, key=lambda placed: -placed.count)
 
 
@@ -266,6 +239,13 @@ class Dots:
     def tree(self) -> cKDTree:
         """What finds the dot nearest to a pixel."""
         return cKDTree(self.uv)
+
+    @cached_property
+    def chained(self) -> tuple[Index, Index]:
+        """First dot of each cell of CELL_PX and the next after each dot, -1 for none."""
+        columns, rows = (int(largest / CELL_PX) + 1 for largest in self.uv.max(axis=0))
+        first, after = chain(self.uv, CELL_PX, columns, rows)
+        return first, after
 
     @property
     def shape(self) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
 from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.boards.kernels.subpixel import fit_corners
+from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.records import BoardView, Target
 
 Array = NDArray[np.float64]
@@ -71,11 +71,13 @@ class MarkerCorners:
         covariance, quality, size = np.empty((n, 2, 2)), np.empty((n, 4)), np.ones(n)
         for _ in range(2):
             smooth, _ = fit_map(grid, uv)
-            E, Q = (np.ascontiguousarray(part) for part in smooth.derivatives(grid))
+            E, Q = smooth.derivatives(grid)
             size = np.linalg.norm(E, axis=1).max(axis=1)
             reach = np.clip(MARGIN_SHARE * margin, LEAST_HALF_PX / size, MOST_HALF_PX / size)
-            start, uv = np.ascontiguousarray(smooth(grid)), np.empty((n, 2))
-            fit_corners(image, start, E, Q, reach, signs(start, E), uv, covariance, quality)
+            start = smooth(grid)
+            uv, covariance, quality, _ = fit_corners(
+                image, start, E, Q, reach, signs(start, E), ALONE, LAST_STEP_PX, TRIALS
+            )
         _, distance = fit_map(grid, uv)
         good = (quality[:, 0] > self.explained) & (distance < self.off_grid * size)
         if good.any():
