@@ -40,9 +40,11 @@ BEYOND = (8.0, 0.05, 8)
 """Of the fit of a corner beyond the board: a true one is explained as far as it will be after six evaluations of the
 model, and what is none would take forty."""
 PERHAPS_BEYOND = 0.3
-"""Where this share of one more row looks like corners, the whole image is searched for a larger board."""
+"""Where this share of one more row looks like corners, the board goes on, if the squares behind them alternate; where
+those are out of the image, the whole of it is searched for a larger board."""
 ALTERNATING = 0.5
-"""Share of the board's own step from black to white that the squares beyond must show to be the board's."""
+"""Share of the board's own step from black to white that the squares beyond show where it goes on: 0.78 and more of
+boards in photographs, blurred or not; behind their ends 0.24 at most."""
 BEHIND = 0.25
 """How far behind one more row of corners its squares are looked at: printed boards may end in half squares."""
 SMOOTH = 0.02
@@ -249,19 +251,23 @@ def _refuse(
 ) -> None:
     """Raise BadImage where the corners are not those of this board, or too blurred to be placed."""
     _refuse_unclear(source, good, quality, size)
-    sides = _beyond(board)
-    around = np.concatenate(list(sides.values()))
-    there = smooth(around)
-    uv, _, beyond, _ = _fit(image, smooth, around, there, _sign_at(around, sign), BEYOND)
+    grid = grid_of(board)
+    inner = grid[(grid < grid.max(axis=0)).all(axis=1)]
+    usual = _step(image, smooth(inner + 0.5), _sign_at(inner, sign))
     clear, contrast = median(quality[good, 0]), median(quality[good, 1])
-    off = np.linalg.norm(uv - there, axis=1)
-    corners = (off < OFF_GRID * median(size)) & (beyond[:, 0] > 0.5 * (END_OF_BOARD + clear))
-    corners &= beyond[:, 1] > 0.5 * contrast
-    ends = np.cumsum([len(more) for more in sides.values()])[:-1]
-    for (side, more), like in zip(sides.items(), np.split(corners, ends), strict=True):
+    for side, more in _beyond(board).items():
+        step = _step_behind(image, grid.max(axis=0), smooth, more, sign)
+        if step < ALTERNATING * usual:
+            continue
+        there, unknown = smooth(more), np.isnan(step)
+        uv, _, beyond, _ = _fit(image, smooth, more, there, _sign_at(more, sign), BEYOND)
+        like = np.linalg.norm(uv - there, axis=1) < OFF_GRID * median(size)
+        like &= (beyond[:, 0] > (0.5 * (END_OF_BOARD + clear) if unknown else EXPLAINED)) & (
+            beyond[:, 1] > 0.5 * contrast
+        )
         if like.mean() <= PERHAPS_BEYOND:
             continue
-        sure = like.mean() > 1.0 - LOST_SHARE and not _margin(image, board, smooth, more, sign)
+        sure = not unknown or like.mean() > 1.0 - LOST_SHARE
         whole = _larger_grid(image, board)
         if whole is None and sure:
             whole = _one_more(image, board, column="column" in side)
@@ -275,26 +281,21 @@ def _refuse(
             )
 
 
-def _margin(image: Image, board: Target, smooth: GridMap, more: Array, sign: Array) -> bool:
-    """Whether the squares behind one more row of corners (m, 2) do not alternate: the edge of a blurred board."""
-    grid = grid_of(board)
-    last = grid.max(axis=0)
-    inner = grid[(grid < last).all(axis=1)]
+def _step_behind(image: Image, last: Array, smooth: GridMap, more: Array, sign: Array) -> float:
+    """Return _step of the squares behind one more row of corners (m, 2), were there one; last (2,): the last corner."""
     outwards = np.rint(more[0] - np.clip(more[0], 0, last))
     along = more[(np.where(outwards == 0.0, more, 0.0) < last).all(axis=1)]
     behind = along + np.minimum(outwards, 0.0)  # a square is named by its corner nearest to the origin
-    usual = _step(image, smooth(inner + 0.5), _sign_at(inner, sign))
-    beyond = _step(image, smooth(along + np.where(outwards == 0.0, 0.5, BEHIND * outwards)), _sign_at(behind, sign))
-    return beyond < ALTERNATING * usual  # not where there is nothing to compare
+    return _step(image, smooth(along + np.where(outwards == 0.0, 0.5, BEHIND * outwards)), _sign_at(behind, sign))
 
 
 def _step(image: Image, uv: Array, sign: Array) -> float:
     """Return how much brighter the image is at the pixels (n, 2) of sign +1 than at the others; NaN for none."""
     seen = ((uv >= -0.5) & (uv < [image.shape[1] - 0.5, image.shape[0] - 0.5])).all(axis=1)
-    if len(np.unique(sign[seen])) < 2:
+    level, bright = levels_at(image, uv[seen]), sign[seen] > 0.0
+    if bright.all() or not bright.any():
         return float("nan")
-    level = levels_at(image, uv[seen])
-    return float(level[sign[seen] > 0.0].mean() - level[sign[seen] < 0.0].mean())
+    return float(level[bright].mean() - level[~bright].mean())
 
 
 def _beyond(board: Target) -> dict[str, Array]:
