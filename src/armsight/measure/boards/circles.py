@@ -33,6 +33,10 @@ BIG_DOT = 1.7
 """A dot whose area is this many times its neighbours' marks the origin (printed twice as wide, so four times)."""
 RING = 1.5
 """Radius, in the other dots' own, of a ring that lies inside a dot twice as wide, and outside one like the others."""
+INSIDE, OUTSIDE = 0.75, 1.4
+"""Radii of two rings: one in the dot, where no lamp mirrors and though it lies a little off, and one round it."""
+FAINT = 0.1
+"""What differs less from what is round it, in shares of the usual contrast, is not looked at as a dot."""
 LIKE_OTHERS = 1.15
 """A dot's radius agrees with the others' to this factor, or a threshold cut it."""
 AS_LARGE = 1.4
@@ -58,13 +62,17 @@ HIGH_CONTRAST = 1.5
 def find_circles(image: Image, board: Target, source: str) -> BoardView:
     """Return all circles of a symmetric or asymmetric grid; raises BadImage with the reason."""
     search = _Search(image=image, board=board, grid=_grid_of(board), source=source)
-    for dark in (True, False):
-        for block in neighbourhoods(image):
+    shades: tuple[bool, ...] = (True, False)
+    for block in neighbourhoods(image):
+        for dark in shades:
             search.look(round_dots(image, block, dark=dark))
-            if search.best is not None and len(search.best) == len(board.names):
-                return search.best
-        if search.best is not None:  # some dots are hidden, whatever the threshold
-            return search.best
+            if search.best is not None:
+                if len(search.best) == len(board.names):
+                    return search.best
+                shades = (dark,)
+                break
+    if search.best is not None:  # some dots are hidden, whatever the threshold
+        return search.best
     raise search.refusal()
 
 
@@ -221,9 +229,7 @@ def _twice_as_wide(image: Image, grid: Grid, dots: Dots, numbering: Index, point
     Compared on a ring that only a wide dot fills: it is then nearer to the other dots' middle than to the paper.
     """
     guess, shape, _ = _usual_dots(grid, dots, numbering, grid.places)
-    turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-    circle = RING * np.stack([np.cos(turn), np.sin(turn)])  # (2, m)
-    ring = np.median(_levels(image, guess[:, None] + np.swapaxes(shape @ circle, 1, 2)), axis=1)  # (n,)
+    ring = _ring(image, guess, shape, RING)
     paper, ink = np.median(ring), np.median(_levels(image, guess))
     return bool(abs(ring[point] - ink) < abs(ring[point] - paper))
 
@@ -274,13 +280,25 @@ def _goes_on(image: Image, grid: Grid, dots: Dots, numbering: Index, contrast: f
 
     The search may have missed them, as a threshold does where the light falls off.
     """
-    for side in grid.beyond:
-        guess, shape, _ = _usual_dots(grid, dots, numbering, side)
+    ends = np.cumsum([len(side) for side in grid.beyond])[:-1]
+    around = _usual_dots(grid, dots, numbering, np.concatenate(grid.beyond))[:2]
+    for guess, shape in zip(*(np.split(part, ends) for part in around), strict=True):
+        edge = _ring(image, guess, shape, OUTSIDE) - _ring(image, guess, shape, INSIDE)
+        perhaps = edge * np.sign(contrast) > FAINT * abs(contrast)
+        if np.count_nonzero(perhaps) < FULL_SIDE * len(guess):
+            continue
         uv, _, quality = _centred(image, guess, shape, BEYOND_TRIALS)
         alike = _clean(uv, quality, guess, shape, contrast) & _as_large(quality, shape, radius)
-        if np.count_nonzero(alike) >= FULL_SIDE * len(side):
+        if np.count_nonzero(alike) >= FULL_SIDE * len(guess):
             return True
     return False
+
+
+def _ring(image: Image, guess: Array, shape: Array, radius: float) -> Array:
+    """Return the median grey level (n,) on a ring round each place, its radius in the dots' own."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    circle = radius * np.stack([np.cos(turn), np.sin(turn)])  # (2, m)
+    return np.asarray(np.median(_levels(image, guess[:, None] + np.swapaxes(shape @ circle, 1, 2)), axis=1))
 
 
 def _radius(quality: Array, shape: Array) -> Array:

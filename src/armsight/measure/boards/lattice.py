@@ -12,12 +12,11 @@ from itertools import product
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.measure.boards.gridmap import GridMap, fit_map
-from armsight.measure.boards.kernels.lattice import chain, grow_lattice, seed_steps
+from armsight.measure.boards.kernels.lattice import chain, fullest, grow_lattice, seed_steps
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -37,6 +36,8 @@ BIGGEST = 8.0
 """The origin's bigger dot (twice as wide, so four times) has at most this many times the others' area."""
 PART = 0.75
 """A lattice must hold this share of a board's places before the rest is looked for among the other dots."""
+MOST_PLACES = 60
+"""Places on a lattice at which the board is tried: where more are as full, the lattice is larger than the board."""
 LOST_SHARE = 0.1
 """Share of a board's dots that may be missing."""
 ON_MAP = 0.12
@@ -143,27 +144,25 @@ def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
     if len(places) < PART * len(wanted):
         return found
     fitted: dict[bytes, tuple[Placed | None, Index]] = {}
-    mask = np.zeros(wanted.max(axis=0) + 1, np.int64)
-    mask[wanted[:, 0], wanted[:, 1]] = 1
+    margin = wanted.max(axis=0)
+    options, least = [], PART * len(wanted)
     for basis in BASES:
         moved = places @ basis.T
-        low = moved.min(axis=0)
-        moved = moved - low
-        table = np.full(moved.max(axis=0) + 1, -1, dtype=np.intp)
-        table[moved[:, 0], moved[:, 1]] = members
-        margin = np.array(mask.shape) - 1
-        shift = low - margin
-        table = np.pad(table, ((margin[0],) * 2, (margin[1],) * 2), constant_values=-1)
-        held = np.einsum("ijkl,kl->ij", sliding_window_view(table >= 0, mask.shape), mask)
-        best = int(held.max())
-        if best < PART * len(wanted):
-            continue
-        for corner in np.argwhere(held == best):
+        shift = moved.min(axis=0) - margin
+        table = np.full(np.ptp(moved, axis=0) + 1 + 2 * margin, -1, dtype=np.intp)
+        table[tuple((moved - shift).T)] = members
+        held, corners = fullest(table, wanted, least)
+        options.append((held, basis, shift, table, corners))
+        least = max(least, held - LOST_SHARE * len(wanted))  # what is slanted holds fewer
+    for held, basis, shift, table, corners in options:
+        for corner in corners if held >= least else ():
             at = corner + wanted
-            on_lattice = np.rint((at + shift) @ np.linalg.inv(basis).T).astype(np.intp)
+            on_lattice = (at + shift) @ np.rint(np.linalg.inv(basis)).astype(np.intp).T
             order = np.lexsort(on_lattice.T)
             key = on_lattice[order].tobytes()
             if key not in fitted:  # a board's own turns lie on the same places
+                if len(fitted) == MOST_PLACES:
+                    return [replace(placed, beyond=True) for placed in found]
                 fitted[key] = _fitted(table, at, dots, grid), order
             placed, first = fitted[key]
             if placed is not None:
@@ -218,6 +217,9 @@ FLATTEST = 0.2
 LEAST_LEVELS = 12.0
 """A dot must differ from its surroundings by this many grey levels."""
 SHORTEST_CONTOUR = 8
+CORE, ROUND = np.ones((2, 2), np.uint8), np.ones((3, 3), np.uint8)
+"""The smallest dot holds so many pixels in a square; what is further than one from such squares is not a dot's: texture
+and noise are thousands of speckles, whose contours took most of the time."""
 LARGEST_SHARE = 1.0 / 16.0
 """A dot covers at most this share of the image."""
 
@@ -271,7 +273,8 @@ def round_dots(image: Image, block: int, *, dark: bool) -> Dots:
         binary = cv2.threshold(image, 0, 255, kind | cv2.THRESH_OTSU)[1]
     else:
         offset = LEAST_LEVELS / 2.0 if dark else -LEAST_LEVELS / 2.0
-        binary = cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, max(block, 5), offset)
+        speckled = cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, max(block, 5), offset)
+        binary = cv2.bitwise_and(speckled, cv2.dilate(cv2.morphologyEx(speckled, cv2.MORPH_OPEN, CORE), ROUND))
     found, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     contours = [c.reshape(-1, 2) for c in found if SHORTEST_CONTOUR <= len(c) <= image.shape[1]]
     if not contours:

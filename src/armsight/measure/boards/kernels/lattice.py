@@ -149,3 +149,28 @@ def grow_lattice(uv, area, first, after, width_px, seed, steps, near, alike):
             waiting += 1
             made += 1
     return members[:m], places[:m]
+
+
+@kernel
+def fullest(table, places, least):
+    """Return how many of places (n, 2) hold a number that is not negative in a table (r, c) where the most do, and from
+    which corners (m, 2) on they do; 0 where they are fewer than least.
+    """
+    rows, columns = table.shape[0] - places[:, 0].max(), table.shape[1] - places[:, 1].max()
+    corners, n = np.empty((rows * columns, 2), np.int64), 0
+    most = int(np.ceil(least))
+    for row in range(rows):
+        for column in range(columns):
+            empty = 0
+            for k in range(len(places)):
+                empty += table[row + places[k, 0], column + places[k, 1]] < 0
+                if len(places) - empty < most:
+                    break
+            held = len(places) - empty
+            if held < most:
+                continue
+            if held > most:  # what was found before is less
+                most, n = held, 0
+            corners[n, 0], corners[n, 1] = row, column
+            n += 1
+    return most if n > 0 else 0, corners[:n]
