@@ -124,6 +124,8 @@ class _Search:
             return None
         numberings = [way.numbering for way in ways if _right_handed(dots.uv, way.numbering, self.board)]
         if not numberings:
+            if not self.grid.rims_held(np.flatnonzero(ways[0].numbering >= 0)):  # a smaller board
+                return None
             _refuse_mirrored(self.source, "")
         return self._oriented(numberings, dots)
 

@@ -36,8 +36,9 @@ BIGGEST = 8.0
 """The origin's bigger dot (twice as wide, so four times) has at most this many times the others' area."""
 PART = 0.75
 """A lattice must hold this share of a board's places before the rest is looked for among the other dots."""
-MOST_PLACES = 60
-"""Places on a lattice at which the board is tried: where more are as full, the lattice is larger than the board."""
+MOST_PLACES = 12
+"""Places on a lattice at which the board is tried: one to four where it is (415 pictures); where more are as full, the
+lattice is larger than the board."""
 LOST_SHARE = 0.1
 """Share of a board's dots that may be missing."""
 ON_MAP = 0.12
