@@ -160,9 +160,10 @@ def test_a_streak_is_the_engines() -> None:
     assert (np.abs(p - slow.shared) < 0.1 * std)[[0, 1, 2, 3]].all()
 
 
-def test_a_boards_corner_is_the_engines() -> None:
+@pytest.mark.parametrize("aside", [False, True])
+def test_a_boards_corner_is_the_engines(aside: bool) -> None:
     rng = np.random.default_rng(5)
-    y, x = (v.ravel().astype(float) for v in np.mgrid[-7:8, -7:8])
+    y, x = (v.ravel().astype(float) for v in np.mgrid[-12:13, -12:13])
 
     def level(p: Array) -> Array:
         edges = [erf((-np.sin(a) * (x - p[0]) + np.cos(a) * (y - p[1])) / (np.sqrt(2.0) * s))
@@ -175,7 +176,11 @@ def test_a_boards_corner_is_the_engines() -> None:
     start = p.copy()
     H, window, work = np.empty((10, 10)), np.zeros((3, subpixel.LARGEST)), np.empty(subpixel.ROWS * subpixel.CHUNK)
     window[:, : len(x)] = x, y, v
-    subpixel._descend(0, len(x), p, 5.0, subpixel.LAST_STEP_PX, subpixel.TRIALS, H, window.ravel(), work)
+    window, flat, near = window.ravel(), np.zeros((5, 5)), len(x)
+    if aside:
+        near = subpixel.set_aside(len(x), p, window, flat)
+        assert near < 0.7 * len(x)
+    subpixel._descend(0, near, p, 5.0, subpixel.LAST_STEP_PX, subpixel.TRIALS, H, window, flat, work)
     slow = by_engine(lambda q: level(q) - v, start)
     assert slow.covariance is not None
     std = np.sqrt(np.diag(slow.covariance.matrix))

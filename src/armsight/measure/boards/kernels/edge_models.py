@@ -17,6 +17,8 @@ LARGEST = 16384
 CHUNK = 200
 """Pixels that are worked on at a time: a table of so many stays in the nearest cache, and its rows, no power of two
 apart, do not push each other out of it; a whole window's costs twice the time."""
+FLAT, FLAT_PX = 4.0, 0.5
+"""A pixel so many blurs, and so many px more, from both edges has its quarter's own level to 1e-4 of the contrast."""
 RATIONAL = 0.3275911 * 0.7071067811865476
 ERF_1, ERF_2, ERF_3, ERF_4, ERF_5 = 0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429
 """Of the rational approximation of erf(z / sqrt(2)) in _edge."""
@@ -140,17 +142,61 @@ def _squares(W, n, H, g):
 
 
 @inner_kernel
-def accumulate(kind, n, p, window, W, H, g):
+def set_aside(n, p, window, flat):
+    """Keep the first of n pixels of a corner's window where an edge is near; fill flat (5, 5); return how many.
+
+    Elsewhere the model is level + slopes + or - contrast, linear in what is left: its normal equations are the sums
+    flat of products of one, x, y, sign and grey level, and need not be made anew at every step.
+    """
+    c1, s1, c2, s2 = cos(p[2]), sin(p[2]), cos(p[3]), sin(p[3])
+    near_1, near_2 = FLAT * p[4] + FLAT_PX, FLAT * p[5] + FLAT_PX
+    n_x = n_y = n_s = n_v = xx = xy = xs = xv = yy = ys = yv = sv = vv = 0.0
+    kept = 0
+    for i in range(n):
+        x, y, v = window[i], window[LARGEST + i], window[2 * LARGEST + i]
+        across_1, across_2 = c1 * y - s1 * x, c2 * y - s2 * x
+        if abs(across_1) > near_1 and abs(across_2) > near_2:
+            s = copysign(1.0, across_1 * across_2)
+            n_x, n_y, n_s, n_v = n_x + x, n_y + y, n_s + s, n_v + v
+            xx, xy, xs, xv = xx + x * x, xy + x * y, xs + x * s, xv + x * v
+            yy, ys, yv, sv, vv = yy + y * y, ys + y * s, yv + y * v, sv + s * v, vv + v * v
+        else:
+            window[kept], window[LARGEST + kept], window[2 * LARGEST + kept] = x, y, v
+            kept += 1
+    one = 1.0 * (n - kept)
+    for a, row in enumerate(
+        (
+            (one, n_x, n_y, n_s, n_v),
+            (n_x, xx, xy, xs, xv),
+            (n_y, xy, yy, ys, yv),
+            (n_s, xs, ys, one, sv),
+            (n_v, xv, yv, sv, vv),
+        )
+    ):
+        for b in range(5):
+            flat[a, b] = row[b]
+    return kept
+
+
+@inner_kernel
+def accumulate(kind, n, p, window, flat, W, H, g):
     """Fill H = J'J (lower half) and g = J'r of the model in the window; return the sum of squares.
 
     window: rows of LARGEST, the pixels' places from the window's centre and grey levels. W: rows of CHUNK, the same for
     some of them at a time: ten derivatives, of which those of the level and its slopes are ones and the places X and Y;
     grey levels V and residuals REST. Both are flat, and their rows a constant apart, so that the compiler knows that
-    they do not overlap, and makes vector instructions of a loop that fills them all.
+    they do not overlap, and makes vector instructions of a loop that fills them all. flat: of pixels set aside.
     """
     H[:] = 0.0
     g[:] = 0.0
-    cost = 0.0
+    cost = flat[4, 4]
+    for a in range(4):
+        for b in range(4):
+            g[6 + a] += flat[a, b] * p[6 + b]
+            if b <= a:
+                H[6 + a, 6 + b] = flat[a, b]
+        g[6 + a] -= flat[a, 4]
+        cost += p[6 + a] * (g[6 + a] - flat[a, 4])
     for begin in range(0, n, CHUNK):
         m = min(CHUNK, n - begin)
         for i in range(m):

@@ -14,7 +14,7 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2
-from armsight.measure.boards.kernels.edge_models import CHUNK, LARGEST, N_CORNER, N_DOT, ROWS, accumulate
+from armsight.measure.boards.kernels.edge_models import CHUNK, LARGEST, N_CORNER, N_DOT, ROWS, accumulate, set_aside
 
 ALONE = np.empty((0, N_CORNER))
 """No earlier fit to start from."""
@@ -42,10 +42,10 @@ def _possible(kind, p, reach):
 
 
 @inner_kernel
-def _descend(kind, n, p, reach, last_px, most, H, window, W):
+def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
     """Improve p (10,) by Levenberg-Marquardt on n samples; H receives J'J (lower half); return the sum of squares.
 
-    last_px: a step so short is the last. most: how often the model may be evaluated. window, W: see
+    last_px: a step so short is the last. most: how often the model may be evaluated. window, flat, W: see
     accumulate.
     """
     m = H.shape[0]
@@ -55,7 +55,7 @@ def _descend(kind, n, p, reach, last_px, most, H, window, W):
     H_trial = np.empty((m, m))
     g_trial = np.empty(m)
     damping = 1e-3
-    cost = accumulate(kind, n, p, window, W, H, g)
+    cost = accumulate(kind, n, p, window, flat, W, H, g)
     evaluated = 1
     settled = False
     while evaluated < most and damping < 1e6:
@@ -71,7 +71,7 @@ def _descend(kind, n, p, reach, last_px, most, H, window, W):
             copy_1(trial, p)
             return cost
         if moved:
-            new = accumulate(kind, n, trial, window, W, H_trial, g_trial)
+            new = accumulate(kind, n, trial, window, flat, W, H_trial, g_trial)
             evaluated += 1
             moved = new <= cost
         if not moved:
@@ -181,7 +181,7 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most):
     N = guess.shape[0]
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
     window, W = np.empty(3 * LARGEST), np.empty(ROWS * CHUNK)
-    found = np.full((N, N_CORNER), np.nan)
+    found, flat = np.full((N, N_CORNER), np.nan), np.zeros((5, 5))
     H = np.empty((N_CORNER, N_CORNER))
     C = np.empty((N_CORNER, N_CORNER))
     for i in range(N):
@@ -193,10 +193,12 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most):
             continue
         p = found[i]
         size = _start_corner(basis[i], sign[i], mean, spread, p)
+        near, flat[:] = n, 0.0
         if len(like) > 0 and not np.isnan(like[i, 0]):
             copy_1(like[i], p)
+            near = set_aside(n, p, window, flat)
         p[0] = p[1] = 0.0
-        cost = _descend(0, n, p, 0.6 * size, last_px, most, H, window, W)
+        cost = _descend(0, near, p, 0.6 * size, last_px, most, H, window, flat, W)
         noise2 = cost / (n - N_CORNER)
         quality[i, 1] = -p[9] * sign[i]
         quality[i, 2] = max(p[4], p[5])
@@ -252,13 +254,13 @@ def fit_dots(image, guess, shape, reach, hole, most):
     N = guess.shape[0]
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
     window, W = np.empty(3 * LARGEST), np.empty(ROWS * CHUNK)
-    flat = np.zeros((2, 3))
+    straight, flat = np.zeros((2, 3)), np.zeros((5, 5))
     p = np.empty(N_DOT)
     H = np.empty((N_DOT, N_DOT))
     C = np.empty((N_DOT, N_DOT))
     for i in range(N):
         E = shape[i]
-        n = _sample(image, guess[i, 0], guess[i, 1], E, flat, reach[i], hole, window)
+        n = _sample(image, guess[i, 0], guess[i, 1], E, straight, reach[i], hole, window)
         det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
         if n < 2 * N_DOT or not abs(det) > 0.0:
             continue
@@ -267,7 +269,7 @@ def fit_dots(image, guess, shape, reach, hole, most):
             continue
         if not _start_dot(window[:LARGEST], window[LARGEST:], window[2 * LARGEST :], n, E, p):
             continue
-        cost = _descend(1, n, p, 0.6 * sqrt(abs(det)), LAST_STEP_PX, most, H, window, W)
+        cost = _descend(1, n, p, 0.6 * sqrt(abs(det)), LAST_STEP_PX, most, H, window, flat, W)
         noise2 = cost / (n - N_DOT)
         quality[i, 1] = -p[9]
         quality[i, 2] = p[5]
