@@ -115,7 +115,7 @@ def measure_free_running(
     unsure = (_from(seen_s[off], at_s) < MISFIT_S) | (_from(seen_s[whole & ~off], at_s) > MAX_WITHOUT_WHOLE_S)
     asked = [None if refused else states[k] for k, refused in zip(rows[: len(at_s)], unsure, strict=True)]
     check = check_motion(setup, views, starts, smoothed.jerk)
-    builder = _PoseBuilder(
+    made = _PoseBuilder(
         setup=setup,
         wider=max(chi2 or 1.0, 1.0),
         timing=smoothed.timing,
@@ -125,8 +125,7 @@ def measure_free_running(
         doubted=check.verdict.verdict == "inconsistent" or _contradicts(smoothed.timing, asked),
     )
     poses = [
-        builder.pose(float(t), state, _names(setup, views, seen_s, float(t)))
-        for t, state in zip(at_s, asked, strict=True)
+        made.pose(float(t), state, _names(setup, views, seen_s, float(t))) for t, state in zip(at_s, asked, strict=True)
     ]
     figures = _figures(timing, smoothed.timing, views, len(starts), chi2, asked, times)
     return FreeRun(poses=poses, views=views, residuals=_by_side(found), figures=figures, consistency=check.verdict)
