@@ -29,6 +29,7 @@ from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
 from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_others, measure_round, pack_results
+from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
 from armsight.measure.spots.kernels.processed import add_background_variance
 from armsight.records import Spots, trusted
 
@@ -302,30 +303,16 @@ def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray
     scale is the size of a pixel of the level: 2, 4, 8 ... A light is found on the level on which its radius is up to
     two pixels: the half-sized image shows the smallest as well.
     """
-    least = int(0.4 * contrast)
-    found: list[NDArray[np.int64]] = []
-    if min(grey.shape) < 2 * BOX_PX:
-        return np.empty((0, 3), np.int64)
-    level, scale = _halved(grey), 2
-    while True:
-        step = cv2.subtract(level, cv2.blur(level, (BOX_PX, BOX_PX)))  # stops at zero: only what is brighter
-        highest = np.asarray(cv2.dilate(step, _SQUARE), dtype=np.uint8)
-        top = cv2.compare(step, np.maximum(highest, np.uint8(least), out=highest), cv2.CMP_GE)
-        at = cv2.findNonZero(top)
-        if at is not None:
-            x, y = at[:, 0, 0], at[:, 0, 1]
-            half = scale // 2
-            places = np.column_stack([x * scale + half, y * scale + half, np.full(len(x), scale), step[y, x]])
-            found.append(np.minimum(places, [grey.shape[1] - 1, grey.shape[0] - 1, scale, 255]))
-        scale *= 2
-        if scale > 0.5 * max_radius_px or min(level.shape) < 2 * BOX_PX:
+    least = np.uint8(0.4 * contrast)
+    found = np.empty((0, 4), np.int64)
+    level, scale = grey, 1
+    while scale == 1 or scale <= 0.25 * max_radius_px:
+        if min(level.shape) < 2 * BOX_PX:
             break
-        level = _halved(level)
-    if not found:
-        return np.empty((0, 3), np.int64)
-    peaks = np.concatenate(found)
-    order = np.argsort(np.uint8(255) - peaks[:, 3].astype(np.uint8), kind="stable")  # bytes are sorted by counting
-    return np.ascontiguousarray(peaks[order, :3], dtype=np.int64)
+        level, scale = _halved(level), 2 * scale
+        step = cv2.subtract(level, cv2.blur(level, (BOX_PX, BOX_PX)))  # stops at zero: only what is brighter
+        found = add_peaks(step, cv2.dilate(step, _SQUARE), least, scale, grey.shape, found)
+    return strongest_first(found)
 
 
 def _halved(grey: Image) -> Image:
