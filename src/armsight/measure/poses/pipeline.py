@@ -76,7 +76,7 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measured  # all that has the colour was looked at; more lights would tell no more
     if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
         return measured
-    again = _measure_candidates(setup, frames, t_s, *_candidates(setup, left, right, faint=True), track)
+    again = _measure_candidates(setup, frames, t_s, *_closer(setup, at_left, at_right), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
 
 
@@ -90,10 +90,28 @@ def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
     return candidates.room or any(why in SECOND_LOOK for _, _, why in seen.rejected)
 
 
-def _candidates(setup: Setup, left: Frame, right: Frame, *, faint: bool = False) -> tuple[Candidates, Candidates]:
+def _candidates(setup: Setup, left: Frame, right: Frame) -> tuple[Candidates, Candidates]:
     """Return what may be a light in both images; one image that holds both views is searched once."""
-    found = find_candidates(left.image, setup.sides[0], faint=faint)
-    return found, found if setup.overlaid else find_candidates(right.image, setup.sides[1], faint=faint)
+    if setup.overlaid:
+        found = find_candidates(left.image, setup.sides[0], setup.pace)
+        return found, found
+    return setup.pace.both(lambda side: find_candidates((left, right)[side].image, setup.sides[side], setup.pace))
+
+
+def _closer(setup: Setup, left: Candidates, right: Candidates) -> tuple[Candidates, Candidates]:
+    """Return what a closer look at both images shows."""
+    if setup.overlaid:
+        found = left.closer()
+        return found, found
+    return setup.pace.both(lambda side: (left, right)[side].closer())
+
+
+def _spots_of(setup: Setup, left: Candidates, right: Candidates, chosen: tuple[Index, Index]) -> tuple[Spots, Spots]:
+    """Measure the chosen candidates of both images; of one image that holds both views those of either."""
+    if setup.overlaid:
+        spots = left.measure(np.union1d(*chosen))
+        return spots, spots
+    return setup.pace.both(lambda side: (left, right)[side].measure(chosen[side]))
 
 
 def _measure_candidates(
@@ -106,9 +124,7 @@ def _measure_candidates(
         if max(len(at_left), len(at_right)) > expected_of_each and len(setup.model) >= 3:
             more = Shortlist(left=at_left, right=at_right, bright=len(at_left) + len(at_right), arrangements=AS_FOUND)
             return _measure_chosen(setup, frames, t_s, left, right, (at_left, at_right), track, more)
-        seen = left.measure(at_left)
-        other = seen if setup.overlaid else right.measure(at_right)
-        return measure_among(setup, t_s, seen, other, track, None, frames)[0]
+        return measure_among(setup, t_s, *_spots_of(setup, left, right, (at_left, at_right)), track, None, frames)[0]
     among = shortlist(setup, left, right)
     if among.first is not None:
         measured = _measure_chosen(setup, frames, t_s, left, right, among.first, track, among)
@@ -133,10 +149,7 @@ def _measure_chosen(
     among: Shortlist,
 ) -> Measured:
     """Measure the chosen candidates; return the pose, or that it may be one of chance."""
-    if setup.overlaid:
-        seen_left = seen_right = left.measure(np.union1d(*chosen))
-    else:
-        seen_left, seen_right = left.measure(chosen[0]), right.measure(chosen[1])
+    seen_left, seen_right = _spots_of(setup, left, right, chosen)
     measured, chance = measure_among(setup, t_s, seen_left, seen_right, track, among, frames)
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
     if measured.pose.status is PoseStatus.LOST or chance == 0.0 or setup.settings.colour is not None:

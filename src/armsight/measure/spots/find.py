@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
+from armsight.measure.pace import BATCH, Pace
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.measure.spots.colour import coloured_candidates, track_coloured
 from armsight.measure.spots.grey import (
@@ -39,20 +40,17 @@ def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
     """
     found = find_candidates(image, settings)
     if found.room:
-        found = find_candidates(image, settings, faint=True)
+        found = found.closer()
     return found.measure_strongest(settings.max_spots)
 
 
-def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, *, faint: bool = False) -> Candidates:
-    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots.
-
-    faint: take nothing for quiet, and look for those that hardly stand out as well.
-    """
+def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace = BATCH) -> Candidates:
+    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots."""
     if settings.colour is not None:
-        return coloured_candidates(image, settings)
+        return coloured_candidates(image, settings, pace)
     if settings.method == "seed":
         return seeded_candidates(image, settings)
-    return grey_candidates(image, settings, faint)
+    return grey_candidates(image, settings, pace)
 
 
 def track_spots(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
+
 STRETCH = 64
 """Pixels that are passed over together where none of them is a peak."""
 
