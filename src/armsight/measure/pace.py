@@ -42,6 +42,11 @@ class Pace:
         if self.deadline_s is not None and not self.deadline_s > 0.0:
             raise UsageError(f"a deadline of {self.deadline_s:g} s is not positive", cure="Give seconds, or none")
 
+    @property
+    def live(self) -> bool:
+        """Whether somebody waits: what cannot be looked at in time is refused."""
+        return self.deadline_s is not None
+
     def most(self, whole: int, each_s: float, share: float) -> int:
         """Return how many pieces of work of each_s fit into a share of the deadline; `whole` where there is none."""
         return whole if self.deadline_s is None else min(whole, int(share * self.deadline_s / each_s))

@@ -18,7 +18,7 @@ from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, SIDES, Camera, Rig, parallel_rig
 from armsight.records import Frame, NamedCovariance, NotSeen, PoseStatus, Spots, spot_target, unmeasured_target
@@ -30,6 +30,9 @@ Index = NDArray[np.intp]
 Pair = tuple[Frame, Frame]
 
 NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"
+_MASK = "mask the background, lower the exposure, or give the target one more light"
+FIT_SHARE = 0.15
+"""Share of a deadline that is for measuring the chosen lights of an image."""
 _BEYOND = "the spots fit the target, but by far not as well as they claim"
 
 
@@ -70,8 +73,8 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
     measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
     if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
         return measured
-    if measured.cause is Unseen.HALF_HIDDEN:
-        return measured  # what else is bright is not the light that was left out
+    if measured.cause in (Unseen.HALF_HIDDEN, Unseen.DEADLINE):
+        return measured  # what else is bright is not the light that was left out; or there is no time for it
     if setup.settings.colour is not None or _too_many(setup, measured):
         return measured  # all that has the colour was looked at; more lights would tell no more
     if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
@@ -138,6 +141,17 @@ def _measure_candidates(
     return replace(measured, pose=replace(measured.pose, why=f"{measured.pose.why}; {among.why}"))
 
 
+def _late(setup: Setup, among: Shortlist, chosen: tuple[Index, Index]) -> str:
+    """Return why a live picture cannot be looked at as a whole in time; empty where it can, and of any other."""
+    if not setup.pace.live:
+        return ""
+    n = max(map(len, chosen))
+    most = max(setup.pace.most(n, FIT_S, FIT_SHARE), 4 * len(setup.model))
+    why = f"{n} bright spots of one image could be the target's: not all of them are measured" if n > most else ""
+    why = among.why or why
+    return f"{why} in time; {_MASK}" if why else ""
+
+
 def _measure_chosen(
     setup: Setup,
     frames: Pair,
@@ -149,6 +163,8 @@ def _measure_chosen(
     among: Shortlist,
 ) -> Measured:
     """Measure the chosen candidates; return the pose, or that it may be one of chance."""
+    if late := _late(setup, among, chosen):
+        return lost_moment(t_s, Spots.none(), Spots.none(), NotSeen(late, Unseen.DEADLINE), track)
     seen_left, seen_right = _spots_of(setup, left, right, chosen)
     measured, chance = measure_among(setup, t_s, seen_left, seen_right, track, among, frames)
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
@@ -159,7 +175,7 @@ def _measure_chosen(
         return measured
     why = (
         f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
-        "chance; mask the background, lower the exposure, or give the target one more light"
+        f"chance; {_MASK}"
     )
     return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why, Unseen.CROWD), track), busy=measured.busy)
 

@@ -224,6 +224,8 @@ MOST = 1024
 """Candidates kept of one image, strongest first."""
 MOST_GROWN, GROWN_S, GROWN_SHARE = 2_000_000, 2e-8, 0.08
 """Pixels that blobs are grown over in one image, seconds for each, and the share of a deadline that is for them."""
+FIT_S = 1e-3
+"""Seconds to measure what before a room is no light, all models tried; a light takes a tenth of it."""
 CONTRAST = 24.0
 """Height above its ring in grey levels that makes a peak worth a look."""
 FAINT_SIGMA = 5.0
