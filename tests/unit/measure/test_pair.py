@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -12,9 +13,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.live.pace import SideBySide
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.geometry import pose_difference
+from armsight.measure.motion.kernels import levels
 from armsight.measure.pace import LIVE_S, Pace
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
+from armsight.measure.poses.kernels import correspondence, pose_ambiguity
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
@@ -229,6 +232,26 @@ def views(seed: int, keep: list[np.ndarray] | None = None) -> list[BoardView]:
             )
         )
     return out
+
+
+@pytest.mark.parametrize(
+    "name, kernels", [("fold", pose_ambiguity), ("one_astray", pose_ambiguity), ("neg2_log_likelihood", correspondence)]
+)
+def test_warm_up_runs_what_only_a_doubtful_frame_needs(
+    name: str, kernels: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel, calls = getattr(kernels, name), []
+    monkeypatch.setattr(kernels, name, lambda *given: calls.append(name) or kernel(*given))
+    warm_up()
+    assert calls
+
+
+def test_a_target_is_followed_by_one_kernel_whether_or_not_the_rig_is_exact() -> None:
+    warm_up()
+    for rig in (RIG, replace(RIG, covariance=None)):
+        tracker = TargetTracker(Setup(rig, spot_target(TRIANGLE)))
+        assert all(tracker.take(*frames(pose_at(i).apply(X), i)).pose.status is PoseStatus.OK for i in range(3))
+    assert len(levels.step_poses.signatures) == 1
 
 
 def test_board_points_need_no_matching() -> None:
