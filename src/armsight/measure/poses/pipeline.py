@@ -215,7 +215,8 @@ def _warm_up_doubt(rig: Rig, xyz_m: Array) -> None:
     uv_px = rig.project(even + np.array([0.05, 0.0, 2.0]))
     uv_px[0][0, 1] += 0.4
     uv_px[1][0, 1] -= 0.4
-    measure_spots(setup, 0.0, *(Spots.of_centres(uv, 0.01 * np.eye(2)) for uv in uv_px))
+    left, right = (Spots.of_centres(uv, 0.01 * np.eye(2)) for uv in uv_px)
+    measure_spots(setup, 0.0, left, right)
 
 
 def check_sizes(rig: Rig, left: Frame, right: Frame, consequence: str = NOT_OF_THE_RIG) -> None:
