@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from types import ModuleType
 
@@ -178,6 +179,16 @@ def test_both_views_beside_each_other_give_the_same_answer() -> None:
         np.testing.assert_array_equal(one.pose.T_parent_target, two.pose.T_parent_target)
         np.testing.assert_array_equal(one.left_seen.uv_px, two.left_seen.uv_px)
         np.testing.assert_array_equal(one.right_seen.uv_px, two.right_seen.uv_px)
+
+
+def test_no_view_waits_for_a_thread_that_does_not_begin() -> None:
+    beside, hold = SideBySide(), threading.Event()
+    beside._pool.submit(hold.wait)  # as on a machine without a free core
+    assert beside(lambda side: (side, threading.current_thread())) == (
+        (0, threading.current_thread()),
+        (1, threading.current_thread()),
+    )
+    hold.set()
 
 
 def test_frames_of_another_size_are_refused_with_both_sizes() -> None:

@@ -11,7 +11,11 @@ from armsight.measure.pace import LIVE_S, Pace, T
 
 
 class SideBySide:
-    """Does the right view's work in a thread of its own, meanwhile the left one's."""
+    """Does the right view's work in a thread of its own, meanwhile the left one's; both in turn where no core is free.
+
+    Kernels and OpenCV, three quarters of the work before a room, leave the interpreter's lock to the other thread;
+    numpy's small steps, the records and the calls of kernels keep it.
+    """
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="right view")
@@ -19,7 +23,8 @@ class SideBySide:
     def __call__(self, work: Callable[[int], T], /) -> tuple[T, T]:
         """Return (work(0), work(1)); raises as the left view's does, else as the right one's."""
         right = self._pool.submit(work, 1)
-        return work(0), right.result()
+        left = work(0)
+        return left, work(1) if right.cancel() else right.result()
 
 
 @cache
