@@ -120,12 +120,14 @@ def choose(expected, light, spots, gate2, kept):
             x, y = uv[k, 0] - at[i, 0], uv[k, 1] - at[i, 1]
             a, c = S[2 * i, 2 * i] + cov[k, 0, 0], S[2 * i + 1, 2 * i + 1] + cov[k, 1, 1]
             b = S[2 * i, 2 * i + 1] + cov[k, 0, 1]
+            # the whitened square of the distance below the gate, both sides times the determinant
             if c * x * x - 2.0 * b * x * y + a * y * y < gate2 * (a * c - b * b):
                 kept[count] = k
                 near += 1
                 if near == 2:
                     break
         count += near == 1
+    # lights move together: their joint covariance, with each spot's own on the diagonal
     T, r = np.empty((2 * count, 2 * count)), np.empty(2 * count)
     for p in range(count):
         i = light[kept[p]]
