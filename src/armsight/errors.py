@@ -101,6 +101,8 @@ class Unseen(StrEnum):
     NO_BOARD = "no_board"
     CROWD = "crowd"
     """So much is bright that which of it is the target would be chance."""
+    DEADLINE = "deadline"
+    """More is bright than can be looked at in the time that a live picture has."""
     UNPAIRED = "unpaired"
     """No spot of one view belongs to one of the other."""
     SWAPPED = "swapped"

@@ -191,12 +191,14 @@ def identify() -> None:
 
 def motion() -> None:
     """Compile the filter of a moving target, its smoother, and the check of a run of single views."""
+    from armsight.measure.begin import SpotFrame
     from armsight.measure.consistency.check import check_motion
+    from armsight.measure.follow import Follower
     from armsight.measure.motion.estimate import MotionFilter, Start, smooth
     from armsight.measure.motion.states import View
     from armsight.measure.poses.setup import Setup
     from armsight.optics import Camera, PackedRig, parallel_rig
-    from armsight.records import spot_target
+    from armsight.records import Spots, spot_target
 
     rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
     lights = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.0], [0.03, -0.04, 0.0]])
@@ -213,10 +215,13 @@ def motion() -> None:
     smooth(packed, lights, views, starts, np.array([-0.01, 0.015]))
     setup = Setup(rig, spot_target({"A": lights[0], "B": lights[1], "C": lights[2]}))
     check_motion(setup, views, starts, np.ones(len(views)))
-    follower = MotionFilter.begin(packed, lights, 0.0, T, covariance)
+    filtered = MotionFilter.begin(packed, lights, 0.0, T, covariance)
     for view in views:
-        follower = follower.add(view)
-        follower.at(view.t_s - 0.001)
+        filtered = filtered.add(view)
+        filtered.at(view.t_s - 0.001)
+    follower, spots = Follower(setup=setup), [Spots.of_centres(uv_px, cov[0]) for uv_px in seen]
+    for n in range(20):
+        follower.add(SpotFrame(t_s=0.01 * n, spots=spots[n % 2], width=SIZE[0], height=SIZE[1]), n % 2)
 
 
 def guard() -> None:

@@ -38,6 +38,7 @@ REASONS = {
     "beyond_size": "the board goes on beyond its counts",
     "other": "something else, which the report tells",
     "crowd": "so much is bright that the target may be chance: mask the background, or lower the exposure",
+    "deadline": "more is bright than can be looked at in time: mask the background, or lower the exposure",
     "unpaired": "no spot of one view belongs to one of the other",
     "swapped": "left and right look exchanged",
     "wrong_target": "the lights' size, distance or order is not the target's",

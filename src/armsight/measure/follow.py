@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,13 @@ from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame, Beginner, Beginning
 from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
 from armsight.measure.motion.kernels import state as kernels
-from armsight.measure.motion.kernels.views import observe
+from armsight.measure.motion.kernels.views import choose, observe_all
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import track_spots
-from armsight.records import AT_ONCE, CameraTiming, Frame, Spots
+from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, trusted
 
 Array = NDArray[np.float64]
 
@@ -197,19 +198,18 @@ class Follower:
         inside = ((expected.uv_px >= 0.0) & (expected.uv_px <= (w - 1.0, h - 1.0))).all(axis=1)
         if not inside.any():
             return None
-        spread = np.sqrt(np.diag(expected.S).reshape(-1, 2).max(axis=1))
-        half = float(np.clip(GATE_SIGMA * spread[inside].max() + LEAST_WINDOW_PX, LEAST_WINDOW_PX, MOST_WINDOW_PX))
+        sigma = sqrt(expected.S.diagonal().reshape(-1, 2)[inside].max())
+        half = min(GATE_SIGMA * sigma + LEAST_WINDOW_PX, MOST_WINDOW_PX)
         spots, of = _spots_near(frame, expected.uv_px[inside], half, self.setup.sides[side])
         self._near |= len(spots) > 0
-        chosen = _choose(expected, np.flatnonzero(inside)[of], spots)
-        if not len(chosen):
+        light, kept = np.flatnonzero(inside)[of], np.empty(len(expected.tau_s) + 1, np.intp)
+        seen = spots.uv_px, spots.covariance_px2
+        n, chi2 = choose((expected.uv_px, expected.S), light, seen, GATE_SIGMA**2, kept)
+        if not n or not chi2 < _most_chi2(2 * n):
             return None
-        light = np.flatnonzero(inside)[of][chosen]
-        uv, cov = spots.uv_px[chosen], spots.covariance_px2[chosen]
-        if not _plausible(expected, light, uv, cov):
-            return None
+        light, uv, cov = light[kept[:n]], spots.uv_px[kept[:n]], spots.covariance_px2[kept[:n]]
         tau = self.timing[side].line_time(uv[:, 1], h)
-        return View(t_s=t_s, side=side, lights=light.astype(np.intp), uv_px=uv, cov_px2=cov, tau_s=tau)
+        return trusted(View, t_s=t_s, side=side, lights=light, uv_px=uv, cov_px2=cov, tau_s=tau)
 
 
 def _spots_near(
@@ -229,36 +229,10 @@ def expect(setup: Setup, state: MotionState, side: int, timing: CameraTiming, he
     m = len(X)
     uv, H, tau = np.empty((m, 2)), np.empty((2 * m, kernels.N)), np.zeros(m)
     for _ in range(2 if timing.rolling else 1):
-        for i in range(m):
-            if not observe(state.x, packed.camera(side), X[i], tau[i], uv[i], H[2 * i : 2 * i + 2]):
-                return None
+        if not observe_all(state.x, packed.camera(side), X, tau, uv, H):
+            return None
         tau = timing.line_time(uv[:, 1], height)
     return Expected(uv_px=uv, H=H, S=H @ state.C @ H.T, tau_s=tau)
-
-
-def _choose(expected: Expected, light: NDArray[np.intp], spots: Spots) -> NDArray[np.intp]:
-    """Return the spots that are within the gate of their light, and the only ones that are."""
-    kept = []
-    for n in np.unique(light):
-        rows = np.flatnonzero(light == n)
-        block = expected.S[2 * n : 2 * n + 2, 2 * n : 2 * n + 2]
-        off = spots.uv_px[rows] - expected.uv_px[n]
-        total = block + spots.covariance_px2[rows]
-        d2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
-        near = rows[d2 < GATE_SIGMA**2]
-        if len(near) == 1:
-            kept.append(int(near[0]))
-    return np.array(kept, dtype=np.intp)
-
-
-def _plausible(expected: Expected, light: NDArray[np.intp], uv: Array, cov: Array) -> bool:
-    """Tell whether spots agree together with where they are expected."""
-    rows = np.stack([2 * light, 2 * light + 1], axis=1).ravel()
-    S = expected.S[np.ix_(rows, rows)].copy()
-    for i in range(len(light)):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += cov[i]
-    r = (uv - expected.uv_px[light]).ravel()
-    return bool(r @ np.linalg.solve(S, r) < _most_chi2(len(r)))
 
 
 @cache
@@ -313,9 +287,8 @@ def systematic_covariance(setup: Setup, state: MotionState) -> Array | None:
 def _slopes(setup: Setup, state: MotionState) -> Array | None:
     """Return d pixel / d pose [side, light, 2, 6]; None where a light is behind a camera."""
     packed, X = setup.packed, setup.model.xyz_m
-    H, uv = np.zeros((SIDES, len(X), 2, kernels.N)), np.empty(2)
+    H, uv = np.zeros((SIDES, 2 * len(X), kernels.N)), np.empty((len(X), 2))
     for side in range(SIDES):
-        for i, place in enumerate(X):
-            if not observe(state.x, packed.camera(side), place, 0.0, uv, H[side, i]):
-                return None
-    return H[..., :6]
+        if not observe_all(state.x, packed.camera(side), X, np.zeros(len(X)), uv, H[side]):
+            return None
+    return H.reshape(SIDES, len(X), 2, kernels.N)[..., :6]

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
+from types import ModuleType
 
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.app.live.pace import SideBySide
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.geometry import pose_difference
+from armsight.measure.motion.kernels import levels
+from armsight.measure.pace import LIVE_S, Pace
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
+from armsight.measure.poses.kernels import correspondence, pose_ambiguity
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
@@ -148,6 +154,43 @@ def test_a_dark_moment_is_lost_and_the_track_survives_it_for_a_while() -> None:
     assert_pose(late, pose_at(0))
 
 
+def among_lamps(number: int, lamps: int = 40) -> tuple[Frame, Frame]:
+    rng = np.random.default_rng(7)
+    around = rng.uniform([-0.4, -0.3, 1.0], [0.4, 0.3, 1.6], (lamps, 3))
+    return frames(np.vstack([pose_at(number).apply(X), around]), number)
+
+
+def test_what_a_deadline_leaves_no_time_to_look_at_is_refused_with_its_reason() -> None:
+    pair = among_lamps(0)
+    assert_pose(measure_pair(SETUP, *pair), pose_at(0))
+    assert_pose(measure_pair(replace(SETUP, pace=Pace(deadline_s=LIVE_S)), *pair), pose_at(0))
+    for deadline_s in (1e-9, 1e-5, 1e-3):
+        measured = measure_pair(replace(SETUP, pace=Pace(deadline_s=deadline_s)), *pair)
+        assert measured.pose.status is PoseStatus.LOST
+        assert measured.cause is Unseen.DEADLINE
+        assert "in time; mask the background" in measured.pose.why
+    quiet = measure_pair(replace(SETUP, pace=Pace(deadline_s=1e-3)), *frames(pose_at(0).apply(X), 0))
+    assert_pose(quiet, pose_at(0))
+
+
+def test_both_views_beside_each_other_give_the_same_answer() -> None:
+    for pair in (among_lamps(0), frames(pose_at(0).apply(X), 0)):
+        one, two = (measure_pair(replace(SETUP, pace=pace), *pair) for pace in (Pace(), Pace(both=SideBySide())))
+        np.testing.assert_array_equal(one.pose.T_parent_target, two.pose.T_parent_target)
+        np.testing.assert_array_equal(one.left_seen.uv_px, two.left_seen.uv_px)
+        np.testing.assert_array_equal(one.right_seen.uv_px, two.right_seen.uv_px)
+
+
+def test_no_view_waits_for_a_thread_that_does_not_begin() -> None:
+    beside, hold = SideBySide(), threading.Event()
+    beside._pool.submit(hold.wait)  # as on a machine without a free core
+    assert beside(lambda side: (side, threading.current_thread())) == (
+        (0, threading.current_thread()),
+        (1, threading.current_thread()),
+    )
+    hold.set()
+
+
 def test_frames_of_another_size_are_refused_with_both_sizes() -> None:
     left, right = frames(pose_at(0).apply(X), 0, width=650)
     with refuses(Inconsistent, "650x480", "left camera", "640x480"):
@@ -200,6 +243,26 @@ def views(seed: int, keep: list[np.ndarray] | None = None) -> list[BoardView]:
             )
         )
     return out
+
+
+@pytest.mark.parametrize(
+    "name, kernels", [("fold", pose_ambiguity), ("one_astray", pose_ambiguity), ("neg2_log_likelihood", correspondence)]
+)
+def test_warm_up_runs_what_only_a_doubtful_frame_needs(
+    name: str, kernels: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel, calls = getattr(kernels, name), []
+    monkeypatch.setattr(kernels, name, lambda *given: calls.append(name) or kernel(*given))
+    warm_up()
+    assert calls
+
+
+def test_a_target_is_followed_by_one_kernel_whether_or_not_the_rig_is_exact() -> None:
+    warm_up()
+    for rig in (RIG, replace(RIG, covariance=None)):
+        tracker = TargetTracker(Setup(rig, spot_target(TRIANGLE)))
+        assert all(tracker.take(*frames(pose_at(i).apply(X), i)).pose.status is PoseStatus.OK for i in range(3))
+    assert len(levels.step_poses.signatures) == 1
 
 
 def test_board_points_need_no_matching() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
+from armsight.app.live.pace import live_pace
 from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
@@ -172,8 +173,11 @@ class LiveMeasurement:
     def _found(self, setup: Setup | None, pair: Pair, track: Track | None) -> Measured:
         """Return what is measured in a pair; without rig or target the lights alone."""
         if setup is None:
-            left = find_spots(pair[0].image, self._sides[0])
-            right = left if self._job.complex else find_spots(pair[1].image, self._sides[1])
+            pace = live_pace()
+            if self._job.complex:
+                left = right = find_spots(pair[0].image, self._sides[0], pace)
+            else:
+                left, right = pace.both(lambda side: find_spots(pair[side].image, self._sides[side], pace))
             return replace(lost_pair(pair, NOT_CALIBRATED), left_seen=left, right_seen=right)
         try:
             return measure_pair(setup, *pair, track)
@@ -210,7 +214,14 @@ class LiveMeasurement:
         )
         if self.rig is None or self.target is None:
             return None, (replace(settings, mask=left), replace(settings, mask=right))
-        setup = Setup(rig=self.rig, target=self.target, settings=settings, masks=(left, right), overlaid=overlaid)
+        setup = Setup(
+            rig=self.rig,
+            target=self.target,
+            settings=settings,
+            masks=(left, right),
+            overlaid=overlaid,
+            pace=live_pace(),
+        )
         return setup, setup.sides
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armsight.app.arm_files import given_arm
+from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob
@@ -134,4 +135,5 @@ def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
         raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")
     if rig.kind is RigKind.MIRROR and not devices.overlaid:
         raise UsageError("the rig has mirrors: both of its views are in one image", cure="Give --image")
-    return Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour), overlaid=devices.overlaid)
+    settings = SpotSettings(colour=target.colour)
+    return Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())

@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 import numpy as np
 
 from armsight.app.arm_files import load_arm
+from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.verify import LiveVerifyJob
@@ -59,7 +60,7 @@ def run_verify_live(
         time_std_s=0.0 if devices.origin_s is not None else job.latency_std_s,
     )
     _check_arm(arm, devices)
-    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
+    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour), pace=live_pace())
     prepare(progress)
     log, failure = LiveLog(limits=job.limits), None
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +40,10 @@ class CameraDelay:
     def add(self, exposed_s: float, known_s: float) -> None:
         """Take a frame exposed at exposed_s whose pose was known at known_s."""
         self._delays.append(known_s - exposed_s)
-        self.delay_s = float(np.median(self._delays))
+        self.delay_s = median(self._delays)
         if self._last_s is not None:
             self._periods.append(exposed_s - self._last_s)
-            self.period_s = float(np.median(self._periods))
+            self.period_s = median(self._periods)
         self._last_s = exposed_s
 
 
@@ -75,19 +76,19 @@ class ArmLag:
         if np.linalg.norm(np.ptp(q_sent, axis=0)) < LEAST_WAY:
             return
         late = q_s > sent_s[0] + LAGS_S[-1]  # where every lag that is tried falls within what was sent
-        misfit = np.array([_misfit(lag, sent_s, q_sent, q_s[late], q[late]) for lag in LAGS_S])
+        misfit = _misfits(sent_s, q_sent, q_s[late], q[late])
         best = int(np.argmin(misfit))
         if 0 < best < len(LAGS_S) - 1:
             a, b, c = misfit[best - 1 : best + 2]
             self.lag_s = float(LAGS_S[best] + 0.5 * (a - c) / (a - 2.0 * b + c) * (LAGS_S[1] - LAGS_S[0]))
 
 
-def _misfit(lag_s: float, sent_s: Array, q_sent: Array, q_s: Array, q: Array) -> float:
-    """Return the sum of squares of readings minus what was sent lag_s before, between commands on a straight line."""
-    t = q_s - lag_s
+def _misfits(sent_s: Array, q_sent: Array, q_s: Array, q: Array) -> Array:
+    """Return for each of LAGS_S the sum of squares of readings minus what was sent so long before."""
+    t = q_s - LAGS_S[:, None]
     k = np.clip(np.searchsorted(sent_s, t) - 1, 0, len(sent_s) - 2)
-    share = ((t - sent_s[k]) / (sent_s[k + 1] - sent_s[k]))[:, None]
-    return float(np.square(q_sent[k] + share * (q_sent[k + 1] - q_sent[k]) - q).sum())
+    share = ((t - sent_s[k]) / (sent_s[k + 1] - sent_s[k]))[:, :, None]
+    return np.asarray(np.square(q_sent[k] + share * (q_sent[k + 1] - q_sent[k]) - q).sum(axis=(1, 2)))
 
 
 BACK = np.array([0, 1, 2, 3, 4, 6, 8, 11, 15])

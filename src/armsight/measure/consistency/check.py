@@ -144,7 +144,7 @@ def refit(setup: Setup, measured: Measured) -> Measured | None:
         if len(pairs.index) < whole:
             continue
         predicted = expected(setup, measured.track, t_s)
-        best = match_known(setup.packed, model, left, right, pairs, prediction=predicted, slack_px=slack).best
+        best = match_known(setup, left, right, pairs, prediction=predicted, slack_px=slack).best
         if best is None or len(best.names) < whole:
             continue
         index = pairs.index[best.pair]

@@ -16,9 +16,10 @@ from scipy.ndimage import maximum_filter1d
 from armsight.errors import Inconsistent
 from armsight.measure.motion.kernels import levels, smoothing
 from armsight.measure.motion.kernels.state import STATE, N, P, R, V
-from armsight.measure.motion.states import MotionState, View, state_of
+from armsight.measure.motion.states import NO_TIMING, MotionState, View, state_of
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior, estimate_timing
 from armsight.optics import PackedRig
+from armsight.records import trusted
 
 Array = NDArray[np.float64]
 
@@ -333,7 +334,8 @@ class MotionFilter:
     @property
     def state(self) -> MotionState:
         """The state at the time of the latest view."""
-        return MotionState(t_s=self.t_s, x=self.xs[self.best], C=self.Cs[self.best], jerk=float(JERK_LEVELS[self.best]))
+        x, C, jerk = self.xs[self.best], self.Cs[self.best], float(JERK_LEVELS[self.best])
+        return trusted(MotionState, t_s=self.t_s, x=x, C=C, jerk=jerk, by_timing=NO_TIMING)
 
     def at(self, t_s: float) -> MotionState:
         """Return the state expected at t_s."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.motion.kernels import state as kernels
-from armsight.records import frozen_array
+from armsight.records import frozen_array, trusted
 
 Array = NDArray[np.float64]
 
@@ -40,8 +40,8 @@ class View:
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
 
 
-def _no_timing() -> Array:
-    return np.zeros((kernels.N, 0))
+NO_TIMING = np.zeros((kernels.N, 0))
+NO_TIMING.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class MotionState:
     x: Array
     C: Array
     jerk: float
-    by_timing: Array = field(default_factory=_no_timing)
+    by_timing: Array = field(default_factory=lambda: NO_TIMING)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", frozen_array("x", self.x, (kernels.STATE,)))
@@ -97,7 +97,7 @@ class MotionState:
             kernels.state_at(self.x, tau, out)
             D = F @ self.C @ F.T
             kernels.add_jerk(D, -tau, self.jerk, angular_ratio * self.jerk)
-        return MotionState(t_s=t_s, x=out, C=D, jerk=self.jerk, by_timing=F @ self.by_timing)
+        return trusted(MotionState, t_s=t_s, x=out, C=D, jerk=self.jerk, by_timing=F @ self.by_timing)
 
 
 def state_of(t_s: float, T: Array, covariance: Array) -> tuple[Array, Array]:

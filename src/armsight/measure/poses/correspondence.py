@@ -11,7 +11,7 @@ from armsight.errors import Unseen
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.outcome import Assignment, Match, Prediction
 from armsight.measure.poses.pairs import Pairs, Scope, search_arrangements
-from armsight.measure.poses.setup import SLACK_PX, TargetModel
+from armsight.measure.poses.setup import Setup, TargetModel
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Spots
 
@@ -55,25 +55,25 @@ _FEWER = "mask the background or raise the threshold"
 
 
 def match_known(
-    packed: PackedRig,
-    model: TargetModel,
+    setup: Setup,
     left: Spots,
     right: Spots,
     pairs: Pairs,
     *,
     prediction: Prediction | None = None,
-    slack_px: float = SLACK_PX,
+    slack_px: float | None = None,
     arrangements: int = 0,
 ) -> Match:
     """Return the one assignment of pairs to the names of a measured target of three spots or more.
 
     The assignment with the most names wins; among equals the reprojection decides where it can. Where it cannot, for
     lights in a plane square to the target's z it decides that they are seen from the -z side; then the prediction,
-    where it is near one of them. Else best is None and the alternatives hold all. arrangements: how many were
-    consistent before the spots were measured (0 where there was nothing but lights); the more, the better the best one
-    must fit: what is expected by chance is in the match, for the caller to judge.
+    where it is near one of them. Else best is None and the alternatives hold all. slack_px: None for the setup's.
+    arrangements: how many were consistent before the spots were measured (0 where there was nothing but lights); the
+    more, the better the best one must fit: what is expected by chance is in the match, for the caller to judge.
     """
-    found, passed = _search(packed, model, left, right, pairs, slack_px)
+    packed, model = setup.packed, setup.model
+    found, passed = _search(setup, left, right, pairs, setup.slack_px if slack_px is None else slack_px)
     if isinstance(found, NotSeen):
         return Match(best=None, why=found.why, cause=found.cause)
     arrangements = passed if arrangements == AS_FOUND else arrangements
@@ -102,20 +102,14 @@ def _chance(model: TargetModel, best: Assignment, others: int) -> float:
 
 
 def _search(
-    packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, slack_px: float
+    setup: Setup, left: Spots, right: Spots, pairs: Pairs, slack_px: float
 ) -> tuple[list[Assignment] | NotSeen, int]:
     """Return all assignments within MARGIN of the best, or why there is none; and how many fit at all."""
     if not pairs.complete:
         return NotSeen(f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}", Unseen.CROWD), 0
-    found = search_arrangements(
-        packed,
-        model,
-        pairs,
-        _outlines(model, left, right),
-        radius_m=model.radius_m,
-        slack_px=slack_px,
-        scope=SCOPE,
-    )
+    model = setup.model
+    outlines = _outlines(model, left, right)
+    found = search_arrangements(setup, pairs, outlines, radius_m=model.radius_m, slack_px=slack_px, scope=SCOPE)
     if found.cut:
         return NotSeen(f"too many arrangements of the spots are possible: {_FEWER}", Unseen.CROWD), 0
     if not len(found.rows):

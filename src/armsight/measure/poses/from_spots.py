@@ -123,16 +123,8 @@ def _match(
         return Match(best=None, why="" if among is None else among.nothing, cause=Unseen.UNPAIRED)
     match = Match(best=None)
     if known and len(model) >= 3:
-        match = match_known(
-            setup.packed,
-            model,
-            left,
-            right,
-            pairs,
-            prediction=prediction,
-            slack_px=setup.slack_px,
-            arrangements=among.arrangements if among else 0,
-        )
+        arrangements = among.arrangements if among else 0
+        match = match_known(setup, left, right, pairs, prediction=prediction, arrangements=arrangements)
     elif len(model) >= 3:
         match = match_by_place(left, right, pairs)
     if match.best is None and not match.alternatives and (len(model) < 3 or pairs.few):
@@ -240,7 +232,7 @@ def explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, missed: NotSe
     slack = LOOSE_SLACK * setup.slack_px
     loose = pair_spots(setup.packed, left, right, slack, overlaid=setup.overlaid)
     if setup.target.model_known and len(setup.model) >= 3 and len(loose.index):
-        match = match_known(setup.packed, setup.model, left, right, loose, slack_px=slack)
+        match = match_known(setup, left, right, loose, slack_px=slack)
         if match.best is not None:
             solved = solve_assignment(setup, 0.0, left, right, loose, match.best)
             return solved.missed if solved.pose.why else missed

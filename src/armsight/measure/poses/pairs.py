@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.setup import SLACK_PX, TargetModel
+from armsight.measure.poses.setup import SLACK_PX, Setup
 from armsight.optics import PackedRig
 from armsight.records import Spots
 
@@ -18,6 +18,9 @@ Index = NDArray[np.intp]
 
 PAIR_GATE = 16.0
 """Square, in standard deviations, allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
+
+NODE_S, NODES_SHARE = 1e-8, 0.08
+"""Seconds to look at a pair in a search, and the share of a deadline that is for each search."""
 
 MOST_FREE = 12
 """Pairs among which the ways to combine them are counted."""
@@ -130,8 +133,7 @@ class Arrangements:
 
 
 def search_arrangements(
-    packed: PackedRig,
-    model: TargetModel,
+    setup: Setup,
     pairs: Pairs,
     outlines: NDArray[np.bool_],
     *,
@@ -143,15 +145,16 @@ def search_arrangements(
 
     outlines (2, n): which spots of each side are outlines of flat lights of radius_m.
     """
-    m = len(model)
+    model = setup.model
+    m, nodes = len(model), setup.pace.most(scope.most_nodes, NODE_S, NODES_SHARE)
     rows, chi2 = np.empty((scope.room, m), np.intp), np.empty(scope.room)
     poses = np.empty((scope.room, 3, 4))
     found, passed, cut = kernels.search(
-        packed.arrays,
+        setup.packed.arrays,
         (model.xyz_m, model.distance_m, radius_m, model.normal),
         outlines,
         (pairs.index, pairs.uv_px, pairs.cov_px2, pairs.xyz_m, pairs.cov_m2),
-        (slack_px**2, PAIR_GATE, model.limits, scope.margin, pairs.overlaid, scope.smaller, scope.most_nodes),
+        (slack_px**2, PAIR_GATE, model.limits, scope.margin, pairs.overlaid, scope.smaller, nodes),
         (rows, chi2, poses),
     )
     return Arrangements(rows=rows[:found], chi2=chi2[:found], poses=poses[:found], passed=int(passed), cut=bool(cut))

@@ -18,7 +18,7 @@ from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, SIDES, Camera, Rig, parallel_rig
 from armsight.records import Frame, NamedCovariance, NotSeen, PoseStatus, Spots, spot_target, unmeasured_target
@@ -30,6 +30,9 @@ Index = NDArray[np.intp]
 Pair = tuple[Frame, Frame]
 
 NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"
+_MASK = "mask the background, lower the exposure, or give the target one more light"
+FIT_SHARE = 0.15
+"""Share of a deadline that is for measuring the chosen lights of an image."""
 _BEYOND = "the spots fit the target, but by far not as well as they claim"
 
 
@@ -70,13 +73,13 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
     measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
     if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
         return measured
-    if measured.cause is Unseen.HALF_HIDDEN:
-        return measured  # what else is bright is not the light that was left out
+    if measured.cause in (Unseen.HALF_HIDDEN, Unseen.DEADLINE):
+        return measured  # what else is bright is not the light that was left out; or there is no time for it
     if setup.settings.colour is not None or _too_many(setup, measured):
         return measured  # all that has the colour was looked at; more lights would tell no more
     if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
         return measured
-    again = _measure_candidates(setup, frames, t_s, *_candidates(setup, left, right, faint=True), track)
+    again = _measure_candidates(setup, frames, t_s, *_closer(setup, at_left, at_right), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
 
 
@@ -90,10 +93,28 @@ def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
     return candidates.room or any(why in SECOND_LOOK for _, _, why in seen.rejected)
 
 
-def _candidates(setup: Setup, left: Frame, right: Frame, *, faint: bool = False) -> tuple[Candidates, Candidates]:
+def _candidates(setup: Setup, left: Frame, right: Frame) -> tuple[Candidates, Candidates]:
     """Return what may be a light in both images; one image that holds both views is searched once."""
-    found = find_candidates(left.image, setup.sides[0], faint=faint)
-    return found, found if setup.overlaid else find_candidates(right.image, setup.sides[1], faint=faint)
+    if setup.overlaid:
+        found = find_candidates(left.image, setup.sides[0], setup.pace)
+        return found, found
+    return setup.pace.both(lambda side: find_candidates((left, right)[side].image, setup.sides[side], setup.pace))
+
+
+def _closer(setup: Setup, left: Candidates, right: Candidates) -> tuple[Candidates, Candidates]:
+    """Return what a closer look at both images shows."""
+    if setup.overlaid:
+        found = left.closer()
+        return found, found
+    return setup.pace.both(lambda side: (left, right)[side].closer())
+
+
+def _spots_of(setup: Setup, left: Candidates, right: Candidates, chosen: tuple[Index, Index]) -> tuple[Spots, Spots]:
+    """Measure the chosen candidates of both images; of one image that holds both views those of either."""
+    if setup.overlaid:
+        spots = left.measure(np.union1d(*chosen))
+        return spots, spots
+    return setup.pace.both(lambda side: (left, right)[side].measure(chosen[side]))
 
 
 def _measure_candidates(
@@ -106,9 +127,7 @@ def _measure_candidates(
         if max(len(at_left), len(at_right)) > expected_of_each and len(setup.model) >= 3:
             more = Shortlist(left=at_left, right=at_right, bright=len(at_left) + len(at_right), arrangements=AS_FOUND)
             return _measure_chosen(setup, frames, t_s, left, right, (at_left, at_right), track, more)
-        seen = left.measure(at_left)
-        other = seen if setup.overlaid else right.measure(at_right)
-        return measure_among(setup, t_s, seen, other, track, None, frames)[0]
+        return measure_among(setup, t_s, *_spots_of(setup, left, right, (at_left, at_right)), track, None, frames)[0]
     among = shortlist(setup, left, right)
     if among.first is not None:
         measured = _measure_chosen(setup, frames, t_s, left, right, among.first, track, among)
@@ -122,6 +141,17 @@ def _measure_candidates(
     return replace(measured, pose=replace(measured.pose, why=f"{measured.pose.why}; {among.why}"))
 
 
+def _late(setup: Setup, among: Shortlist, chosen: tuple[Index, Index]) -> str:
+    """Return why a live picture cannot be looked at as a whole in time; empty where it can, and of any other."""
+    if not setup.pace.live:
+        return ""
+    n = max(map(len, chosen))
+    most = max(setup.pace.most(n, FIT_S, FIT_SHARE), 4 * len(setup.model))
+    why = f"{n} bright spots of one image could be the target's: not all of them are measured" if n > most else ""
+    why = among.why or why
+    return f"{why} in time; {_MASK}" if why else ""
+
+
 def _measure_chosen(
     setup: Setup,
     frames: Pair,
@@ -133,10 +163,9 @@ def _measure_chosen(
     among: Shortlist,
 ) -> Measured:
     """Measure the chosen candidates; return the pose, or that it may be one of chance."""
-    if setup.overlaid:
-        seen_left = seen_right = left.measure(np.union1d(*chosen))
-    else:
-        seen_left, seen_right = left.measure(chosen[0]), right.measure(chosen[1])
+    if late := _late(setup, among, chosen):
+        return lost_moment(t_s, Spots.none(), Spots.none(), NotSeen(late, Unseen.DEADLINE), track)
+    seen_left, seen_right = _spots_of(setup, left, right, chosen)
     measured, chance = measure_among(setup, t_s, seen_left, seen_right, track, among, frames)
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
     if measured.pose.status is PoseStatus.LOST or chance == 0.0 or setup.settings.colour is not None:
@@ -146,7 +175,7 @@ def _measure_chosen(
         return measured
     why = (
         f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
-        "chance; mask the background, lower the exposure, or give the target one more light"
+        f"chance; {_MASK}"
     )
     return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why, Unseen.CROWD), track), busy=measured.busy)
 
@@ -176,6 +205,18 @@ def warm_up() -> None:
             track = measured.track
             if measured.pose.status is not PoseStatus.OK:
                 raise NotConverged(f"the check at start-up failed: {measured.pose.why}", cure="Install armsight anew")
+    _warm_up_doubt(rig, xyz)
+
+
+def _warm_up_doubt(rig: Rig, xyz_m: Array) -> None:
+    """Run what only a doubtful frame needs: a target with two ends alike, far away, a spot of it a little off."""
+    even = xyz_m * [1.0, 0.0, 0.0] + [[0.0, 0.0, 0.0], [0.0, 0.05, 0.0], [-0.03, -0.05, 0.0]]
+    setup = Setup(rig, spot_target(dict(zip("ABC", map(tuple, even.tolist()), strict=True))))
+    uv_px = rig.project(even + np.array([0.05, 0.0, 2.0]))
+    uv_px[0][0, 1] += 0.4
+    uv_px[1][0, 1] -= 0.4
+    left, right = (Spots.of_centres(uv, 0.01 * np.eye(2)) for uv in uv_px)
+    measure_spots(setup, 0.0, left, right)
 
 
 def check_sizes(rig: Rig, left: Frame, right: Frame, consequence: str = NOT_OF_THE_RIG) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
+from armsight.measure.pace import BATCH, Pace
 from armsight.measure.settings import SpotSettings
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, PackedRig, Rig, mean_axes, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
@@ -128,6 +129,7 @@ class Setup:
     of RIG_PARAMETERS and of the target's positions, (26 + 3 m, 26 + 3 m), (26, 26) where the target is taken as exact,
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
     its noise where the rig knows it, and with its own of masks (left, right), (h, w), in place of the settings' one.
+    pace: how long a pair may take, and on how many cores.
     """
 
     rig: Rig
@@ -136,6 +138,7 @@ class Setup:
     slack_px: float = SLACK_PX
     overlaid: bool = False
     masks: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None)
+    pace: Pace = BATCH
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)
     covariance: Array = field(init=False, repr=False)

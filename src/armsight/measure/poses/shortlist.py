@@ -195,9 +195,8 @@ def _partners(index: Index, at_left: Index, at_right: Index) -> Shortlist:
 
 def _arranged(setup: Setup, pairs: Pairs, at_left: Index, at_right: Index) -> Shortlist:
     """Return the candidates of all arrangements of three names and more that fit the target coarsely."""
-    model, packed = setup.model, setup.packed
     nothing_flat = np.zeros((2, max(len(at_left), len(at_right))), np.bool_)
-    found = search_arrangements(packed, model, pairs, nothing_flat, radius_m=0.0, slack_px=setup.slack_px, scope=SCOPE)
+    found = search_arrangements(setup, pairs, nothing_flat, radius_m=0.0, slack_px=setup.slack_px, scope=SCOPE)
     at = (at_left, at_right)
     every = _used(pairs, found.rows, at)
     likely = int(np.count_nonzero(found.chi2 <= found.chi2[0] + LIKELY)) if len(found.chi2) else 0

@@ -165,6 +165,7 @@ LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
 UNKNOWN = np.zeros((4, 4))
+UNKNOWN.setflags(write=False)  # as a pose's own: one compilation serves both
 """A pose that tells nothing of how lights lean."""
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""

@@ -120,7 +120,8 @@ def continuation(setup: Setup, track: Track | None, t_s: float, solved: Solved) 
         motion = None
     if solved.T is None or pose.covariance is None or not setup.target.model_known:
         return Continuation(motion)
-    random = pose.covariance if pose.systematic_covariance is None else pose.covariance - pose.systematic_covariance
+    # an array of its own also without a systematic part: one compilation serves both
+    random = pose.covariance - (0.0 if pose.systematic_covariance is None else pose.systematic_covariance)
     if motion is not None:
         step = Continuation(*motion.add_pose(t_s, solved.T, random))
         if step.possible:

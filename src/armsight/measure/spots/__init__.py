@@ -2,10 +2,11 @@
 
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.find import find_candidates, find_spots, track_spots, warm_up
-from armsight.measure.spots.grey import CANDIDATE, SECOND_LOOK, TOUCHING, Candidates
+from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates
 
 __all__ = [
     "CANDIDATE",
+    "FIT_S",
     "SECOND_LOOK",
     "TOUCHING",
     "Candidates",

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage
+from armsight.measure.pace import Pace
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.grey import (
     CONTRAST,
+    GROWN_S,
+    GROWN_SHARE,
     MOST,
     MOST_GROWN,
     Array,
@@ -100,7 +103,7 @@ HALF_HEIGHT = 1.18
 """Radius at half of its height of a Gaussian light over its standard deviation."""
 
 
-def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
+def coloured_candidates(image: Image, settings: SpotSettings, pace: Pace) -> Candidates:
     """Return what may be a beacon of settings.colour in a BGR image (h, w, 3); see find_candidates.
 
     The signal that is searched and measured is a pixel's projection on the colour's hue, FLOOR for any grey. What
@@ -117,7 +120,7 @@ def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
     )
     complete = True
     if not quiet:
-        areas, complete = _coloured_blobs(signal, plain)
+        areas, complete = _coloured_blobs(signal, plain, pace)
         state = fresh_state(len(areas))
     interpolated = _interpolated(signal)
     refused = _leave_lights(bgr, signal, areas, state, settings, room_level, interpolated)
@@ -188,7 +191,7 @@ def _fill_cores(bgr: Image, signal: Image, settings: SpotSettings) -> None:
             fill_white(bgr, settings.saturation, 2 * np.array([x, x + w - 1, y, y + h - 1]), signal)
 
 
-def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
+def _coloured_blobs(signal: Image, plain: SpotSettings, pace: Pace) -> tuple[Array, bool]:
     """Return the blobs (n, COLUMNS) of the signal, grown only from peaks that are coloured."""
     peaks = pyramid_peaks(signal, CONTRAST, plain.max_radius_px)
     x, y = peaks[:, 0], peaks[:, 1]
@@ -203,7 +206,7 @@ def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
         peaks,
         (CONTRAST, float(plain.min_pixels), plain.max_radius_px),
         table,
-        MOST_GROWN,
+        pace.most(MOST_GROWN, GROWN_S, GROWN_SHARE),
     )
     return table[:n], bool(looked == len(peaks))
 

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
+from armsight.measure.pace import BATCH, Pace
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.measure.spots.colour import coloured_candidates, track_coloured
 from armsight.measure.spots.grey import (
+    FIT_S,
     Array,
     Candidates,
     Image,
@@ -26,33 +28,34 @@ from armsight.measure.spots.kernels.seed import shapes
 from armsight.records import Spots
 from armsight.records.target import RED
 
+FOUND_SHARE = 0.3
+"""Share of a deadline that is for measuring all that is found in an image."""
 
-def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
+
+def find_spots(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace = BATCH) -> Spots:
     """Return all spots of an image (h, w) grey or (h, w, 3) BGR, searched without prior.
 
     Centres are in px with the centre of the top-left pixel at (0, 0), each with its 2x2 covariance. What was seen
     and not accepted is in `rejected`, with the reason; an image without spots gives an empty record.
     With settings.method 'seed' they are found as Pachidis 2005 did (section 4, figure 6).
     With settings.colour the spots are areas of that colour in a BGR image (Kapucu and Baysec 2005).
+    pace: fewer of the strongest are measured where there is no time for settings.max_spots.
     Raises BadImage where the image is not 8-bit grey or BGR (BGR, where a colour is searched), Inconsistent where
     the mask has another size.
     """
-    found = find_candidates(image, settings)
+    found = find_candidates(image, settings, pace)
     if found.room:
-        found = find_candidates(image, settings, faint=True)
-    return found.measure_strongest(settings.max_spots)
+        found = found.closer()
+    return found.measure_strongest(pace.most(settings.max_spots, FIT_S, FOUND_SHARE))
 
 
-def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, *, faint: bool = False) -> Candidates:
-    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots.
-
-    faint: take nothing for quiet, and look for those that hardly stand out as well.
-    """
+def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace = BATCH) -> Candidates:
+    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots."""
     if settings.colour is not None:
-        return coloured_candidates(image, settings)
+        return coloured_candidates(image, settings, pace)
     if settings.method == "seed":
         return seeded_candidates(image, settings)
-    return grey_candidates(image, settings, faint)
+    return grey_candidates(image, settings, pace)
 
 
 def track_spots(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent
+from armsight.measure.pace import Pace
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
@@ -29,12 +31,15 @@ from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
 from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_others, measure_round, pack_results
+from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
 from armsight.measure.spots.kernels.processed import add_background_variance
 from armsight.records import Spots, trusted
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Rejected = tuple[tuple[float, float, str], ...]
+Located = tuple[Array, NDArray[np.int64], Array, int]
+"""What `locate` returns of an image: areas, their state, the survey, outcome."""
 
 MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
 """How a spot was measured, in the order of the kernels' numbers."""
@@ -60,18 +65,25 @@ SECOND_LOOK = frozenset(REASONS[i] for i in (BORDER, LARGE, FAILED, SATURATED, U
 """Reasons behind which a light may hide: it stands before something bright, or touches it."""
 
 
-def grey_candidates(image: Image, settings: SpotSettings, faint: bool) -> Candidates:
+def grey_candidates(image: Image, settings: SpotSettings, pace: Pace) -> Candidates:
     """Return what may be a light in an image (h, w) or (h, w, 3), searched as grey; see find_candidates."""
     grey = searchable(image, settings)
-    areas, state, survey, outcome = locate(grey, settings.mask_bytes, settings.options)
+    return _among_located(grey, settings, pace, locate(grey, settings.mask_bytes, settings.options), faint=False)
+
+
+def _among_located(grey: Image, settings: SpotSettings, pace: Pace, located: Located, *, faint: bool) -> Candidates:
+    """Return the candidates of an image: the areas above the threshold, or, before a room, blobs of any level."""
+    areas, state, survey, outcome = located
     complete = True
     refused: Rejected = ()
-    room = settings.threshold is None and (faint or outcome != FULL or not is_dark(areas, state, settings))
+    free = settings.threshold is None
+    room = free and (faint or outcome != FULL or not is_dark(areas, state, settings))
+    closer = partial(_among_located, grey, settings, pace, located, faint=True) if free and not faint else None
     quiet = outcome == FULL and not room and is_quiet(state, settings.max_spots)
     if room:
         if outcome == FULL:
             refused = too_large(areas, state)
-        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), faint)
+        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), pace, faint)
         state = fresh_state(len(areas))
     if not len(areas) and outcome != FULL:
         refused = (whole_frame(grey, _too_bright(outcome, float(survey[-1, col.NUMBER]))),)
@@ -81,7 +93,15 @@ def grey_candidates(image: Image, settings: SpotSettings, faint: bool) -> Candid
         spots = record(*measured(grey, settings, areas, own, survey))
         return replace(spots, rejected=spots.rejected + refused) if refused else spots
 
-    return Candidates(areas=areas, state=state, fit=fit, quiet=quiet, complete=complete, room=room and not faint)
+    return Candidates(
+        areas=areas,
+        state=state,
+        fit=fit,
+        quiet=quiet,
+        complete=complete,
+        room=room and not faint,
+        look_closer=closer,
+    )
 
 
 def too_large(areas: Array, state: NDArray[np.int64]) -> Rejected:
@@ -202,8 +222,10 @@ Index = NDArray[np.intp]
 
 MOST = 1024
 """Candidates kept of one image, strongest first."""
-MOST_GROWN = 2_000_000
-"""Pixels that blobs are grown over in one image; about 40 ms."""
+MOST_GROWN, GROWN_S, GROWN_SHARE = 2_000_000, 2e-8, 0.08
+"""Pixels that blobs are grown over in one image, seconds for each, and the share of a deadline that is for them."""
+FIT_S = 1e-3
+"""Seconds to measure what before a room is no light, all models tried; a light takes a tenth of it."""
 CONTRAST = 24.0
 """Height above its ring in grey levels that makes a peak worth a look."""
 FAINT_SIGMA = 5.0
@@ -228,6 +250,10 @@ class Candidates:
     else than lights is bright in the image, so that all are measured. complete: False where the search stopped before
     it had looked at all of the image's peaks. room: more than lights is bright, and fainter ones may be looked for.
     others: things as bright that are no candidates, which make a pair of candidates by chance no less likely.
+    look_closer: takes nothing for quiet, and looks for those that hardly stand out as well.
+    uv_px (n, 2): coarse centres. contrast (n,): height in grey levels above the level that parts each area from what is
+    round it; peak (n,): highest grey level. radius_px (n,): of a disc of the same area. sigma_px (n,): standard
+    deviation of the coarse centres per coordinate.
     """
 
     areas: Array
@@ -237,11 +263,29 @@ class Candidates:
     complete: bool = True
     room: bool = False
     others: int = 0
+    look_closer: Callable[[], Candidates] | None = None
+    uv_px: Array = field(init=False)
+    contrast: Array = field(init=False)
+    peak: Array = field(init=False)
+    radius_px: Array = field(init=False)
+    sigma_px: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        areas, radius_px = self.areas, np.sqrt(self.areas[:, col.AREA] / np.pi)
+        object.__setattr__(self, "uv_px", areas[:, [col.SUM_X, col.SUM_Y]] / areas[:, [col.WEIGHT]])
+        object.__setattr__(self, "contrast", areas[:, col.PEAK] - areas[:, col.LEVEL])
+        object.__setattr__(self, "peak", areas[:, col.PEAK])
+        object.__setattr__(self, "radius_px", radius_px)
+        object.__setattr__(self, "sigma_px", COARSE_PX + COARSE_SHARE * radius_px)
+
+    def closer(self) -> Candidates:
+        """Return what a closer look shows; itself where there is none."""
+        return self if self.look_closer is None else self.look_closer()
 
     def positions(self, most: int = MOST) -> Index:
         """Return the positions of the candidates, at most so many, of greatest contrast first."""
         at = np.flatnonzero(self.state[:, col.STATUS] == ACCEPTED)
-        return at[np.argsort(-self.contrast[at], kind="stable")[:most]]
+        return np.asarray(at[np.argsort(-self.contrast[at], kind="stable")[:most]])
 
     def measure(self, chosen: Index) -> Spots:
         """Return the spots of the candidates at the given positions; the others are in `rejected` as candidates."""
@@ -251,33 +295,8 @@ class Candidates:
         """Return the spots of the `most` candidates of greatest contrast; the others are in `rejected` as too many."""
         return self.fit(self.positions(most), MANY)
 
-    @property
-    def uv_px(self) -> Array:
-        """Coarse centres (n, 2)."""
-        return np.asarray(self.areas[:, [col.SUM_X, col.SUM_Y]] / self.areas[:, [col.WEIGHT]])
 
-    @property
-    def contrast(self) -> Array:
-        """Height in grey levels above the level that parts each area from what is round it, (n,)."""
-        return np.asarray(self.areas[:, col.PEAK] - self.areas[:, col.LEVEL])
-
-    @property
-    def peak(self) -> Array:
-        """Highest grey level of each area, (n,)."""
-        return np.asarray(self.areas[:, col.PEAK])
-
-    @property
-    def radius_px(self) -> Array:
-        """Radius of a disc of the same area, (n,)."""
-        return np.sqrt(self.areas[:, col.AREA] / np.pi)
-
-    @property
-    def sigma_px(self) -> Array:
-        """Standard deviation of the coarse centres per coordinate, (n,)."""
-        return np.asarray(COARSE_PX + COARSE_SHARE * self.radius_px)
-
-
-def blobs(grey: Image, settings: SpotSettings, noise: float, faint: bool) -> tuple[Array, bool]:
+def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool) -> tuple[Array, bool]:
     """Return the blobs (n, COLUMNS) of a grey image that stand out of their own surroundings, strongest first.
 
     noise: variance of a pixel. faint: down to what the noise allows. The flag tells whether all peaks were looked at.
@@ -291,7 +310,7 @@ def blobs(grey: Image, settings: SpotSettings, noise: float, faint: bool) -> tup
         peaks,
         (contrast, float(settings.min_pixels), settings.max_radius_px),
         table,
-        MOST_GROWN,
+        pace.most(MOST_GROWN, GROWN_S, GROWN_SHARE),
     )
     return table[:n], bool(looked == len(peaks))
 
@@ -302,30 +321,16 @@ def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray
     scale is the size of a pixel of the level: 2, 4, 8 ... A light is found on the level on which its radius is up to
     two pixels: the half-sized image shows the smallest as well.
     """
-    least = int(0.4 * contrast)
-    found: list[NDArray[np.int64]] = []
-    if min(grey.shape) < 2 * BOX_PX:
-        return np.empty((0, 3), np.int64)
-    level, scale = _halved(grey), 2
-    while True:
-        step = cv2.subtract(level, cv2.blur(level, (BOX_PX, BOX_PX)))  # stops at zero: only what is brighter
-        highest = np.asarray(cv2.dilate(step, _SQUARE), dtype=np.uint8)
-        top = cv2.compare(step, np.maximum(highest, np.uint8(least), out=highest), cv2.CMP_GE)
-        at = cv2.findNonZero(top)
-        if at is not None:
-            x, y = at[:, 0, 0], at[:, 0, 1]
-            half = scale // 2
-            places = np.column_stack([x * scale + half, y * scale + half, np.full(len(x), scale), step[y, x]])
-            found.append(np.minimum(places, [grey.shape[1] - 1, grey.shape[0] - 1, scale, 255]))
-        scale *= 2
-        if scale > 0.5 * max_radius_px or min(level.shape) < 2 * BOX_PX:
+    least = np.uint8(0.4 * contrast)
+    found = np.empty((0, 4), np.int64)
+    level, scale = grey, 1
+    while scale == 1 or scale <= 0.25 * max_radius_px:
+        if min(level.shape) < 2 * BOX_PX:
             break
-        level = _halved(level)
-    if not found:
-        return np.empty((0, 3), np.int64)
-    peaks = np.concatenate(found)
-    order = np.argsort(np.uint8(255) - peaks[:, 3].astype(np.uint8), kind="stable")  # bytes are sorted by counting
-    return np.ascontiguousarray(peaks[order, :3], dtype=np.int64)
+        level, scale = _halved(level), 2 * scale
+        step = cv2.subtract(level, cv2.blur(level, (BOX_PX, BOX_PX)))  # stops at zero: only what is brighter
+        found = add_peaks(step, cv2.dilate(step, _SQUARE), least, scale, grey.shape, found)
+    return np.asarray(strongest_first(found))
 
 
 def _halved(grey: Image) -> Image:

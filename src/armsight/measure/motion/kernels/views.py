@@ -93,6 +93,61 @@ def observe(x, camera, X, tau, uv, H):
     return True
 
 
+@kernel
+def observe_all(x, camera, X, tau, uv, H):
+    """As observe, of the lights X (m, 3), each at its own tau (m,): uv (m, 2), H (2 m, 18)."""
+    seen = True
+    for i in range(X.shape[0]):
+        seen &= observe(x, camera, X[i], tau[i], uv[i], H[2 * i : 2 * i + 2])
+    return seen
+
+
+@kernel
+def choose(expected, light, spots, gate2, kept):
+    """Fill kept with the spots within the gate of their light, and the only ones that are; return how many, chi-square.
+
+    expected: uv (m, 2) and S (2 m, 2 m) of the lights; light (n,): which of them each spot may be; spots: uv (n, 2),
+    cov (n, 2, 2). Chi-square is of the kept ones together, infinite where it cannot be told.
+    """
+    at, S = expected
+    uv, cov = spots
+    count = np.int64(0)
+    for i in range(at.shape[0]):
+        near = np.int64(0)
+        for k in range(light.shape[0]):
+            if light[k] != i:
+                continue
+            x, y = uv[k, 0] - at[i, 0], uv[k, 1] - at[i, 1]
+            a, c = S[2 * i, 2 * i] + cov[k, 0, 0], S[2 * i + 1, 2 * i + 1] + cov[k, 1, 1]
+            b = S[2 * i, 2 * i + 1] + cov[k, 0, 1]
+            # the whitened square of the distance below the gate, both sides times the determinant
+            if c * x * x - 2.0 * b * x * y + a * y * y < gate2 * (a * c - b * b):
+                kept[count] = k
+                near += 1
+                if near == 2:
+                    break
+        count += near == 1
+    # lights move together: their joint covariance, with each spot's own on the diagonal
+    T, r = np.empty((2 * count, 2 * count)), np.empty(2 * count)
+    for p in range(count):
+        i = light[kept[p]]
+        for c in range(2):
+            r[2 * p + c] = uv[kept[p], c] - at[i, c]
+            for q in range(count):
+                for d in range(2):
+                    T[2 * p + c, 2 * q + d] = S[2 * i + c, 2 * light[kept[q]] + d]
+            for d in range(2):
+                T[2 * p + c, 2 * p + d] += cov[kept[p], c, d]
+    inverse = np.empty_like(T)
+    if not invert_spd(T, inverse):
+        return count, np.inf
+    chi2 = 0.0
+    for c in range(2 * count):
+        for d in range(2 * count):
+            chi2 += r[c] * inverse[c, d] * r[d]
+    return count, chi2
+
+
 @inner_kernel
 def update(x, C, camera, view, residual):
     """Bring the spots of one view (a ViewK) into the state x, C at its time.

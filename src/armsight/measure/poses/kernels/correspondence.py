@@ -30,6 +30,8 @@ MANY_PAIRS = 8192  # of coarse centres
 MAX_NODES = 10_000_000  # pairs looked at in the search; about 0.1 s
 HOPELESS = 20.0  # chi-square of a closed-form start over the limit beyond which no fit brings it below
 JUDGED = 1500  # as many pairs take as long as judging a whole arrangement
+POOLED = 4  # pairs are looked at for a pool in the time of one
+SURELY = 1.0 + 1e-9  # rounding may not part what the pool lets through from what `_near` does
 
 
 class PairsK(NamedTuple):
@@ -174,6 +176,25 @@ def _near(P, spread, a, b, distance):
 
 
 @inner_kernel
+def _fill_pool(anchor, name, candidates, D, pool):
+    """Fill pool with the candidates as far from the anchor, which is `name`, as one of the later names is; return how
+    many: all others `_near` refuses beside it, whatever they are called.
+    """
+    P, spread = candidates.P, candidates.spread
+    low, high = np.inf, 0.0
+    for later in range(name + 1, D.shape[0]):
+        low, high = min(low, D[name, later]), max(high, D[name, later])
+    x, y, z = P[anchor, 0], P[anchor, 1], P[anchor, 2]
+    n = np.int64(0)
+    for c in range(P.shape[0]):
+        length2 = (P[c, 0] - x) ** 2 + (P[c, 1] - y) ** 2 + (P[c, 2] - z) ** 2
+        slack = SURELY * (spread[anchor] + spread[c])
+        pool[n] = c
+        n += max(low - slack, 0.0) ** 2 <= length2 <= (high + slack) ** 2
+    return n
+
+
+@inner_kernel
 def _allowed(name, candidate, chosen, candidates, D, rules):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     pairs = candidates.index
@@ -190,6 +211,14 @@ def _allowed(name, candidate, chosen, candidates, D, rules):
         if not distance_fits(candidates.P, candidates.S, c, candidate, D[other, name], rules.gate):
             return False
     return True
+
+
+@inner_kernel
+def _next_allowed(k, last, name, among, chosen, candidates, D, rules):
+    """Return the first place from k up to last whose candidate may be `name` beside those chosen; last where none."""
+    while k < last and not _allowed(name, among[k], chosen, candidates, D, rules):
+        k += 1
+    return k
 
 
 @inner_kernel
@@ -244,10 +273,11 @@ def search(rig, model, ellipse, pairs, rules, best):
     candidates = PairsK(index, uv, W, P, S, spread)
     chosen = np.full(m, -1, np.intp)
     following = np.zeros(m, np.intp)
-    Rp = np.empty((3, 3))
-    tp = np.empty(3)
+    every = np.arange(C)
+    pool = np.empty(C + 1, np.intp)  # what may stand beside the first one chosen, in the candidates' order
+    Rp, tp = np.empty((3, 3)), np.empty(3)
     # typed: a bare 0 would have every callee compiled once for the literal and once for the number
-    found = count = level = nodes = passed = np.int64(0)
+    found = count = level = nodes = passed = pooled = np.int64(0)
     most = np.int64(3)
     while level >= 0:
         nodes += 1
@@ -270,18 +300,19 @@ def search(rig, model, ellipse, pairs, rules, best):
         if chosen[level] >= 0:  # come back from below: give the name up again
             chosen[level] = -1
             count -= 1
-        c = following[level]
-        nodes -= c
-        while c < C and not _allowed(level, c, chosen, candidates, model.D, rules):
-            c += 1
-        nodes += c
-        if c < C:
-            chosen[level] = c
+        among, last = (every, C) if count == 0 else (pool, pooled)
+        k = _next_allowed(following[level], last, level, among, chosen, candidates, model.D, rules)
+        nodes += k - following[level]
+        if k < last:
+            chosen[level] = among[k]
             count += 1
-            following[level] = c + 1
+            following[level] = k + 1
+            if count == 1:
+                pooled = _fill_pool(among[k], level, candidates, model.D, pool)
+                nodes += C // POOLED
         # leave the name without a spot, unless too few names would then be left to reach the most so far
-        elif c == C and count + (m - level - 1) >= most:
-            following[level] = C + 1
+        elif k == last and count + (m - level - 1) >= most:
+            following[level] = last + 1
         else:
             level -= 1
             continue

@@ -23,6 +23,8 @@ REACH = 1.25
 RING_SAMPLES = 24
 RING_X = np.cos(2.0 * pi * np.arange(RING_SAMPLES) / RING_SAMPLES)
 RING_Y = np.sin(2.0 * pi * np.arange(RING_SAMPLES) / RING_SAMPLES)
+SHIFT, COLUMN = 20, (1 << 20) - 1
+"""A pixel on the stack is its row, shifted, and its column: to part them takes no division."""
 FEWEST_SAMPLES = 12
 """Ring samples within the image without which nothing is known of the background."""
 BACKGROUND_SHARE = 0.75
@@ -98,78 +100,79 @@ def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
     image, flip, saturation, mask = picture
     marks, left, top_row, stack = labels
     h, w = image.shape
-    for c in range(col.COLUMNS):
-        row[c] = 0.0
-    row[col.X_MIN] = x0
-    row[col.X_MAX] = x0
-    row[col.Y_MIN] = y0
-    row[col.Y_MAX] = y0
-    stack[0] = y0 * w + x0
+    area = weight = sum_x = sum_y = peak = clipped = np.int64(0)  # whole numbers: their sums are exact
+    x_min = x_max = x0
+    y_min = y_max = y0
+    stack[0] = (y0 << SHIFT) | x0
     marks[y0 - top_row, x0 - left] = stamp
     top = 1
+    code = 0
     reach2 = reach * reach
     while top > 0:
         top -= 1
-        y = stack[top] // w
-        x = stack[top] - y * w
+        y = stack[top] >> SHIFT
+        x = stack[top] & COLUMN
         # beyond it the neighbours below would be read outside of the image
         if x < 1 or y < 1 or x > w - 2 or y > h - 2:
-            return 2
+            code = 2
+            break
         if (x - x0) ** 2 + (y - y0) ** 2 > reach2:
-            return 1
-        grey = float(np.uint8(image[y, x] ^ flip))
+            code = 1
+            break
+        # unsigned: numbers that cannot be negative need no test for it
+        i, j = np.uint64(y), np.uint64(x)
+        grey = np.int64(np.uint8(image[i, j] ^ flip))
         v = grey - level
-        row[col.AREA] += 1.0
-        row[col.WEIGHT] += v
-        row[col.SUM_X] += v * (x - x0)
-        row[col.SUM_Y] += v * (y - y0)
-        row[col.PEAK] = max(row[col.PEAK], grey)
-        row[col.CLIPPED] += 1.0 if grey >= saturation else 0.0
-        row[col.X_MIN] = min(row[col.X_MIN], x)
-        row[col.X_MAX] = max(row[col.X_MAX], x)
-        row[col.Y_MIN] = min(row[col.Y_MIN], y)
-        row[col.Y_MAX] = max(row[col.Y_MAX], y)
+        area += 1
+        weight += v
+        sum_x += v * (x - x0)
+        sum_y += v * (y - y0)
+        peak = max(peak, grey)
+        clipped += grey >= saturation
+        x_min = min(x_min, x)
+        x_max = max(x_max, x)
+        y_min = min(y_min, y)
+        y_max = max(y_max, y)
         for d in range(4):
             a = x + (1 if d == 0 else -1 if d == 1 else 0)
             b = y + (1 if d == 2 else -1 if d == 3 else 0)
-            if marks[b - top_row, a - left] == stamp:
+            i, j = np.uint64(b), np.uint64(a)
+            if np.uint8(image[i, j] ^ flip) <= level or marks[np.uint64(b - top_row), np.uint64(a - left)] == stamp:
                 continue
-            if np.uint8(image[b, a] ^ flip) > level and (mask.size == 0 or mask[b, a] != 0):
-                marks[b - top_row, a - left] = stamp
-                stack[top] = b * w + a
+            if mask.size == 0 or mask[i, j] != 0:
+                marks[np.uint64(b - top_row), np.uint64(a - left)] = stamp
+                stack[top] = (b << SHIFT) | a
                 top += 1
-    row[col.SUM_X] += row[col.WEIGHT] * x0
-    row[col.SUM_Y] += row[col.WEIGHT] * y0
-    row[col.LEVEL] = level
-    return 0
+    row[col.AREA], row[col.WEIGHT], row[col.PEAK], row[col.CLIPPED] = area, weight, peak, clipped
+    row[col.SUM_X], row[col.SUM_Y] = sum_x + weight * x0, sum_y + weight * y0
+    row[col.X_MIN], row[col.X_MAX], row[col.Y_MIN], row[col.Y_MAX] = x_min, x_max, y_min, y_max
+    row[col.LEVEL], row[col.BACKGROUND], row[col.SLOPE] = level, 0.0, 0.0
+    return code
 
 
 @inner_kernel
 def roundness(labels, stamp, row):
     """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
-    n = 0.0
-    sx = 0.0
-    sy = 0.0
-    xx = 0.0
-    xy = 0.0
-    yy = 0.0
-    x0 = int(row[col.X_MIN])
-    y0 = int(row[col.Y_MIN])
-    for y in range(y0, int(row[col.Y_MAX]) + 1):
-        for x in range(x0, int(row[col.X_MAX]) + 1):
-            if labels.marks[y - labels.top, x - labels.left] == stamp:
-                n += 1.0
-                sx += x - x0
-                sy += y - y0
-                xx += (x - x0) ** 2
-                xy += (x - x0) * (y - y0)
-                yy += (y - y0) ** 2
-    sx /= n
-    sy /= n
+    marks, left, top, _ = labels
+    count = sum_x = sum_y = sum_xx = sum_xy = sum_yy = np.int64(0)
+    first, last = np.int64(row[col.X_MIN]) - left, np.int64(row[col.X_MAX]) - left
+    for y in range(np.int64(row[col.Y_MAX]) - np.int64(row[col.Y_MIN]) + 1):
+        line = np.uint64(np.int64(row[col.Y_MIN]) - top + y)
+        for x in range(last - first + 1):
+            if marks[line, np.uint64(first + x)] == stamp:
+                count += 1
+                sum_x += x
+                sum_y += y
+                sum_xx += x * x
+                sum_xy += x * y
+                sum_yy += y * y
+    n = float(count)
+    sx = sum_x / n
+    sy = sum_y / n
     # a pixel has a second moment of its own: one row of pixels is not without width
-    xx = xx / n - sx * sx + 1.0 / 12.0
-    xy = xy / n - sx * sy
-    yy = yy / n - sy * sy + 1.0 / 12.0
+    xx = sum_xx / n - sx * sx + 1.0 / 12.0
+    xy = sum_xy / n - sx * sy
+    yy = sum_yy / n - sy * sy + 1.0 / 12.0
     mean = 0.5 * (xx + yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     low = max(mean - root, 1e-3)

@@ -41,18 +41,20 @@ OCTANTS = 8
 
 STRETCH = 192
 """Channels that are looked at together: of 64 pixels."""
+ONE_ON, TWO_ON = np.uint64(1), np.uint64(2)
 
 
 @kernel
 def whiten_clipped(channels, saturation, grey):
     """Set grey (n,) to 255 where any of a pixel's channels (3 n,), side by side, is clipped."""
-    for start in range(0, channels.size, STRETCH):
-        n = min(STRETCH, channels.size - start)
-        if brightest(channels, np.uint8(0), start, n) < saturation:
+    for first in range(0, grey.size, STRETCH // 3):
+        n = min(STRETCH // 3, grey.size - first)
+        if brightest(channels, np.uint8(0), 3 * first, 3 * n) < saturation:
             continue
-        for i in range(start, start + n):
-            if channels[i] >= saturation:
-                grey[i // 3] = np.uint8(255)
+        for i in range(first, first + n):
+            at = np.uint64(3 * i)  # unsigned and without a branch: vector code
+            clipped = max(max(channels[at], channels[at + ONE_ON]), channels[at + TWO_ON]) >= np.uint8(saturation)
+            grey[np.uint64(i)] |= np.uint8(255) * np.uint8(clipped)
 
 
 @kernel

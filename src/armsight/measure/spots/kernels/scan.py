@@ -287,18 +287,15 @@ def find_root(parent, i):
 def add_run(picture, y, start, stop, level, k, table):
     """Write the sums of the run of row y, columns start..stop-1, into row k of table; weights are above level."""
     image, flip, saturation, _ = picture
-    weight = 0.0
-    sum_x = 0.0
-    peak = 0.0
-    clipped = 0
+    # whole numbers, whose sums are exact in any order, and unsigned places: vector code
+    weight = sum_x = peak = clipped = np.int64(0)
+    row = np.uint64(y)
     for x in range(start, stop):
-        grey = np.int64(np.uint8(image[y, x] ^ flip))
-        v = grey - level
-        weight += v
-        sum_x += v * x
-        peak = max(peak, float(grey))
-        if grey >= saturation:
-            clipped += 1
+        grey = np.int64(np.uint8(image[row, np.uint64(x)] ^ flip))
+        weight += grey - level
+        sum_x += (grey - level) * x
+        peak = max(peak, grey)
+        clipped += grey >= saturation
     table[k, col.AREA] = stop - start
     table[k, col.WEIGHT] = weight
     table[k, col.SUM_X] = sum_x
