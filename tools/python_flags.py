@@ -140,6 +140,7 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("doctor", "--depth"): "`doctor(depths_m)`",
     ("doctor", "--sigma"): "`doctor(sigma_px)`",
     ("doctor", "--accuracy"): "`doctor(accuracy_m)`",
+    ("doctor", "--compile"): "`doctor(compile_ahead)`",
     ("teach", "--wait"): "read the frames when they are wanted",
     ("join", "--offset"): "`join(offset_s)`",
     **{(f"path {name}", "source"): f"`paths.{name}(path)` of `read_path(path)`" for name in ("check", "export")},

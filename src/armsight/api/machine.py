@@ -28,11 +28,14 @@ def doctor(
     depths_m: Sequence[float] = (),
     sigma_px: float = CENTROID_SIGMA_PX,
     accuracy_m: float | None = None,
+    compile_ahead: bool = False,
+    progress: Progress | None = None,
 ) -> DoctorOutput:
     """Return what this machine can do (versions, cameras, drivers, compiled code), and what a rig can tell apart.
 
     depths_m: distances for the rig. sigma_px: of a spot's centre. accuracy_m: tell also what reaches this standard
-    deviation of a point. Raises UsageError, BadFile.
+    deviation of a point. compile_ahead: first compile all that is not compiled yet. Raises UsageError, BadFile,
+    Cancelled.
 
     Examples
     --------
@@ -45,7 +48,14 @@ def doctor(
         require_number("accuracy_m", accuracy_m)
     with Given() as given:
         file = None if rig is None else given.file("rig", rig)
-        return look_at_machine(file, depths_m=depths, sigma_px=sigma_px, accuracy_m=accuracy_m)
+        return look_at_machine(
+            file,
+            depths_m=depths,
+            sigma_px=sigma_px,
+            accuracy_m=accuracy_m,
+            compile_ahead=compile_ahead,
+            progress=progress,
+        )
 
 
 @speaks_python

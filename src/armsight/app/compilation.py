@@ -7,6 +7,7 @@ kernel is one file, which two writers at once would spoil.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,10 +23,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.demo import measure_pictures
 from armsight.app.measure.warm_up import compile_beside
 from armsight.drivers import CELLS, known, load
+from armsight.errors import Cancelled
 from armsight.records import BoardView, Progress, Silent, Spots
 
 COMPILING = "compiling"
 SIZE = (640, 480)
+PLAIN = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
+"""Numba colours the text of each trial of a type that fails, where colorama is there: a twentieth of the work."""
 VARIANCE_PX2 = 0.01 * np.eye(2)
 SEED = 1
 
@@ -212,10 +216,10 @@ def motion() -> None:
     ]
     packed, covariance = PackedRig.of(rig), 1e-6 * np.eye(6)
     starts = [Start(view=0, T=T, covariance=covariance)]
-    smooth(packed, lights, views, starts, np.array([-0.01, 0.015]))
     setup = Setup(rig, spot_target({"A": lights[0], "B": lights[1], "C": lights[2]}))
+    smooth(packed, setup.model.xyz_m, views, starts, np.array([-0.01, 0.015]))
     check_motion(setup, views, starts, np.ones(len(views)))
-    filtered = MotionFilter.begin(packed, lights, 0.0, T, covariance)
+    filtered = MotionFilter.begin(packed, setup.model.xyz_m, 0.0, T, covariance)
     for view in views:
         filtered = filtered.add(view)
         filtered.at(view.t_s - 0.001)
@@ -235,18 +239,23 @@ def guard() -> None:
     watcher.warm_up()
 
 
+def room() -> None:
+    """Compile the renderer of a room with a hand-held target, which the demo shows; nothing where there is none."""
+    if known(CELLS):
+        next(iter(load(CELLS, "hand-cell")(0, 1).frames()))
+
+
 def simulator() -> None:
-    """Compile the renderers of the simulated cells: lights, boards and rooms; nothing where there are none."""
+    """Compile the renderers of the other simulated cells: lights and boards; nothing where there are none."""
     if not known(CELLS):
         return
-    makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "hand-cell", "beacon-cell")}
+    makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "beacon-cell")}
     small = {"width": 320, "height": 180}
     for cell in (
         makers["led-cell"](0, 1, small, pipeline="ideal"),
         makers["led-cell"](0, 1, {"diameter_m": 0.01, **small}),
         makers["board-cell"](0, 1, **small),
         makers["beacon-cell"](0, 1, **small),
-        makers["hand-cell"](0, 1),
     ):
         next(iter(cell.frames()))
 
@@ -279,41 +288,51 @@ GROUPS: Mapping[str, Callable[[], None]] = {
     "identify": identify,
     "motion": motion,
     "guard": guard,
+    "room": room,
     "simulator": simulator,
     "measure": together,
 }
 """What is compiled, by command; each alone, or in this order."""
 
 SHARES = (
-    ("spots", "boards", "simulator"),
-    ("poses", "cameras", "light target", "hand-eye", "kinematics", "arm", "identify", "motion", "guard"),
+    ("spots", "boards", "room", "simulator", "hand-eye"),
+    ("poses", "cameras", "light target", "kinematics", "arm", "identify", "motion", "guard"),
 )
 """The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
 to both: tests/unit/app/test_compilation.py."""
 
-DEMO = ("spots", "boards", "simulator", "poses", "cameras", "measure")
+DEMO = ("spots", "boards", "room", "poses", "cameras", "measure")
 """What `armsight demo` runs."""
 
 
-def compile_all(progress: Progress | None = None, groups: Collection[str] = tuple(GROUPS)) -> None:
-    """Compile all of the groups that is not compiled yet, in two processes; a minute, or seconds where it is there."""
-    shown, lock, done = progress or Silent(), Lock(), [0]
+def compile_all(progress: Progress | None = None, groups: Collection[str] = tuple(GROUPS)) -> list[str]:
+    """Compile all of the groups that is not compiled yet, in two processes; a minute, or seconds where it is there.
+
+    Returns the groups that failed, or were not begun after one that did. Raises Cancelled.
+    """
+    shown, lock, left = progress or Silent(), Lock(), list(groups)
 
     def run(names: tuple[str, ...]) -> None:
         if not names:
             return
         command = [sys.executable, "-m", "armsight.app.compilation", *names]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(command, env=os.environ | PLAIN, stdout=subprocess.PIPE, text=True) as process:
             for line in process.stdout or ():
                 with lock:
-                    done[0] += 1
-                    shown.update(done[0], len(groups), f"{COMPILING}: {line.strip()}")
+                    left.remove(line.strip())
+                    shown.update(len(groups) - len(left), len(groups), f"{COMPILING}: {line.strip()}")
+                if shown.cancelled():
+                    process.terminate()
 
     shown.update(0, len(groups), COMPILING)
     shared = [tuple(name for name in share if name in groups) for share in SHARES]
     with ThreadPoolExecutor(len(SHARES)) as pool:
         list(pool.map(run, shared))
-    run(tuple(name for name in groups if not any(name in share for share in shared)))
+    if not shown.cancelled():
+        run(tuple(name for name in groups if not any(name in share for share in shared)))
+    if shown.cancelled():
+        raise Cancelled(f"compiling was stopped; not compiled: {', '.join(left)}")
+    return left
 
 
 def main(names: list[str]) -> int:
@@ -322,8 +341,7 @@ def main(names: list[str]) -> int:
     Without names all are compiled, and with `demo` what it needs, in two processes.
     """
     if not names or names == ["demo"]:
-        compile_all(_Lines(), DEMO if names else tuple(GROUPS))
-        return 0
+        return 1 if compile_all(_Lines(), DEMO if names else tuple(GROUPS)) else 0
     for name in names:
         GROUPS[name]()
         sys.stdout.write(name + "\n")

@@ -22,6 +22,7 @@ from armsight.fields import Doc
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
+from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
 from armsight.units import MM
@@ -138,11 +139,14 @@ def doctor(
     depths_m: Sequence[float] = (),
     sigma_px: float = CENTROID_SIGMA_PX,
     accuracy_m: float | None = None,
+    compile_ahead: bool = False,
+    progress: Progress | None = None,
 ) -> DoctorOutput:
     """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline).
 
-    accuracy_m: tell also which settings and which baseline reach this standard deviation at the distances. Raises
-    UsageError where it is wanted without a rig or a distance, or a distance without a rig.
+    accuracy_m: tell also which settings and which baseline reach this standard deviation at the distances.
+    compile_ahead: first compile what is not compiled yet. Raises UsageError where an accuracy is wanted without a rig
+    or a distance, or a distance without a rig; Cancelled.
     """
     if depths_m and rig is None:
         raise UsageError("--depth is of a rig", cure="Give --rig with it")
@@ -151,6 +155,7 @@ def doctor(
             "--accuracy is of a rig at a distance",
             cure="Give --rig and --depth (in m; again for the far end of a volume)",
         )
+    failed = _compile(progress) if compile_ahead else []
     drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS, SETS)}
     drivers["scenarios"] = list(scenario_names())
     packages = [Path(__file__).parent.parent]
@@ -163,7 +168,7 @@ def doctor(
         cameras=[*cameras_there(), *genicam_cameras()],
         drivers=drivers,
         kernels=kernels,
-        problems=_problems(drivers, kernels),
+        problems=[*failed, *_problems(drivers, kernels)],
         rig=None if rig is None else rig_resolution(read_zoom_rig(rig), depths_m, sigma_px, accuracy_m),
     )
 
@@ -203,6 +208,16 @@ def _versions() -> dict[str, str]:
             found[name] = "missing"
     found["opencv"] = cv2.__version__
     return found
+
+
+def _compile(progress: Progress | None) -> list[str]:
+    """Compile all that is not compiled yet; return what is wrong."""
+    from armsight.app.compilation import compile_all
+
+    left = compile_all(progress)
+    if not left:
+        return []
+    return [f"Not compiled: {', '.join(left)}. What stands above says why; where nothing does, install armsight anew."]
 
 
 def _problems(drivers: Mapping[str, Sequence[str]], kernels: KernelCache) -> list[str]:

@@ -146,12 +146,22 @@ def doctor(
         Bounds(least=1e-6),
         Flag("--accuracy", metavar="MM", unit=MM),
     ] = None,
+    compile_ahead: Annotated[
+        bool, Doc("First compile all that is not compiled yet: no command then waits for it."), Flag("--compile")
+    ] = False,
 ) -> None:
     """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
     from armsight.app.doctor import doctor as run
     from armsight.optics.resolution import CENTROID_SIGMA_PX
 
-    found = run(rig, depths_m=depth or (), sigma_px=sigma or CENTROID_SIGMA_PX, accuracy_m=accuracy)
+    found = run(
+        rig,
+        depths_m=depth or (),
+        sigma_px=sigma or CENTROID_SIGMA_PX,
+        accuracy_m=accuracy,
+        compile_ahead=compile_ahead,
+        progress=face.progress("compiling") if compile_ahead else None,
+    )
     doctor_tables(face, found)
     face.result(found)
 

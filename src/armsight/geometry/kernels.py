@@ -46,6 +46,15 @@ def rotation_from_rotvec(w, R):
 
 
 @kernel
+def rotvec(R):
+    """Return the rotation vector (3,) of R (3, 3)."""
+    # for Python alone: kernels call rotvec_of, which then is compiled into them and kept nowhere else
+    w = np.empty(3)
+    rotvec_of(R, w)
+    return w
+
+
+@inner_kernel
 def rotvec_of(R, w):
     """Fill w (3,) with the rotation vector of R (3, 3), by the largest entry of the quaternion (Shepperd 1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]

@@ -73,7 +73,7 @@ class Spots:
             )
         return cls(
             uv_px=uv_px,
-            covariance_px2=np.broadcast_to(covariance_px2, (n, 2, 2)) if covariance_px2.ndim == 2 else covariance_px2,
+            covariance_px2=np.tile(covariance_px2, (n, 1, 1)) if covariance_px2.ndim == 2 else covariance_px2,
             peak=np.zeros(n),
             size_px=np.ones(n),
             model=("gaussian",) * n,

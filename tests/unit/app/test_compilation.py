@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from armsight.app.compilation import GROUPS, SHARES
+from armsight.app.compilation import GROUPS, SHARES, compile_all
+from armsight.app.doctor import doctor
+from armsight.errors import Cancelled
+from armsight.records import Silent
 
 CODE = """
 import importlib, json, pkgutil, sys
@@ -56,3 +61,33 @@ def test_no_kernel_belongs_to_two_processes_and_none_is_left_out() -> None:
     left_out = {name.rsplit(".", 1)[1] for name in unused - first - second}
     assert left_out <= SELDOM, left_out - SELDOM
     assert len(third) > 20
+
+
+class Heard(Silent):
+    """Keeps what it is told; wants to stop after so many groups."""
+
+    def __init__(self, most: float = np.inf) -> None:
+        self.notes: list[str] = []
+        self.most = most
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        self.notes.append(f"{done:g} of {total:g} {note}")
+        self.most -= done > 0
+
+    def cancelled(self) -> bool:
+        return self.most <= 0
+
+
+def test_compiling_tells_each_group_and_can_be_stopped() -> None:
+    heard = Heard()
+    assert compile_all(heard, ("guard",)) == []
+    assert heard.notes == ["0 of 1 compiling", "1 of 1 compiling: guard"]
+    with pytest.raises(Cancelled) as stopped:
+        compile_all(Heard(most=1), ("kinematics", "guard", "measure"))
+    assert "measure" in str(stopped.value)
+
+
+def test_the_doctor_compiles_when_asked_and_tells_what_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.executable", shutil.which("false"))
+    assert not [problem for problem in doctor().problems if "Not compiled" in problem]
+    assert doctor(compile_ahead=True).problems[0].startswith(f"Not compiled: {', '.join(GROUPS)}")

@@ -16,7 +16,7 @@ from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Inconsistent
-from armsight.geometry.kernels import rotvec_of
+from armsight.geometry.kernels import rotvec
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.records import NamedCovariance, Target
 from armsight.records.board import symmetries
@@ -75,8 +75,8 @@ def _consensus(left: Array, right: Array, spins: Array) -> Paired:
     """Return the relative pose that most pairs agree on, each with the symmetry that suits it best."""
     G, S = len(left), len(spins)
     R_left, R_right = np.empty((G, 3, 3)), np.empty((G, 3, 3))
-    matrices_of(left[:, 3:], R_left)
-    matrices_of(right[:, 3:], R_right)
+    matrices_of(np.ascontiguousarray(left[:, 3:]), R_left)
+    matrices_of(np.ascontiguousarray(right[:, 3:]), R_right)
     R_right = R_right[:, None] @ spins[None]  # (G, S, 3, 3)
     R = R_left[:, None] @ R_right.transpose(0, 1, 3, 2)  # of T_left_right
     t = left[:, None, :3] - np.einsum("gsij,gj->gsi", R, right[:, :3])  # (G, S, 3)
@@ -94,7 +94,7 @@ def _consensus(left: Array, right: Array, spins: Array) -> Paired:
     U, _, Vt = np.linalg.svd(R[chosen, turn[chosen]].sum(axis=0))  # the mean rotation: nearest to the sum
     side_pose = np.empty(6)
     side_pose[:3] = np.median(t[chosen, turn[chosen]], axis=0)
-    rotvec_of(U @ Vt, side_pose[3:])
+    side_pose[3:] = rotvec(U @ Vt)
     return Paired(side_pose=side_pose, agreeing=agreeing, turn=turn)
 
 

@@ -76,7 +76,7 @@ def check_tilt(poses: Array, name: str, least_deg: float = LEAST_TILT_DEG) -> li
     name: of the camera, for the message ("the left camera").
     """
     R = np.empty((len(poses), 3, 3))
-    matrices_of(poses[:, 3:], R)
+    matrices_of(np.ascontiguousarray(poses[:, 3:]), R)
     normals = R[:, :, 2]  # (G, 3)
     between = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)))
     if between.max() >= least_deg:

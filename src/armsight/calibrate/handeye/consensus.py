@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
 from armsight.errors import Inconsistent
-from armsight.geometry.kernels import rotvec_of
 from armsight.units import DEG
 
 SAMPLE = 4
@@ -297,12 +296,10 @@ def rolled(R: Array) -> Array:
 
 def _turns(R: Array) -> Array:
     """Return (n, 3) rotation vectors about the first orientation, enough to see how much there is."""
-    out = np.empty((len(R), 3))
     U, _, Vt = np.linalg.svd(R.mean(axis=0))
     middle = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    for i, turn in enumerate(R @ middle.T):
-        rotvec_of(turn, out[i])
-    return out
+    turns: Array = starts.rotvecs(R @ middle.T)
+    return turns
 
 
 def _spread(values: Array) -> float:

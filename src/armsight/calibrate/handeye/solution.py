@@ -15,7 +15,6 @@ from armsight.calibrate.handeye.known_noise import BELIEVED, Fitted, Weighing, f
 from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
 from armsight.errors import NotConverged
 from armsight.fitting.quantiles import t_ppf
-from armsight.geometry.kernels import rotvec_of
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
 """Variances are kept above (0.01 nm)^2 and (1e-11 rad)^2, so that exact data can be fitted as well."""
@@ -176,9 +175,7 @@ def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma:
     t = np.einsum("nij,nj->ni", P, tZ - tF) - RX.T @ tX
     out = np.empty((len(RF), 6))
     out[:, :3] = tB - gamma * t
-    turn = RB @ (P @ RZ).transpose(0, 2, 1)
-    for i in range(len(RF)):
-        rotvec_of(turn[i], out[i, 3:])
+    out[:, 3:] = starts.rotvecs(RB @ (P @ RZ).transpose(0, 2, 1))
     return out
 
 

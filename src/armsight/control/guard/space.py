@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from armsight.control.guard.kernels import FACES, TOOL, depths, depths_each
 from armsight.control.guard.limits import Box, JointBounds, Limits
 from armsight.kinematics import Arm, fk_jacobian
+from armsight.records import for_kernels
 
 Array = NDArray[np.float64]
 
@@ -182,6 +183,7 @@ class Space:
         dt_s: between two rows. before: what is broken already. in_space: singularities count, in every row, as a way to
         rest may pass one and end far from it.
         """
+        q, qd, qdd = (for_kernels(part) for part in (q, qd, qdd))
         values = self._values(q)
         T, J = fk_jacobian(self.arm, values, all_cores=False)
         if self._gearing is not None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armsight.control.guard.space import pose_difference
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
-from armsight.geometry.kernels import rotvec_of
+from armsight.geometry.kernels import rotvec
 from armsight.records.output import Output, output
 from armsight.units import MS
 
@@ -40,8 +40,7 @@ class ServoError:
 def servo_error(T_flange_target: Array, T_flange_desired: Array) -> ServoError:
     """Return e_t = p_FG - p_FD and e_R = rotvec(R_FG R_FD^T) of poses (4, 4) (MATH 3.3): F flange, G target, D where it
     should be."""
-    turn = np.empty(3)
-    rotvec_of(np.ascontiguousarray(T_flange_target[:3, :3] @ T_flange_desired[:3, :3].T), turn)
+    turn = rotvec(np.ascontiguousarray(T_flange_target[:3, :3] @ T_flange_desired[:3, :3].T))
     return ServoError(translation_m=T_flange_target[:3, 3] - T_flange_desired[:3, 3], rotation_rad=turn)
 
 

@@ -19,7 +19,7 @@ from armsight.measure.motion.kernels.state import STATE, N, P, R, V
 from armsight.measure.motion.states import NO_TIMING, MotionState, View, state_of
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior, estimate_timing
 from armsight.optics import PackedRig
-from armsight.records import trusted
+from armsight.records import for_kernels, frozen_array, trusted
 
 Array = NDArray[np.float64]
 
@@ -228,7 +228,8 @@ class Filtered:
         """Run the filter. late: lines (m, q) and change (q,) of the timing; by_timing, sums: its ds, dp and L, g."""
         lines, change = late
         light, uv, cov, tau = self.rows.spots
-        spots, motion = (light, uv, cov, tau + lines @ change), (jerk, ANGULAR_RATIO)
+        late_s = frozen_array("late_s", tau + lines @ change, (None,))
+        spots, motion = (light, uv, cov, late_s), (jerk, ANGULAR_RATIO)
         at = self.rig, self.positions_m
         smoothing.run_filter(self.rows.views, spots, lines, *at, motion, begin, *self.states(*by_timing), sums)
 
@@ -289,9 +290,10 @@ def _columns(views: Sequence[View], t: Array, at_s: Array) -> tuple[_Columns, ND
         side=side,
         first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         light=np.concatenate([view.lights for view in views]).astype(np.int64),
-        uv=np.concatenate([view.uv_px for view in views]),
-        cov=np.concatenate([view.cov_px2 for view in views]),
-        tau=np.concatenate([view.tau_s for view in views]),
+        # read-only as in each view, which kernels take by itself, too
+        uv=frozen_array("uv_px", np.concatenate([view.uv_px for view in views]), (None, 2)),
+        cov=frozen_array("cov_px2", np.concatenate([view.cov_px2 for view in views]), (None, 2, 2)),
+        tau=frozen_array("tau_s", np.concatenate([view.tau_s for view in views]), (None,)),
         asked=row[len(t) :],
     )
     return columns, row[: len(t)]
@@ -360,7 +362,7 @@ class MotionFilter:
             t_s - self.t_s,
             MOTION,
             seen,
-            covariance,
+            for_kernels(covariance),
             (xs, Cs, weights),
         )
         after = replace(self, t_s=t_s, seen_s=t_s, xs=xs, Cs=Cs, weights=weights, best=best)

@@ -89,13 +89,13 @@ class MotionState:
     def at(self, t_s: float, angular_ratio: float) -> MotionState:
         """Return the state expected at another time, later or a little earlier, with what jerk leaves open by then."""
         out, D, F = np.empty(kernels.STATE), np.empty((kernels.N, kernels.N)), np.empty((kernels.N, kernels.N))
-        tau = t_s - self.t_s
+        tau, x, C = t_s - self.t_s, np.array(self.x), np.array(self.C)  # writeable, as the kernels' own states
         if tau >= 0.0:
-            kernels.predict(self.x, self.C, tau, self.jerk, angular_ratio * self.jerk, out, D, F)
+            kernels.predict(x, C, tau, self.jerk, angular_ratio * self.jerk, out, D, F)
         else:
-            kernels.transition(self.x, tau, F)
-            kernels.state_at(self.x, tau, out)
-            D = F @ self.C @ F.T
+            kernels.transition(x, tau, F)
+            kernels.state_at(x, tau, out)
+            D = F @ C @ F.T
             kernels.add_jerk(D, -tau, self.jerk, angular_ratio * self.jerk)
         return trusted(MotionState, t_s=t_s, x=out, C=D, jerk=self.jerk, by_timing=F @ self.by_timing)
 

@@ -31,7 +31,7 @@ from armsight.measure.poses.pose import (
 )
 from armsight.measure.poses.setup import Setup
 from armsight.optics import PackedRig
-from armsight.records import Frame, NotSeen, PoseStatus, Spots
+from armsight.records import Frame, NotSeen, PoseStatus, Spots, frozen_array
 
 Array = NDArray[np.float64]
 
@@ -164,8 +164,7 @@ SHARES = (1.0, 0.5, 0.25)
 LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
-UNKNOWN = np.zeros((4, 4))
-UNKNOWN.setflags(write=False)  # as a pose's own: one compilation serves both
+UNKNOWN = frozen_array("UNKNOWN", np.zeros((4, 4)), (4, 4))
 """A pose that tells nothing of how lights lean."""
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""

@@ -21,6 +21,15 @@ GENEROUS = 6.0
 a quarter."""
 
 
+@kernel
+def rotvecs(R):
+    """Return the rotation vectors (n, 3) of R (n, 3, 3)."""
+    out = np.empty((R.shape[0], 3))
+    for i in range(R.shape[0]):
+        rotvec_of(R[i], out[i])
+    return out
+
+
 @inner_kernel
 def multiply(A, B, out):
     """Fill out (3, 3) with A B."""

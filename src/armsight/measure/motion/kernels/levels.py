@@ -239,8 +239,10 @@ def left_out(xs, Cs, views, spots, rig, X, logs):
         s = side[i]
         seen = m > 0
         camera = (rig.k[s], rig.R[s], rig.t[s])
+        at = np.empty((b - a, 3))
+        select(X, light[a:b], at)
         for j in range(b - a):
-            seen &= observe(xs[i], camera, X[light[a + j]], tau[a + j], here, H[2 * j : 2 * j + 2])
+            seen &= observe(xs[i], camera, at[j], tau[a + j], here, H[2 * j : 2 * j + 2])
             for c in range(2):
                 r[2 * j + c] = uv[a + j, c] - here[c]
         if not seen:
