@@ -1,7 +1,8 @@
 """The first minute: what compiling costs on a machine where nothing is compiled yet.
 
 Each group of kernels in a process of its own with an empty cache, then all in one process, then all as `make install`
-does, in two. --worst N lists the kernels that cost most: without and with what they call, seconds, signatures.
+and `make demo` do, in two; then what is left to wait for with everything compiled. --worst N lists the kernels that
+cost most: without and with what they call, seconds, signatures.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 from typing import Any
 
 from numba.core import event
 
 import bench
 from armsight.app.compilation import GROUPS
+
+PAIRS, RUNS = 10, 5
 
 
 class Compilations(event.Listener):
@@ -69,18 +73,41 @@ def cold(names: list[str]) -> tuple[list[float], dict[str, list[list[float]]]]:
     return [after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall, own, number], kernels
 
 
-def installed() -> list[float]:
-    """Return processor and wall seconds of the installation's last step with an empty cache."""
-    with tempfile.TemporaryDirectory() as cache:
-        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        subprocess.run(
-            [sys.executable, "-m", "armsight.app.compilation"],
-            env=os.environ | {"NUMBA_CACHE_DIR": cache},
-            stdout=subprocess.DEVNULL,
-            check=True,
-        )
-        wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+def seconds(module: str, *words: object, cache: str | None = None) -> list[float]:
+    """Return processor and wall seconds of `python -m module words`."""
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-m", module, *map(str, words)],
+        env=os.environ | ({"NUMBA_CACHE_DIR": cache} if cache else {}),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=True,
+    )
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
     return [after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall]
+
+
+def ahead(*words: str) -> list[float]:
+    """Return processor and wall seconds of compiling ahead with an empty cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        return seconds("armsight.app.compilation", *words, cache=cache)
+
+
+def compiled() -> list[list[object]]:
+    """Return what commands take with everything compiled, the best of RUNS each."""
+    with tempfile.TemporaryDirectory() as name:
+        cell, out = Path(name) / "cell", Path(name) / "out"
+        seconds("armsight", "simulate", "hand-cell", "--frames", PAIRS, "-o", cell)
+        files = [f"--{what}={cell / what}.yaml" for what in ("rig", "target")]
+        views = [f"--{side}={cell / side}/*.png" for side in ("left", "right")]
+        commands = {
+            "armsight --help": ["--help"],
+            f"armsight measure, {PAIRS} pairs": ["measure", *files, *views, "-o", out, "--overwrite"],
+        }
+        return [
+            [name, *min((seconds("armsight", *words) for _ in range(RUNS)), key=lambda both: both[1])]
+            for name, words in commands.items()
+        ]
 
 
 def main() -> None:
@@ -99,8 +126,10 @@ def main() -> None:
     whole, kernels = cold(list(GROUPS))
     rows.append(["all in one process", *whole])
     if not arguments.quick:
-        rows.append(["all in two processes (make install)", *installed(), "", ""])
+        rows.append(["all in two processes (make install)", *ahead(), "", ""])
+        rows.append(["what the demo runs, in two processes (make demo)", *ahead("demo"), "", ""])
     bench.table("Cold start", ("group", "processor s", "wall s", "of it compiling s", "compilations"), rows)
+    bench.table("With everything compiled", ("command", "processor s", "wall s"), compiled())
     if arguments.worst:
         worst = sorted(kernels.items(), key=lambda item: -sum(times[0] for times in item[1]))[: arguments.worst]
         bench.table(
