@@ -160,7 +160,7 @@ def doctor(
         sigma_px=sigma or CENTROID_SIGMA_PX,
         accuracy_m=accuracy,
         compile_ahead=compile_ahead,
-        progress=face.progress("compiling") if compile_ahead else None,
+        progress=face.progress("doctor") if compile_ahead else None,
     )
     doctor_tables(face, found)
     face.result(found)
