@@ -79,7 +79,7 @@ def boards() -> None:
     y, x = np.mgrid[0:180, 0:220]
     dots = [np.hypot(x - 40 - 44 * column, y - 44 - 44 * row) < 13 for row in range(3) for column in range(4)]
     image = cv2.GaussianBlur(np.where(np.any(dots, axis=0), 30, 230).astype(np.uint8), (0, 0), 1.0)
-    find_board(image, parse_board("circles:4x3:0.03"), source="")
+    find_board(np.asarray(image, np.uint8), parse_board("circles:4x3:0.03"), source="")
 
 
 def cameras() -> None:
