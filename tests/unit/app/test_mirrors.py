@@ -291,9 +291,17 @@ def test_the_lit_target_calibrates_the_mirrors(lit: Path) -> None:
 def test_every_cause_has_its_cure_and_the_commonest_reason_is_one_whatever_its_numbers() -> None:
     cures = mirrors.CURES.keys() | mirrors_lit_target.CURES.keys()
     others = {  # of these the rig's and the target's files are to be looked at, as OTHER_CURE says
-        *(Unseen.OTHER, Unseen.UNREADABLE, Unseen.NO_BOARD, Unseen.CROWD, Unseen.UNPAIRED, Unseen.SWAPPED),
+        *(
+            Unseen.OTHER,
+            Unseen.UNREADABLE,
+            Unseen.NO_BOARD,
+            Unseen.CROWD,
+            Unseen.DEADLINE,
+            Unseen.UNPAIRED,
+            Unseen.SWAPPED,
+        ),
         *(Unseen.WRONG_TARGET, Unseen.MISFIT, Unseen.ONE_OFF, Unseen.ROTATION_OPEN, Unseen.SMALL_TARGET),
-        *(Unseen.NO_POINT, Unseen.MOTION, Unseen.GAP, Unseen.BEYOND_CLAIMS, Unseen.INCONSISTENT),
+        *(Unseen.NO_POINT, Unseen.MOTION, Unseen.GAP, Unseen.BEYOND_CLAIMS, Unseen.INCONSISTENT, Unseen.DEADLINE),
     }
     assert cures == set(Unseen) - others and not mirrors.CURES.keys() & mirrors_lit_target.CURES.keys()
     seen = [NotSeen("dark"), NotSeen("2 of 3 spots seen", Unseen.LIGHTS_MISSING), NotSeen("1 of 3 spots seen")]
