@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -241,7 +241,7 @@ rooms the root mean square is 0.036 px and the largest 0.11, radii being 2-5 px.
 _SQUARE = np.ones((3, 3), np.uint8)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # no slots: what is reckoned from the areas is kept when it is first asked for
 class Candidates:
     """Bright areas of one image that may be lights.
 
@@ -251,9 +251,6 @@ class Candidates:
     it had looked at all of the image's peaks. room: more than lights is bright, and fainter ones may be looked for.
     others: things as bright that are no candidates, which make a pair of candidates by chance no less likely.
     look_closer: takes nothing for quiet, and looks for those that hardly stand out as well.
-    uv_px (n, 2): coarse centres. contrast (n,): height in grey levels above the level that parts each area from what is
-    round it; peak (n,): highest grey level. radius_px (n,): of a disc of the same area. sigma_px (n,): standard
-    deviation of the coarse centres per coordinate.
     """
 
     areas: Array
@@ -264,19 +261,31 @@ class Candidates:
     room: bool = False
     others: int = 0
     look_closer: Callable[[], Candidates] | None = None
-    uv_px: Array = field(init=False)
-    contrast: Array = field(init=False)
-    peak: Array = field(init=False)
-    radius_px: Array = field(init=False)
-    sigma_px: Array = field(init=False)
 
-    def __post_init__(self) -> None:
-        areas, radius_px = self.areas, np.sqrt(self.areas[:, col.AREA] / np.pi)
-        object.__setattr__(self, "uv_px", areas[:, [col.SUM_X, col.SUM_Y]] / areas[:, [col.WEIGHT]])
-        object.__setattr__(self, "contrast", areas[:, col.PEAK] - areas[:, col.LEVEL])
-        object.__setattr__(self, "peak", areas[:, col.PEAK])
-        object.__setattr__(self, "radius_px", radius_px)
-        object.__setattr__(self, "sigma_px", COARSE_PX + COARSE_SHARE * radius_px)
+    @cached_property
+    def uv_px(self) -> Array:
+        """Coarse centres (n, 2)."""
+        return np.asarray(self.areas[:, [col.SUM_X, col.SUM_Y]] / self.areas[:, [col.WEIGHT]])
+
+    @cached_property
+    def contrast(self) -> Array:
+        """Height in grey levels above the level that parts each area from what is round it, (n,)."""
+        return np.asarray(self.areas[:, col.PEAK] - self.areas[:, col.LEVEL])
+
+    @property
+    def peak(self) -> Array:
+        """Highest grey level of each area, (n,)."""
+        return np.asarray(self.areas[:, col.PEAK])
+
+    @cached_property
+    def radius_px(self) -> Array:
+        """Radius of a disc of the same area, (n,)."""
+        return np.sqrt(self.areas[:, col.AREA] / np.pi)
+
+    @cached_property
+    def sigma_px(self) -> Array:
+        """Standard deviation of the coarse centres per coordinate, (n,)."""
+        return np.asarray(COARSE_PX + COARSE_SHARE * self.radius_px)
 
     def closer(self) -> Candidates:
         """Return what a closer look shows; itself where there is none."""
