@@ -226,10 +226,10 @@ class Sweeper:
                 readings.append(self._robot.read().q)
         uv = np.mean([look.uv_px for look in looks if look.uv_px is not None], axis=0)
         xyz = np.mean([look.xyz_m for look in looks if look.xyz_m is not None], axis=0)
-        told = [look.std_px for look in looks if look.std_px is not None]
+        known = [look.std_px for look in looks if look.std_px is not None]
         self._joint.append(joint)
         # what is behind the beacon shifts it alike in all frames: a mean is known no better for it
-        self._rows.append((np.mean(readings, axis=0), uv, xyz, float(np.median(told)) if told else None))
+        self._rows.append((np.mean(readings, axis=0), uv, xyz, float(np.median(known)) if known else None))
 
 
 def _does_not_go(joint: int, at: Array, goal: Array, limited: Sequence[str]) -> DeviceFailed:

@@ -89,12 +89,12 @@ def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array
     if not any(joint.mass_kg for joint in joints):
         return arm
     behind = np.linalg.inv(link_frames(arm, np.zeros(arm.n))[1:-1])
-    places = [
+    centres = [
         (T @ here)[:3] @ [*joint.com_m, 1.0] for T, here, joint in zip(behind, T_world_joint, joints, strict=True)
     ]
     rows = [
         replace(row, mass_kg=joint.mass_kg, com_m=tuple(com_m.tolist()))
-        for row, joint, com_m in zip(arm.joints, joints, places, strict=True)
+        for row, joint, com_m in zip(arm.joints, joints, centres, strict=True)
     ]
     return replace(arm, joints=tuple(rows))
 

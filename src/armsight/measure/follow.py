@@ -76,7 +76,7 @@ class Follower:
     _lost: str = ""
     _missed: int = 0
     _near: bool = False
-    _whole_s: float = -np.inf
+    _complete_s: float = -np.inf
 
     @property
     def why(self) -> str:
@@ -102,8 +102,8 @@ class Follower:
         if view is None:
             return self._sure(self._filter.at(t_s))
         if len(view.lights) >= 3:
-            self._whole_s = t_s
-        if t_s - self._whole_s > MAX_PARTIAL_S:
+            self._complete_s = t_s
+        if t_s - self._complete_s > MAX_PARTIAL_S:
             self._lose("too few of the target's lights are in sight")
             return None
         self.views.append(view)
@@ -111,7 +111,7 @@ class Follower:
         return self._sure(self._filter.state)
 
     def _sure(self, state: MotionState) -> MotionState | None:
-        return state if state.t_s - self._whole_s <= MAX_WITHOUT_WHOLE_S else None
+        return state if state.t_s - self._complete_s <= MAX_WITHOUT_WHOLE_S else None
 
     def _lose(self, why: str) -> None:
         self._filter, self._beginner, self._lost = None, None, why
@@ -145,7 +145,7 @@ class Follower:
         if earlier is not None:
             self.views += found.views
         self._filter = self._filter_from(found)
-        self._missed, self._whole_s = 0, found.views[-1].t_s
+        self._missed, self._complete_s = 0, found.views[-1].t_s
         self._waiting.clear()
         self._beginner = None
         is_used = any(view.side == side and view.t_s == self.time_of(frame, side) for view in found.views)
@@ -166,7 +166,7 @@ class Follower:
         """Return what is seen of the target before a beginning: time runs backwards, and the target is followed."""
         back = Follower(setup=self.setup, timing=(_reversed(self.timing[0]), _reversed(self.timing[1])))
         back._filter = back._filter_from(replace(found, views=tuple(_mirrored(view) for view in found.views[::-1])))
-        back._whole_s = -found.views[0].t_s
+        back._complete_s = -found.views[0].t_s
         earliest, whole = None, 0
         for frame, side in reversed(self._waiting):
             if not last_s < self.time_of(frame, side) < found.views[0].t_s:

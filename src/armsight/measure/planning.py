@@ -196,5 +196,5 @@ def with_baseline(rig: Rig, factor: float) -> Rig:
     toe_in = float(np.arctan2(np.cross(left, right) @ y, left @ right))
     turn = Rotation.from_rotvec((factor - 1.0) * toe_in * y)
     origin = np.asarray(rig.T_rig_left.translation)
-    place = origin + factor * (np.asarray(rig.T_rig_right.translation) - origin)
-    return replace(rig, T_rig_right=RigidTransform.from_components(place, turn * rig.T_rig_right.rotation))
+    moved_m = origin + factor * (np.asarray(rig.T_rig_right.translation) - origin)
+    return replace(rig, T_rig_right=RigidTransform.from_components(moved_m, turn * rig.T_rig_right.rotation))

@@ -31,7 +31,7 @@ def grid(columns: int, rows: int) -> Grid:
         (np.full(rows, columns), i),
     )
     return Grid(
-        places=places,
+        nodes=places,
         rims=(point[0], point[-1], point[:, 0], point[:, -1]),
         beyond=tuple(np.stack(side, axis=1) for side in sides),
     )

@@ -165,7 +165,7 @@ def test_swapped_views_of_a_beacon_are_suspected() -> None:
     assert measured.pose.status is PoseStatus.LOST and "swapped" in measured.pose.why
 
 
-def test_unmeasured_target_is_named_by_place() -> None:
+def test_unmeasured_target_is_named_by_position() -> None:
     T = RigidTransform.from_components([0.02, -0.01, 0.6], Rotation.from_rotvec([0.1, -0.1, 0.1]))
     points = points_of(ISOSCELES, T)
     measured = measure(unmeasured_target(), points)

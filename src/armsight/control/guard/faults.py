@@ -169,8 +169,8 @@ class Watch:
             return None
         if self._away_s is None:
             self._away_s = inputs.now_s
-        told = "" if age_s is None else f", last seen {age_s:.3g} s ago"
-        return Fault(GuardState.HOLDING, f"target {state}", f"the target is {state}{told}")
+        seen_text = "" if age_s is None else f", last seen {age_s:.3g} s ago"
+        return Fault(GuardState.HOLDING, f"target {state}", f"the target is {state}{seen_text}")
 
 
 def hold_reason(wanted: SetPoint) -> Fault | None:

@@ -113,15 +113,15 @@ class Guard:
 
     def _standing_outside(self, now_s: float) -> tuple[GuardEvent, ...]:
         """Return, once, which limits the arm stood outside of when it was taken over, and the way back."""
-        told, self._outside = self._outside, ""
-        return (GuardEvent(now_s, "warning", f"the arm stands {told}"),) if told else ()
+        outside, self._outside = self._outside, ""
+        return (GuardEvent(now_s, "warning", f"the arm stands {outside}"),) if outside else ()
 
     def acknowledge(self, q: Array, limited: tuple[str, ...] = ()) -> None:
         """Take note of where the robot says it was really told to go (n,); a command that it cut is a fault."""
         off = np.abs(q - self._follower.now.q) - CUT_SHARE * self.bounds.following
         if off.max() > 0.0 or not np.isfinite(q).all():
-            told = f": {', '.join(limited)}" if limited else ""
-            why = f"the robot cut the command for joint {int(np.argmax(off)) + 1}{told}"
+            limits = f": {', '.join(limited)}" if limited else ""
+            why = f"the robot cut the command for joint {int(np.argmax(off)) + 1}{limits}"
             self._cut = Fault(GuardState.STOPPED, "cut", why)
         if np.isfinite(q).all():
             self._follower.correct(q)

@@ -54,11 +54,11 @@ def _check_joint(arm: Arm, j: int, row: JointLimit) -> None:
     unit, small, factor = _units(turns)
     low, high = float(arm.lower[j]), float(arm.upper[j])
     if _too_wide(row, turns, math.inf if arm.couplings else max(abs(low), abs(high))):
-        told = ", ".join(f"{key}: {end * factor:.4g}" for key, end in _ends(row))
+        ends = ", ".join(f"{key}: {end * factor:.4g}" for key, end in _ends(row))
         raise Inconsistent(
             f"joint {j + 1}: the limits {_range(row.lower, row.upper)} {unit} look like {small}",
             consequence="As they stand they would limit nothing; nothing is moved",
-            cure=f"Write lower and upper in {unit} (from {small}: {told}), or leave them out where the arm's own hold",
+            cure=f"Write lower and upper in {unit} (from {small}: {ends}), or leave them out where the arm's own hold",
         )
     if not arm.couplings and not max(row.lower, low) < min(row.upper, high):
         raise Inconsistent(

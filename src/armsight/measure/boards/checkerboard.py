@@ -183,8 +183,8 @@ def refine_corners(image: Image, board: Target, guess: Array, source: str) -> Bo
     usual = float(median(contrast[good])) if good.any() else 0.0
     good &= contrast > LOW_CONTRAST * usual
     _refuse(image, board, source, smooth, good, quality, size, sign)
-    for side, axis, place in outer_lines(board):
-        if good[np.abs(grid[:, axis] - place) < 0.5].mean() < SEEN_SIDE:
+    for side, axis, line in outer_lines(board):
+        if good[np.abs(grid[:, axis] - line) < 0.5].mean() < SEEN_SIDE:
             raise too_few(f"{source}: most of the {side} of {board.columns}x{board.rows} inner corners are not there")
     index = np.flatnonzero(good)
     return BoardView(

@@ -197,19 +197,19 @@ def _grid_of(board: Target) -> Grid:
     """Return the board's points in a lattice basis of its own, and what lies at its four sides."""
     c, r = board.columns, board.rows
     row, col = np.mgrid[0:r, 0:c]
-    table = _places(board, row.ravel(), col.ravel())
+    table = _nodes(board, row.ravel(), col.ravel())
     low = table.min(axis=0)
     rows, columns = np.arange(r), np.arange(c)
     outside = ((np.full(c, -1), columns), (np.full(c, r), columns), (rows, np.full(r, -1)), (rows, np.full(r, c)))
     point = np.arange(c * r).reshape(r, c)
     return Grid(
-        places=table - low,
+        nodes=table - low,
         rims=(point[0], point[-1], point[:, 0], point[:, -1]),
-        beyond=tuple(_places(board, *side) - low for side in outside),
+        beyond=tuple(_nodes(board, *side) - low for side in outside),
     )
 
 
-def _places(board: Target, row: Index, col: Index) -> Index:
+def _nodes(board: Target, row: Index, col: Index) -> Index:
     """Return integer lattice coordinates (n, 2): along rows and columns, or along diagonals."""
     if board.kind is TargetKind.ACIRCLES:
         x, y = 2 * col + row % 2, row
@@ -230,7 +230,7 @@ def _twice_as_wide(image: Image, grid: Grid, dots: Dots, numbering: Index, point
 
     Compared on a ring that only a wide dot fills: it is then nearer to the other dots' middle than to the paper.
     """
-    guess, shape, _ = _usual_dots(grid, dots, numbering, grid.places)
+    guess, shape, _ = _usual_dots(grid, dots, numbering, grid.nodes)
     ring = _ring(image, guess, shape, RING)
     paper, ink = np.median(ring), np.median(_levels(image, guess))
     return bool(abs(ring[point] - ink) < abs(ring[point] - paper))
@@ -255,9 +255,9 @@ def _usual_dots(grid: Grid, dots: Dots, numbering: Index, at: Index) -> tuple[Ar
     there, both in px, and for each dot that was seen its radius over the usual one's (m,).
     """
     seen = np.flatnonzero(numbering >= 0)
-    places = grid.places.astype(float)
-    smooth, _ = fit_map(places[seen], dots.uv[numbering[seen]])
-    step = smooth.derivatives(places[seen])[0]
+    nodes = grid.nodes.astype(float)
+    smooth, _ = fit_map(nodes[seen], dots.uv[numbering[seen]])
+    step = smooth.derivatives(nodes[seen])[0]
     share = np.sqrt(dots.area[numbering[seen]] / (np.pi * np.abs(np.linalg.det(step))))  # radius over pitch
     usual = float(np.median(share))
     asked = at.astype(float)
@@ -270,7 +270,7 @@ def _expected(grid: Grid, dots: Dots, numbering: Index) -> tuple[Array, Array]:
     They are the dot's own where they agree with the map through all dots: a threshold may have cut one in part.
     """
     seen = np.flatnonzero(numbering >= 0)
-    guess, shape, ratio = _usual_dots(grid, dots, numbering, grid.places)
+    guess, shape, ratio = _usual_dots(grid, dots, numbering, grid.nodes)
     own = (ratio > 1.0 / LIKE_OTHERS) & ((ratio < LIKE_OTHERS) | (ratio**2 > BIG_DOT))
     guess[seen[own]] = dots.uv[numbering[seen[own]]]
     shape[seen[own]] = dots.shape[numbering[seen[own]]]
@@ -363,7 +363,7 @@ def _whole_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | Non
     columns and rows exchanged."""
     if lattice is None or len(lattice) < 9:
         return None
-    found = lattice.places
+    found = lattice.nodes
     if board.kind is TargetKind.ACIRCLES:
         return (board.rows, board.columns) if _is_exchanged(found, board) else None
     i, j = (np.ptp(found, axis=0) + 1).tolist()
@@ -373,8 +373,8 @@ def _whole_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | Non
 def _is_exchanged(found: Index, board: Target) -> bool:
     """Tell whether lattice coordinates (n, 2) are those of a board with columns and rows exchanged, from any side."""
     row, col = np.mgrid[0 : board.columns, 0 : board.rows]
-    places = _places(board, row.ravel(), col.ravel())
-    wanted = {(i, j) for i, j in (places - places.min(axis=0)).tolist()}
+    nodes = _nodes(board, row.ravel(), col.ravel())
+    wanted = {(i, j) for i, j in (nodes - nodes.min(axis=0)).tolist()}
     turns = [np.array(turn) for turn in (((1, 0), (0, 1)), ((1, 0), (0, -1)), ((-1, 0), (0, 1)), ((-1, 0), (0, -1)))]
     for turned in (found @ turn for side in turns for turn in (side, side[::-1])):
         if {(i, j) for i, j in (turned - turned.min(axis=0)).tolist()} == wanted:

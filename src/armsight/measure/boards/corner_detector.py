@@ -152,8 +152,8 @@ def edge_directions(image: Array) -> Array:
     gy = gaussian_filter(image, 0.5 * SCALE_PX, order=(1, 0), mode="nearest")
     power = gx * gx + gy * gy
     angle = np.mod(np.arctan2(gy, gx) + 0.5 * np.pi, np.pi)  # of the edge
-    place = np.minimum((angle * (BINS / np.pi)).astype(np.intp), BINS - 1)
-    votes = np.bincount(place.ravel(), weights=power.ravel(), minlength=BINS)
+    bin_index = np.minimum((angle * (BINS / np.pi)).astype(np.intp), BINS - 1)
+    votes = np.bincount(bin_index.ravel(), weights=power.ravel(), minlength=BINS)
     votes = gaussian_filter(votes, SMOOTH_BINS, mode="wrap")
     first = int(np.argmax(votes))
     away = np.abs((np.arange(BINS) - first + BINS // 2) % BINS - BINS // 2) * (180.0 / BINS)
@@ -316,15 +316,15 @@ def _grid(
     upright: bool,
 ) -> Grid:
     """Return the corners inside a window, counted from its own corner along the board's columns and rows."""
-    place = cells[inside] - corner
+    node = cells[inside] - corner
     response = saddles.response[members]
-    sign = float(np.sign(np.sum(np.where(place.sum(axis=1) % 2 == 0, 1.0, -1.0) * response[inside])))
+    sign = float(np.sign(np.sum(np.where(node.sum(axis=1) % 2 == 0, 1.0, -1.0) * response[inside])))
     beyond = outside & (np.abs(response) > BEYOND * np.median(np.abs(response[inside])))
     if not upright:  # a quarter turn: rows become columns, the other way round; the other two sectors come first
-        place = np.stack([size[1] - 1 - place[:, 1], place[:, 0]], axis=1)
+        node = np.stack([size[1] - 1 - node[:, 1], node[:, 0]], axis=1)
         sign = -sign if size[1] % 2 == 1 else sign
     return Grid(
-        cells=place,
+        cells=node,
         uv=saddles.uv[members[inside]],
         strength=np.abs(response[inside]),
         first=sign,

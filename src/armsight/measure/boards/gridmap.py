@@ -51,8 +51,8 @@ def fit_map(grid: Array, uv_px: Array) -> tuple[GridMap, Array]:
 
     Gross outliers do not pull it: they are left out, judged by the median distance.
     """
-    places, uv = (np.array(table, dtype=np.float64, order="C") for table in (grid, uv_px))
-    H, cubic, centre, half, distance = fit_grid_map(places, uv)
+    nodes, uv = (np.array(table, dtype=np.float64, order="C") for table in (grid, uv_px))
+    H, cubic, centre, half, distance = fit_grid_map(nodes, uv)
     return GridMap(H=H, cubic=cubic, centre=centre, half=half), distance
 
 

@@ -62,7 +62,7 @@ class Grid:
     rims: positions of the outermost points. beyond: the places (m, 2) next to them, outside.
     """
 
-    places: Index
+    nodes: Index
     rims: tuple[Index, ...]
     beyond: tuple[Index, ...]
 
@@ -76,7 +76,7 @@ class Lattice:
     """Dots (m,) and their places (m, 2) in whole numbers, from the first one's on."""
 
     members: Index
-    places: Index
+    nodes: Index
 
     def __len__(self) -> int:
         return len(self.members)
@@ -106,11 +106,11 @@ def lattices(dots: Dots) -> Iterator[Lattice]:
     for seed in order.tolist():
         if used[seed]:
             continue
-        members, places = grow_lattice(dots.uv, dots.area, first, after, CELL_PX, seed, steps[seed], NEAR, ALIKE)
+        members, nodes = grow_lattice(dots.uv, dots.area, first, after, CELL_PX, seed, steps[seed], NEAR, ALIKE)
         tried += 1
         if len(members) >= 4:
             used[members] = True
-            yield Lattice(members=members, places=places)
+            yield Lattice(members=members, nodes=nodes)
         if tried >= MOST_SEEDS:
             return
 
@@ -139,16 +139,16 @@ def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
     What lies beside the map through all the dots is no dot of the board; places left empty get the dot that lies where
     the map says, whatever its size.
     """
-    wanted = grid.places
+    wanted = grid.nodes
     found: list[Placed] = []
-    places, members = lattice.places, lattice.members
-    if len(places) < PART * len(wanted):
+    nodes, members = lattice.nodes, lattice.members
+    if len(nodes) < PART * len(wanted):
         return found
     fitted: dict[bytes, tuple[Placed | None, Index]] = {}
     margin = wanted.max(axis=0)
     options, least = [], PART * len(wanted)
     for basis in BASES:
-        moved = places @ basis.T
+        moved = nodes @ basis.T
         shift = moved.min(axis=0) - margin
         table = np.full(np.ptp(moved, axis=0) + 1 + 2 * margin, -1, dtype=np.intp)
         table[tuple((moved - shift).T)] = members
@@ -175,7 +175,7 @@ def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
 
 def _fitted(table: Index, at: Index, dots: Dots, grid: Grid) -> Placed | None:
     """Return the board at these places (n, 2) of the table, cleaned by the map through its dots, or None."""
-    wanted = grid.places
+    wanted = grid.nodes
     numbering = table[at[:, 0], at[:, 1]]
     seen = np.flatnonzero(numbering >= 0)
     smooth, distance = fit_map(wanted[seen].astype(float), dots.uv[numbering[seen]])

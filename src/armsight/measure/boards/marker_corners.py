@@ -148,7 +148,7 @@ def _refined(image: NDArray[np.uint8], board: Target, index: NDArray[np.intp], u
         uv,
         grid=grid,
         margin=0.5 * (1.0 - board.marker_m / board.pitch_m),
-        signs=lambda places, E: _signs(image, places, E, grid),
+        signs=lambda positions, E: _signs(image, positions, E, grid),
         source=source,
     )
 
@@ -158,10 +158,10 @@ def _signs(image: NDArray[np.uint8], uv: Array, E: Array, grid: Array) -> Array:
     parity = np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, 1.0, -1.0)
     vote = 0.0
     near = 0.12  # of a square: inside the margin around the marker
-    for place, direction, step in zip(uv, parity, E, strict=True):
+    for corner, direction, step in zip(uv, parity, E, strict=True):
         levels = []
         for s, t in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
-            u, v = place + step @ np.array([s * near, t * near])
+            u, v = corner + step @ np.array([s * near, t * near])
             col = int(np.clip(np.rint(u), 0, image.shape[1] - 1))
             row = int(np.clip(np.rint(v), 0, image.shape[0] - 1))
             levels.append(float(image[row, col]))

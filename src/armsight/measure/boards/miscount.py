@@ -33,8 +33,8 @@ def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> N
             consequence="The image is not used",
             cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
         )
-    for side, axis, place in outer_lines(board):
-        if off_line(grid, guess, axis, place) > OFF_LINE:
+    for side, axis, line in outer_lines(board):
+        if off_line(grid, guess, axis, line) > OFF_LINE:
             raise too_few(
                 f"{source}: the {side} of {board.columns}x{board.rows} inner corners is not where the others put it"
             )

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.boards.kernels.saddles import grow_grids, saddle_corners, saddle_places
+from armsight.measure.boards.kernels.saddles import grow_grids, saddle_corners, saddle_pixels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -58,30 +58,30 @@ def shrunk(image: Image, factor: int) -> Image:
 
 def _whole_grid(calm: Image, columns: int, rows: int) -> Array | None:
     """Return the one whole grid of this size in an image without noise, or None."""
-    places, strength = saddle_places(calm, LEAST_RESPONSE, MOST_PLACES)
-    corners = saddle_corners(calm, places)
+    pixels, strength = saddle_pixels(calm, LEAST_RESPONSE, MOST_PLACES)
+    corners = saddle_corners(calm, pixels)
     if len(corners) > MOST_CORNERS:
         strongest = np.argpartition(-strength, MOST_CORNERS)[:MOST_CORNERS]
-        corners = saddle_corners(calm, np.ascontiguousarray(places[strongest]))
+        corners = saddle_corners(calm, np.ascontiguousarray(pixels[strongest]))
     if len(corners) < columns * rows:
         return None
-    grid, place = grow_grids(corners)
+    grid, node = grow_grids(corners)
     count = np.bincount(grid[grid >= 0])
     found = [
         uv
         for one in np.flatnonzero(count >= columns * rows)
-        for uv in [_window(place[grid == one], corners[grid == one, :2], columns, rows)]
+        for uv in [_window(node[grid == one], corners[grid == one, :2], columns, rows)]
         if uv is not None
     ]
     return found[0] if len(found) == 1 else None
 
 
-def _window(place: Index, uv: Array, columns: int, rows: int) -> Array | None:
+def _window(node: Index, uv: Array, columns: int, rows: int) -> Array | None:
     """Return the corners (columns * rows, 2) of the one part of a grid, places (n, 2) of pixels (n, 2), of this size.
 
     None where a part of it is missing, it may lie in several ways, or it goes on beyond.
     """
-    at = place - place.min(axis=0) + 1
+    at = node - node.min(axis=0) + 1
     table = np.full(at.max(axis=0) + 2, -1)
     table[at[:, 0], at[:, 1]] = np.arange(len(at))
     if np.count_nonzero(table >= 0) < len(at):  # two corners in one place

@@ -201,18 +201,18 @@ def order_squares(squares: Squares, start: int, used: NDArray[np.bool_]) -> dict
         colour = squares.colour[placed[cell][0]]
         free = {1: ~used & (squares.colour == colour), -1: ~used & (squares.colour != colour)}
         for step, shared in SHARED.items():
-            place = (cell[0] + step[0], cell[1] + step[1])
+            node = (cell[0] + step[0], cell[1] + step[1])
             candidates = np.flatnonzero(free[1 if step[0] and step[1] else -1] & ~used)
-            if place in placed or len(candidates) == 0:
+            if node in placed or len(candidates) == 0:
                 continue
             mine, theirs = ([pair[i] for pair in shared] for i in range(2))
             gap = np.linalg.norm(turned[candidates][:, :, theirs] - here[mine], axis=3).max(axis=2)
             best, turn = np.unravel_index(int(np.argmin(gap)), gap.shape)
             other = int(candidates[best])
             if gap[best, turn] < NEAR * _shortest(here) and _alike(here, turned[other, turn]):
-                placed[place] = other, int(turn)
+                placed[node] = other, int(turn)
                 used[other] = True
-                queue.append(place)
+                queue.append(node)
     return placed
 
 
@@ -270,7 +270,7 @@ def _crossings(squares: Squares, placed: dict[Cell, tuple[int, int]]) -> dict[Ce
                 seen.setdefault((col + i, row + j), {})[i, j] = squares.corners[square, corner]
     out: dict[Cell, Array] = {}
     for cell, corners in seen.items():
-        pairs = [pair for pair in (((0, 0), (1, 1)), ((1, 0), (0, 1))) if all(place in corners for place in pair)]
+        pairs = [pair for pair in (((0, 0), (1, 1)), ((1, 0), (0, 1))) if all(node in corners for node in pair)]
         if pairs:
-            out[cell] = np.mean([corners[place] for pair in pairs for place in pair], axis=0)
+            out[cell] = np.mean([corners[node] for pair in pairs for node in pair], axis=0)
     return out

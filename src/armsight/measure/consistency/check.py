@@ -269,10 +269,10 @@ def advice(found: Consistency) -> str:
             if found.verdict == "doubtful"
             else f"{RECALIBRATE[0].upper()}{RECALIBRATE[1:]}, then {REMEASURE}."
         )
-    told: list[str] = []
+    advice: list[str] = []
     for f in found.findings[: found.equal]:
-        told += [f.cause.advice] if f.cause.advice not in told else []
-    return ". Or: ".join(told) + "."
+        advice += [f.cause.advice] if f.cause.advice not in advice else []
+    return ". Or: ".join(advice) + "."
 
 
 def _what(f: Finding) -> str:
@@ -296,8 +296,8 @@ def _what(f: Finding) -> str:
 
 def _figures(value: float, std: float, sign: str) -> str:
     """Return value and standard deviation with as many digits as the standard deviation has two of."""
-    places = max(0, 1 - math.floor(math.log10(std))) if std > 0.0 else 3
-    return f"{value:.{min(places, 6)}f} ± {std:.{min(places, 6)}f}{sign}"
+    decimals = max(0, 1 - math.floor(math.log10(std))) if std > 0.0 else 3
+    return f"{value:.{min(decimals, 6)}f} ± {std:.{min(decimals, 6)}f}{sign}"
 
 
 def _consequence(found: Consistency, f: Finding) -> str:

@@ -260,8 +260,8 @@ def frame_of(setup: Setup, measured: Measured) -> Frame | None:
     if measured.names == names:
         lights = np.arange(len(names))
     else:
-        place = {name: i for i, name in enumerate(names)}
-        lights = np.array([place[name] for name in measured.names])
+        index_of = {name: i for i, name in enumerate(names)}
+        lights = np.array([index_of[name] for name in measured.names])
     uv, cov = stacked(measured.left, measured.right)
     variances = np.diag(pose.covariance)
     return Frame(

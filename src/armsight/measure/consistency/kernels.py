@@ -119,7 +119,7 @@ def view_slopes(predicted, filtered, rig, s, view, light, basis, H, A, e):
     camera = rig.k[s], rig.R[s], rig.t[s]
     T = np.eye(4)
     x = np.empty(STATE)
-    place = np.empty(3)
+    position = np.empty(3)
     here = np.empty(2)
     J = np.empty((2, 3))
     E = np.empty((2, 3))
@@ -137,7 +137,7 @@ def view_slopes(predicted, filtered, rig, s, view, light, basis, H, A, e):
         e[2 * j + 1] = view.uv[j, 1] - here[1]
         # slopes where the gain has them
         seen &= observe(filtered, camera, at, tau, here, H[2 * j : 2 * j + 2])
-        seen &= light_slopes(rig, T, at, place, s, here, J, D, G)
+        seen &= light_slopes(rig, T, at, position, s, here, J, D, G)
         if not seen:
             return False
         place_slopes(J, T, E)

@@ -85,7 +85,7 @@ def refined(views: StereoViews, patch: Patch, inverse_depth: float, epipolar_std
     cov = _covariance(r, J, views.noise_levels2 * model.noise_in_derivatives(), np.diag(held**-2))
     axes = np.stack([model.along, model.across], axis=1)  # (2, 2)
     return Refined(
-        other_px=model.places(p)[patch.middle],
+        other_px=model.positions(p)[patch.middle],
         covariance_px2=axes @ cov[np.ix_([0, 3], [0, 3])] @ axes.T + 1e-6 * np.eye(2),
         std_px=math.sqrt(float(cov[0, 0])),
         correlation=float(correlation(seen[None], patch.grey)[0]),
@@ -109,7 +109,7 @@ class _Model:
         self.across = np.array([-self.along[1], self.along[0]])
         self.per_px = 0.002 * inverse_depth / length
 
-    def places(self, p: Array) -> Array:
+    def positions(self, p: Array) -> Array:
         """Return the pixels (n, 2) of the other view."""
         w = self._w + self.per_px * (p[0] + self._patch.slopes @ p[1:3])
         return np.asarray(self._patch.in_other(w) + p[3] * self.across)
@@ -136,7 +136,7 @@ class _Model:
         return NOISE_DERIVATIVE * out
 
     def _grey(self, p: Array) -> Array:
-        grey = self._views.grey(self._patch.other, self.places(p))
+        grey = self._views.grey(self._patch.other, self.positions(p))
         if not np.isfinite(grey).all():
             raise Degenerate(
                 f"the place found is at the border of the {self._patch.other} image, or beyond it",
@@ -221,8 +221,8 @@ def _at(image: Array, uv_px: Array, order: Literal[1, 3]) -> Array:
     u, v = uv_px.T
     inside = (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)  # False for NaN
     out = np.full(len(u), np.nan)
-    places: Array = np.stack([v[inside], u[inside]])
-    out[inside] = map_coordinates(image, places, order=order, prefilter=False, mode="mirror")
+    positions: Array = np.stack([v[inside], u[inside]])
+    out[inside] = map_coordinates(image, positions, order=order, prefilter=False, mode="mirror")
     return out
 
 

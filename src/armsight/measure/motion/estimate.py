@@ -88,7 +88,7 @@ def smooth(
     begin = (begin[0][lead:], begin[1][lead:], begin[2][lead:])
     lines = np.zeros((len(rows.tau), 0)) if prior is None else prior.lines(views)
     track, timing = _track(rows, rig, X, np.interp(rows.t, t, jerk), begin, lines, prior)
-    states = [track.told(int(row), t, time) for row, time in zip(rows.asked, at_s, strict=True)]
+    states = [track.answer(int(row), t, time) for row, time in zip(rows.asked, at_s, strict=True)]
     return Smoothed(states=states, jerk=jerk, timing=timing)
 
 
@@ -142,7 +142,7 @@ class _Track:
     ds: Array
     jerk: Array
 
-    def told(self, row: int, seen_s: Array, t_s: float) -> MotionState | None:
+    def answer(self, row: int, seen_s: Array, t_s: float) -> MotionState | None:
         """Return the state of a row, or (negative) that at a time before the first one; None far from all views."""
         if np.abs(seen_s[np.searchsorted(seen_s, t_s).clip(1, len(seen_s) - 1) - [1, 0]] - t_s).min() > MAX_GAP_S:
             return None

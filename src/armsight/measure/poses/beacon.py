@@ -146,14 +146,14 @@ _UNMEASURED = (
 )
 
 
-def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
+def match_by_position(left: Spots, right: Spots, pairs: Pairs) -> Match:
     """Return names for three lights whose arrangement is not known: A left, B lower right, C upper right (MATH 3.2).
 
     Both images must show the same order, and the pairs it makes must agree with the epipolar constraint. Where one
     image holds both views, there must be one way only to make three pairs of its spots.
     """
     if pairs.overlaid:
-        return _overlaid_by_place(left, pairs)
+        return _overlaid_by_position(left, pairs)
     sides = [np.unique(pairs.index[:, side]) for side in range(2)]
     if len(sides[0]) != 3 or len(sides[1]) != 3:
         n = f"{len(sides[0])} in the left image and {len(sides[1])} in the right one"
@@ -162,7 +162,7 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
         return Match(best=None, why=f"{cause}: {_UNMEASURED}" if more else cause, cause=_few(more))
     orders = []
     for spots, seen, name in ((left, sides[0], "left"), (right, sides[1], "right")):
-        order = _order_by_place(spots.uv_px[seen])
+        order = _order_by_position(spots.uv_px[seen])
         if order is None:
             return _ambiguous(f"the lights have no clear order left to right in the {name} image")
         orders.append(seen[order])
@@ -177,14 +177,14 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
     return Match(best=Assignment(names=("A", "B", "C"), pair=np.array(rows, dtype=np.intp), chi2=0.0))
 
 
-def _overlaid_by_place(spots: Spots, pairs: Pairs) -> Match:
+def _overlaid_by_position(spots: Spots, pairs: Pairs) -> Match:
     triples = overlaid_triples(pairs)
     if len(triples) != 1:
         ways = "more than one way" if triples else "no way"
         why = f"there is {ways} to make three pairs of the {len(spots)} lights of both views"
         return Match(best=None, why=why, cause=Unseen.AMBIGUOUS if triples else Unseen.UNPAIRED)
     rows = np.array(triples[0], dtype=np.intp)
-    order = _order_by_place(spots.uv_px[pairs.index[rows, 0]])
+    order = _order_by_position(spots.uv_px[pairs.index[rows, 0]])
     if order is None:
         return _ambiguous("the lights have no clear order left to right in the left view")
     return Match(best=Assignment(names=("A", "B", "C"), pair=rows[order], chi2=0.0))
@@ -227,7 +227,7 @@ def _ambiguous(how: str) -> Match:
     return Match(best=None, why=f"ambiguous: {how}", cause=Unseen.AMBIGUOUS)
 
 
-def _order_by_place(uv: Array) -> list[int] | None:
+def _order_by_position(uv: Array) -> list[int] | None:
     """Return the positions of A, B, C among three pixels (3, 2); None where the order is not clear."""
     a, second, _ = np.argsort(uv[:, 0])
     if uv[second, 0] - uv[a, 0] < LABEL_MARGIN_PX:

@@ -11,7 +11,7 @@ from math import inf
 import numpy as np
 
 from armsight.errors import Unseen
-from armsight.measure.poses.beacon import match_beacon, match_by_place, match_few
+from armsight.measure.poses.beacon import match_beacon, match_by_position, match_few
 from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.correspondence import AS_FOUND, match_known
 from armsight.measure.poses.outcome import Assignment, Match, Measured, Prediction, Track
@@ -126,7 +126,7 @@ def _match(
         arrangements = among.arrangements if among else 0
         match = match_known(setup, left, right, pairs, prediction=prediction, arrangements=arrangements)
     elif len(model) >= 3:
-        match = match_by_place(left, right, pairs)
+        match = match_by_position(left, right, pairs)
     if match.best is None and not match.alternatives and (len(model) < 3 or pairs.few):
         few = match_few(model, pairs, known=known, prediction=prediction)
         if (
@@ -265,11 +265,11 @@ def left_out_notes(setup: Setup, solved: Solved, left: Spots, right: Spots) -> t
     if solved.T is None or not setup.target.model_known or len(solved.points) == len(setup.model):
         return ()
     notes = []
-    for name, place in zip(setup.model.names, positions_of(setup, solved.T), strict=True):
+    for name, position in zip(setup.model.names, positions_of(setup, solved.T), strict=True):
         if name in solved.points.names:
             continue
         words = []
-        for side, spots, uv in zip(SIDES, (left, right), setup.rig.project(place), strict=True):
+        for side, spots, uv in zip(SIDES, (left, right), setup.rig.project(position), strict=True):
             near = float(np.linalg.norm(spots.uv_px - uv[0], axis=1).min())
             words.append(f"{near:.1f} px in the {side} image")
         notes.append(f"{name} left out: the spot nearest to its place is off by {' and '.join(words)}")

@@ -215,11 +215,11 @@ def map_derivatives(H, cubic, centre, half, grid):
 
 
 @kernel
-def off_line(grid, uv, axis, place):
+def off_line(grid, uv, axis, at):
     """Return how far the points of a line of a grid (n, 2), those whose coordinate along an axis is place, are in the
     image (n, 2) from where the map of the others has them: the median, in squares.
     """
-    line = np.abs(grid[:, axis] - place) < 0.5
+    line = np.abs(grid[:, axis] - at) < 0.5
     there, rest = grid[line], ~line
     smooth = fit_grid_map(grid[rest], uv[rest])[:4]
     off, first, seen = map_points(*smooth, there) - uv[line], map_derivatives(*smooth, there)[0], np.empty(len(there))

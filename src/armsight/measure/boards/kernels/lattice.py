@@ -118,21 +118,21 @@ def grow_lattice(uv, area, first, after, width_px, seed, steps, near, alike):
     n = len(uv)
     most = 4 * n + 1  # each point offers four
     heap, key = np.empty(most, np.int64), np.zeros(most)
-    dot, place, way = np.empty(most, np.int64), np.zeros((most, 2), np.int64), np.empty((most, 2, 2))
+    dot, node, way = np.empty(most, np.int64), np.zeros((most, 2), np.int64), np.empty((most, 2, 2))
     members, taken = np.empty(n, np.int64), np.zeros(n, np.bool_)
     filled = np.zeros((2 * FURTHEST + 1, 2 * FURTHEST + 1), np.bool_)
-    places = np.empty((n, 2), np.int64)
+    nodes = np.empty((n, 2), np.int64)
     dot[0], way[0], heap[0] = seed, steps, 0
     made, waiting, m = 1, 1, 0
     while waiting > 0:
         item = _pop(heap, key, waiting)
         waiting -= 1
-        i, at = dot[item], place[item]
+        i, at = dot[item], node[item]
         # a better-fitting point or way was there first
         if taken[i] or max(abs(at[0]), abs(at[1])) > FURTHEST or filled[at[0] + FURTHEST, at[1] + FURTHEST]:
             continue
         taken[i] = filled[at[0] + FURTHEST, at[1] + FURTHEST] = True
-        members[m], places[m, 0], places[m, 1] = i, at[0], at[1]
+        members[m], nodes[m, 0], nodes[m, 1] = i, at[0], at[1]
         m += 1
         for side in range(4):
             axis, sense = side // 2, 1.0 - 2.0 * (side % 2)
@@ -142,31 +142,31 @@ def grow_lattice(uv, area, first, after, width_px, seed, steps, near, alike):
             if k < 0 or not 1.0 / alike < area[k] / area[i] < alike:
                 continue
             dot[made], key[made] = k, near * away / reach
-            place[made, 0], place[made, 1] = at[0] + STEPS[side, 0], at[1] + STEPS[side, 1]
+            node[made, 0], node[made, 1] = at[0] + STEPS[side, 0], at[1] + STEPS[side, 1]
             way[made] = way[item]
             way[made, 0, axis], way[made, 1, axis] = sense * (uv[k, 0] - uv[i, 0]), sense * (uv[k, 1] - uv[i, 1])
             _push(heap, key, waiting, made)
             waiting += 1
             made += 1
-    return members[:m], places[:m]
+    return members[:m], nodes[:m]
 
 
 @kernel
-def fullest(table, places, least):
+def fullest(table, nodes, least):
     """Return how many of places (n, 2) hold a number that is not negative in a table (r, c) where the most do, and from
     which corners (m, 2) on they do; 0 where they are fewer than least.
     """
-    rows, columns = table.shape[0] - places[:, 0].max(), table.shape[1] - places[:, 1].max()
+    rows, columns = table.shape[0] - nodes[:, 0].max(), table.shape[1] - nodes[:, 1].max()
     corners, n = np.empty((rows * columns, 2), np.int64), 0
     most = int(np.ceil(least))
     for row in range(rows):
         for column in range(columns):
             empty = 0
-            for k in range(len(places)):
-                empty += table[row + places[k, 0], column + places[k, 1]] < 0
-                if len(places) - empty < most:
+            for k in range(len(nodes)):
+                empty += table[row + nodes[k, 0], column + nodes[k, 1]] < 0
+                if len(nodes) - empty < most:
                     break
-            held = len(places) - empty
+            held = len(nodes) - empty
             if held < most:
                 continue
             if held > most:  # what was found before is less

@@ -57,7 +57,7 @@ def _row_of_saddles(image, row, out):
 
 
 @kernel
-def saddle_places(image, least, most):
+def saddle_pixels(image, least, most):
     """Return the places (n, 2), column and row, of the saddles in image (h, w) uint8, and their responses (n,).
 
     Those of a response over least, at most so many.
@@ -66,7 +66,7 @@ def saddle_places(image, least, most):
     response = np.zeros((h, w), np.int32)
     for row in range(STEP, h - STEP):
         _row_of_saddles(image, row, response[row])
-    places, strength = np.empty((most, 2), np.int32), np.empty(most, np.int32)
+    pixels, strength = np.empty((most, 2), np.int32), np.empty(most, np.int32)
     n = 0
     for row in range(MARGIN, h - MARGIN):
         for col in range(MARGIN, w - MARGIN):
@@ -81,9 +81,9 @@ def saddle_places(image, least, most):
                     if other > here or (other == here and (dv < 0 or (dv == 0 and du < 0))):
                         peak = False
             if peak and n < most:
-                places[n, 0], places[n, 1], strength[n] = col, row, here
+                pixels[n, 0], pixels[n, 1], strength[n] = col, row, here
                 n += 1
-    return places[:n], strength[:n]
+    return pixels[:n], strength[:n]
 
 
 @inner_kernel
@@ -154,18 +154,18 @@ def _edges_of(ring, angles):
 
 
 @kernel
-def saddle_corners(image, places):
+def saddle_corners(image, pixels):
     """Return those of places (n, 2) in image (h, w) where two edges cross, as rows (m, 7): u, v px; the unit vectors
     of both edges; +1 or -1 where the sector from the first to the second, by growing angle, is bright or dark.
     """
-    out, ring, angles = np.empty((len(places), 7)), np.empty(RING), np.empty(4)
+    out, ring, angles = np.empty((len(pixels), 7)), np.empty(RING), np.empty(4)
     n = 0
-    for i in range(len(places)):
-        du, dv = _saddle_point(image, places[i, 0], places[i, 1])
+    for i in range(len(pixels)):
+        du, dv = _saddle_point(image, pixels[i, 0], pixels[i, 1])
         # what is further off than a neighbour has a place of its own
         if abs(du) > 1.5 or abs(dv) > 1.5:
             continue
-        u, v = places[i, 0] + du, places[i, 1] + dv
+        u, v = pixels[i, 0] + du, pixels[i, 1] + dv
         if not (MARGIN <= u < image.shape[1] - MARGIN and MARGIN <= v < image.shape[0] - MARGIN):
             continue
         for k in range(RING):
@@ -236,7 +236,7 @@ def grow_grids(corners):
     n = len(corners)
     to, end = np.empty((n, 4), np.int64), np.zeros((n, 4), np.int64)
     _links(corners, to, end)
-    grid, place = np.full(n, -1), np.zeros((n, 2), np.int64)
+    grid, node = np.full(n, -1), np.zeros((n, 2), np.int64)
     turn, queue = np.zeros(n, np.int64), np.empty(n, np.int64)
     known = np.zeros(n, np.bool_)
     for start in range(n):
@@ -255,14 +255,14 @@ def grow_grids(corners):
                     continue
                 to_side = (way + turn[i]) % 4  # the grid's own directions: an edge is the first of one corner only
                 turned = (to_side + 2 - end[i, way]) % 4
-                u, v = place[i, 0] + STEPS[to_side, 0], place[i, 1] + STEPS[to_side, 1]
+                u, v = node[i, 0] + STEPS[to_side, 0], node[i, 1] + STEPS[to_side, 1]
                 if known[j]:
-                    agree &= turn[j] == turned and place[j, 0] == u and place[j, 1] == v
+                    agree &= turn[j] == turned and node[j, 0] == u and node[j, 1] == v
                 else:
                     known[j] = True
-                    turn[j], place[j, 0], place[j, 1] = turned, u, v
+                    turn[j], node[j, 0], node[j, 1] = turned, u, v
                     queue[tail] = j
                     tail += 1
         for k in range(tail):
             grid[queue[k]] = start if agree else -1
-    return grid, place
+    return grid, node

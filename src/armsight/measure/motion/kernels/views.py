@@ -65,12 +65,12 @@ def observe(x, camera, X, tau, uv, H):
         r[i] = x[R + 3 * i] * X[0] + x[R + 3 * i + 1] * X[1] + x[R + 3 * i + 2] * X[2]
     for i in range(3):
         y[i] = E[i, 0] * r[0] + E[i, 1] * r[1] + E[i, 2] * r[2]
-    place = np.empty(3)
+    position = np.empty(3)
     for i in range(3):
         # constant acceleration over tau, as in state_at; jerk is but noise
-        place[i] = x[P + i] + tau * x[V + i] + 0.5 * tau * tau * x[A + i] + y[i]
+        position[i] = x[P + i] + tau * x[V + i] + 0.5 * tau * tau * x[A + i] + y[i]
     J = np.empty((2, 3))
-    if not see_point(k, Rc, tc, place, uv, J):
+    if not see_point(k, Rc, tc, position, uv, J):
         return False
     h = 0.5 * tau * tau
     for m in range(2):

@@ -39,7 +39,7 @@ COV = 14  # 14..16: C_H (uu, uv, vv); 17..19: C_G
 RESULT = 20
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Arrays that the fit of one light after the other writes into; making them for each would take as long as it."""
 
     fx: Any  # (3, MOST) profile and derivatives along x
@@ -65,7 +65,7 @@ class Work(NamedTuple):
 @inner_kernel
 def new_work():
     """Return fresh work arrays."""
-    return Work(
+    return Workspace(
         np.empty((3, MOST)),
         np.empty((3, MOST)),
         np.empty((4, 4)),
