@@ -350,7 +350,8 @@ def _require(views: list[BoardView], missed: Rejected) -> None:
         raise NotEnoughData(
             f"the board was found in none of the images{first}",
             consequence="Nothing was calibrated",
-            cure="Count the inner corners, where four squares meet, and check that the whole board is in the images",
+            cure="Count the inner corners, where four squares meet, or the circles, and check that the whole board is "
+            "in the images",
         )
 
 

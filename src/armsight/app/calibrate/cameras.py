@@ -151,8 +151,8 @@ def _require(views: Sequence[BoardView], rejected: Sequence[RejectedFile], board
     raise NotEnoughData(
         f"the board {board} was found in none of the images; in the first, {file}: {why}",
         consequence="Nothing was calibrated",
-        cure="Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), and check that the "
-        "whole board is in the images",
+        cure="Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), or the circles, "
+        "and check that the whole board is in the images",
     )
 
 
