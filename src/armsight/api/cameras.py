@@ -13,7 +13,7 @@ import numpy as np
 
 from armsight.api.arrays import Image, ImageLike, as_images
 from armsight.api.results import Result, Row, with_std
-from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
+from armsight.app.calibrate.board_images import COUNT_AGAIN, Seen, in_parallel, see_board
 from armsight.app.calibrate.mirrors import mirrors_output
 from armsight.app.calibrate.zoom import add_setting
 from armsight.app.requests.calibrate_cameras import ZoomValue
@@ -350,8 +350,7 @@ def _require(views: list[BoardView], missed: Rejected) -> None:
         raise NotEnoughData(
             f"the board was found in none of the images{first}",
             consequence="Nothing was calibrated",
-            cure="Count the inner corners, where four squares meet, or the circles, and check that the whole board is "
-            "in the images",
+            cure=COUNT_AGAIN,
         )
 
 

@@ -11,6 +11,12 @@ from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board, find_two_boards
 from armsight.records import BoardView, Frame, NotSeen, Target, TargetKind
 
+COUNT_AGAIN = (
+    "Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), or the circles, and check "
+    "that the whole board is in the images"
+)
+"""What to do where no image shows the board."""
+
 Seen = BoardView | NotSeen
 """The view, or why there is none."""
 
