@@ -119,9 +119,9 @@ def _covariance(model: ArmModel) -> NamedCovariance | None:
 
 
 def arm_mapping(arm: Arm) -> dict[str, Any]:
-    """Return the arm as arm.yaml's structure, without format, version and origin."""
+    """Return the arm as arm.yaml's structure, without format, version, origin and what it does not tell."""
     std = arm.covariance.std() if arm.covariance else {}
-    return {
+    told = {
         "name": arm.name,
         "convention": arm.convention.value,
         "T_world_base": pose_mapping(arm.T_world_base),
@@ -132,6 +132,7 @@ def arm_mapping(arm: Arm) -> dict[str, Any]:
         "source": arm.source or None,
         "covariance": covariance_mapping(arm.covariance) if arm.covariance else None,
     }
+    return {key: value for key, value in told.items() if value is not None}
 
 
 def _tool_point_mapping(point: ToolPoint) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, fk, in_convention, moved, parameter_names, preset
 from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
-from armsight.store.arm_file import arm_from_mapping, read_arm, write_arm
+from armsight.store.arm_file import arm_from_mapping, arm_mapping, read_arm, write_arm
 from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
 from refusals import refuses
 
@@ -79,12 +79,12 @@ def test_arm_yaml_and_back_is_the_same_arm(name: str, tmp_path: Path) -> None:
     for k, arm in enumerate(variants(name)):
         path = tmp_path / f"{k}.yaml"
         write_arm(path, arm)
-        back = read_arm(path)
-        for joint, other in zip(arm.joints, back.joints, strict=True):
-            assert all(getattr(joint, key) == getattr(other, key) for key in KEYS)
-        assert (back.name, back.convention, back.source) == (arm.name, arm.convention, arm.source)
         q = joint_values(arm)
-        np.testing.assert_allclose(fk(back, q), fk(arm, q), atol=1e-12)
+        for back in (read_arm(path), arm_from_mapping(arm_mapping(arm))):  # a robot tells its arm without a file
+            for joint, other in zip(arm.joints, back.joints, strict=True):
+                assert all(getattr(joint, key) == getattr(other, key) for key in KEYS)
+            assert (back.name, back.convention, back.source) == (arm.name, arm.convention, arm.source)
+            np.testing.assert_allclose(fk(back, q), fk(arm, q), atol=1e-12)
 
 
 def test_standard_deviations_travel_with_the_arm(tmp_path: Path) -> None:
