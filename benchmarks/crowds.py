@@ -23,7 +23,7 @@ from armsight.app.live.pace import live_pace
 from armsight.errors import ArmsightError
 from armsight.measure.pace import BATCH, Pace
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
-from armsight.records import Frame, PoseStatus, spot_target
+from armsight.records import Frame, PoseStatus, spot_target, unmeasured_target
 from bench import machine, table
 from pose import RIG, TARGETS, see
 from verdicts import FAR_DEG, FAR_MM, blob_detector, pose_error, reason
@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 W, H = 1280, 720
 BRIGHT = 90
+UNMEASURED = "3 lights of unknown geometry"
 SIGMA_PX, LEVEL, BLACK, NOISE = 2.0, 180.0, 12.0, 1.5
 
 
@@ -131,7 +132,7 @@ def text(rng: np.random.Generator) -> Crowd:
     return Crowd(images=(images[0], images[1]), lights="3 lights, scalene", T=None)
 
 
-def noise(blur_px: float) -> Callable[[np.random.Generator], Crowd]:
+def noise(blur_px: float, lights: str = "3 lights, scalene") -> Callable[[np.random.Generator], Crowd]:
     """Return what draws two pictures of noise of their own, smoothed."""
 
     def crowd(rng: np.random.Generator) -> Crowd:
@@ -140,7 +141,7 @@ def noise(blur_px: float) -> Callable[[np.random.Generator], Crowd]:
             grey = rng.normal(0.0, 1.0, (H, W))
             grey = cv2.GaussianBlur(grey, (0, 0), blur_px) if blur_px else grey
             images.append(np.clip(110.0 + 45.0 * grey / grey.std(), 0, 255).astype(np.uint8))
-        return Crowd(images=(images[0], images[1]), lights="3 lights, scalene", T=None)
+        return Crowd(images=(images[0], images[1]), lights=lights, T=None)
 
     return crowd
 
@@ -159,12 +160,14 @@ KINDS: dict[str, Callable[[np.random.Generator], Crowd]] = {
     "noise, blurred by 2 px": noise(2.0),
     "noise, blurred by 5 px": noise(5.0),
     "noise, blurred by 12 px": noise(12.0),
+    "noise, blurred by 30 px (3 lights, unmeasured)": noise(30.0, UNMEASURED),
 }
 
 
 def judged(crowd: Crowd, pace: Pace) -> tuple[float, str, str, bool]:
     """Return the processor's time in ms, status, why, and whether it misleads."""
-    setup = Setup(RIG, spot_target(TARGETS[crowd.lights]), pace=pace)
+    target = unmeasured_target() if crowd.lights == UNMEASURED else spot_target(TARGETS[crowd.lights])
+    setup = Setup(RIG, target, pace=pace)
     left, right = (Frame(image=image, t_s=0.0, sequence=0, source="crowd") for image in crowd.images)
     begun = time.process_time()
     try:

@@ -22,7 +22,7 @@ from armsight.measure.poses.kernels import correspondence, pose_ambiguity
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
-from armsight.optics import Camera, converged_rig
+from armsight.optics import Camera, converged_rig, parallel_rig
 from armsight.records import (
     BoardView,
     Frame,
@@ -32,6 +32,7 @@ from armsight.records import (
     TargetKind,
     board_target,
     spot_target,
+    unmeasured_target,
 )
 from armsight.records.noise import NeighbourCorrelation
 from refusals import names_it, refuses
@@ -171,6 +172,19 @@ def test_what_a_deadline_leaves_no_time_to_look_at_is_refused_with_its_reason() 
         assert names_it(measured.pose.why, "time", "mask")
     quiet = measure_pair(replace(SETUP, pace=Pace(deadline_s=1e-3)), *frames(pose_at(0).apply(X), 0))
     assert_pose(quiet, pose_at(0))
+
+
+@pytest.mark.parametrize("seed", [165, 180])
+def test_three_blobs_of_noise_that_pair_up_are_no_target_of_unknown_geometry(seed: int) -> None:
+    rng, images = np.random.default_rng(seed), []
+    for _ in range(2):
+        grey = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 640)), (0, 0), 24.0)
+        images.append(np.clip(110.0 + 45.0 * grey / grey.std(), 0, 255).astype(np.uint8))
+    rig = parallel_rig(Camera.pinhole(640, 480, 600.0, 600.0, 320.0, 240.0), 0.12)
+    pair = [Frame(image=image, t_s=0.0, sequence=0, source="noise") for image in images]
+    measured = measure_pair(Setup(rig, unmeasured_target()), pair[0], pair[1])
+    assert len(measured.left_seen) == len(measured.right_seen) == 3, "or nothing is tested"
+    assert measured.pose.status is PoseStatus.LOST and measured.cause is Unseen.CROWD
 
 
 def test_both_views_beside_each_other_give_the_same_answer() -> None:

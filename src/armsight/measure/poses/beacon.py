@@ -177,6 +177,14 @@ def match_by_position(left: Spots, right: Spots, pairs: Pairs) -> Match:
     return Match(best=Assignment(names=("A", "B", "C"), pair=np.array(rows, dtype=np.intp), chi2=0.0))
 
 
+def by_chance_in_order(pairs: float) -> float:
+    """Return how many arrangements of three pairs with one order in both images are expected, of so many by chance.
+
+    They come as a Poisson process: pairs^3 / 3! ways to choose three, of which one in 3! has both orders alike.
+    """
+    return pairs**3 / 36.0
+
+
 def _overlaid_by_position(spots: Spots, pairs: Pairs) -> Match:
     triples = overlaid_triples(pairs)
     if len(triples) != 1:

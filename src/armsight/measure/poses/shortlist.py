@@ -54,8 +54,8 @@ class Shortlist:
     """Positions of the candidates to measure in the left and the right image, chosen from `bright` in both together.
 
     first: of these, those of the likeliest arrangements, None where that is all. arrangements: how many ways to
-    name coarse centres fit the target. few_are_lights: whether bright things are so few
-    that one or two of them that agree are no chance. why: what stopped the search, where it was stopped.
+    name coarse centres fit the target. pairs_by_chance: how many pairs of things that are no lights should agree with
+    the epipolar constraint. why: what stopped the search, where it was stopped.
     """
 
     left: Index
@@ -63,8 +63,13 @@ class Shortlist:
     bright: int
     first: tuple[Index, Index] | None = None
     arrangements: int = 0
-    few_are_lights: bool = False
+    pairs_by_chance: float = 0.0
     why: str = ""
+
+    @property
+    def few_are_lights(self) -> bool:
+        """Whether bright things are so few that one or two of them that agree are no chance."""
+        return self.pairs_by_chance < FEW_BY_CHANCE
 
     @property
     def nothing(self) -> str:
@@ -83,7 +88,7 @@ def shortlist(setup: Setup, left: Candidates, right: Candidates) -> Shortlist:
     bright = (len(left.positions()), len(right.positions()))
     found = Shortlist(left=np.empty(0, np.intp), right=np.empty(0, np.intp), bright=sum(bright))
     stopped = _stopped(left, right)
-    few = (bright[0] + left.others) * (bright[1] + right.others) * PAIRED_SHARE < FEW_BY_CHANCE
+    by_chance = (bright[0] + left.others) * (bright[1] + right.others) * PAIRED_SHARE
     for most in SHORTLIST_STEPS:
         at_left, at_right = left.positions(most), right.positions(most)
         pairs = _paired(setup, left, right, at_left, at_right)
@@ -91,10 +96,10 @@ def shortlist(setup: Setup, left: Candidates, right: Candidates) -> Shortlist:
             continue
         if not named:
             found = _partners(pairs.index, at_left, at_right)
-            return replace(found, bright=sum(bright), few_are_lights=few, why=stopped)
+            return replace(found, bright=sum(bright), pairs_by_chance=by_chance, why=stopped)
         found = _arranged(setup, pairs, at_left, at_right)
         found = replace(
-            found, bright=sum(bright), few_are_lights=few, why="; ".join(filter(None, (found.why, stopped)))
+            found, bright=sum(bright), pairs_by_chance=by_chance, why="; ".join(filter(None, (found.why, stopped)))
         )
         if len(found.left) or max(len(at_left), len(at_right)) < most:
             break
