@@ -21,6 +21,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+import warm_python
+
+warm_python.begin()
 WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 400.0, 0.1
 CX, CY = 160.3, 119.6
 LIGHTS = {"A": (-0.04, 0.0, 0.0), "B": (0.03, 0.03, 0.0), "C": (0.03, -0.03, 0.0)}

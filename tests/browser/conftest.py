@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
+import warm_python
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_text
 
 CHROMIUM = "/usr/bin/chromium"
@@ -36,8 +36,8 @@ def begin(
 ) -> tuple[str, subprocess.Popen[bytes]]:
     """Start the console as a person does; return its address. meanwhile: is called with it from the first answer on."""
     port = free_port()
-    command = [sys.executable, "-c", "from armsight.cli import main; main()", "console", "--folder", str(folder)]
-    process = subprocess.Popen([*FIRST, *command, "--port", str(port), *more], stderr=subprocess.PIPE)
+    command = [*FIRST, str(warm_python.commands() / "armsight"), "console", "--folder", str(folder)]
+    process = subprocess.Popen([*command, "--port", str(port), *more], stderr=subprocess.PIPE)
     assert process.stderr is not None
     if meanwhile is not None:
         listening(port)

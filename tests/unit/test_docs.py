@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+import warm_python
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -39,7 +41,7 @@ def test_every_block_is_of_a_known_kind(page: Path) -> None:
     "page", [p for p in PAGES if any(kind in RUN for kind, _ in blocks(p))], ids=lambda p: str(p.relative_to(ROOT))
 )
 def test_the_blocks_run(page: Path, tmp_path: Path) -> None:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    path = os.pathsep.join([str(warm_python.commands()), str(Path(sys.executable).parent), os.environ["PATH"]])
     for number, (kind, text) in enumerate(block for block in blocks(page) if block[0] in RUN):
         if kind == "bash":
             lines = [line for line in text.splitlines() if not line.startswith("git clone")]
@@ -50,7 +52,7 @@ def test_the_blocks_run(page: Path, tmp_path: Path) -> None:
         else:
             script = tmp_path / f"block_{number}.py"
             script.write_text(text, encoding="utf-8")
-            command = [sys.executable, "-W", "error", str(script)]
+            command = ["python", str(script)]
         done = subprocess.run(
             command, cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
         )

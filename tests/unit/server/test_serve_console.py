@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,17 @@ import pytest
 from typer.testing import CliRunner
 from websockets.sync.client import ClientConnection, connect
 
+import warm_python
 from armsight.cli.commands import app
 
-START = [sys.executable, "-c", "from armsight.cli import main; main()", "serve", "--robot", "sim:webcam-cell"]
+START = ["serve", "--robot", "sim:webcam-cell"]
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("served") / "cell"
-    process = subprocess.Popen([*START, "--port", "0", "--console", str(folder)], stderr=subprocess.PIPE, text=True)
+    command = [warm_python.commands() / "armsight", *START, "--port", "0", "--console", str(folder)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     said = ""
     while "Open http://" not in said:
