@@ -139,7 +139,7 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
     def _parse(self) -> None:
         """Parse a slice; the next one has its turn behind what others sent meanwhile."""
         part, self._backlog = self._backlog[:SLICE], self._backlog[SLICE:]
-        if not part or self.close_sent or self.transport.is_closing():
+        if not part or self.transport.is_closing():  # what answers a close of ours still has to be read
             self._backlog = b""
             return
         begun_s = time.thread_time()
@@ -202,7 +202,10 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
 
     def turn_out(self, what: str, *, code: int = AGAINST_THE_RULES) -> None:
         """Close a caller that sends more than it may, telling it and the log once."""
-        if self.close_sent or self.transport.is_closing():
+        if self.transport.is_closing():
+            return
+        if self.close_sent:  # it was told, and goes on sending instead of answering
+            self.transport.abort()
             return
         self.guarded.note(address_of_line(self.transport), f"sent more than {what}: closed")
         if not self.handshake_complete:  # nothing may be told before it is let in

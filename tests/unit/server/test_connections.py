@@ -197,6 +197,15 @@ def test_a_flood_is_parsed_a_slice_a_turn(flooder):
     assert flooder.parsed == [limited.SLICE, limited.SLICE, 10]
 
 
+def test_the_answer_to_a_close_of_ours_is_read_and_a_flood_in_its_place_cut(flooder):
+    flooder.close_sent, aborted = True, []
+    flooder.data_received(b"\x88\x80")
+    assert flooder.parsed == [2], "else the connection stays until uvicorn gives up waiting"
+    flooder.transport.abort = lambda: aborted.append(True)
+    limited.LimitedWebSocket.turn_out(flooder, "it may")
+    assert aborted == [True]
+
+
 def test_what_is_over_the_budget_of_bytes_is_not_parsed(flooder):
     flooder.data_received(b"x" * (int(SERVER.bytes_burst) + 1))
     assert flooder.turned_out and flooder.parsed == []

@@ -34,10 +34,11 @@ def url(service):
 
 
 class Raw:
-    """A client that says what it likes."""
+    """A client that says what it likes. It keeps whatever comes: else it stops reading, and closing takes ten seconds."""
 
     def __init__(self, url, path=say.DRIVE_PATH, **headers):
-        self.socket = connect(url + path, additional_headers=headers, proxy=None, compression=None).__enter__()
+        given = {"proxy": None, "compression": None, "max_queue": None}
+        self.socket = connect(url + path, additional_headers=headers, **given).__enter__()
         self.hello = json.loads(self.socket.recv(timeout=WAIT_S))
         self.seq = 0
 
