@@ -34,7 +34,7 @@ def url(service):
 
 
 class Raw:
-    """A client that says what it likes. It keeps whatever comes: else it stops reading, and closing takes ten seconds."""
+    """A client that says what it likes; it keeps whatever comes, or it would stop reading, and take long to close."""
 
     def __init__(self, url, path=say.DRIVE_PATH, **headers):
         given = {"proxy": None, "compression": None, "max_queue": None}
