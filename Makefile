@@ -3,6 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 RUNS := .venv/.runs
+# where it is set, each process compiles all Python that it imports anew: a command takes twice as long to start
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test check guides docs install lock clean
 

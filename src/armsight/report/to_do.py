@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from armsight.verify.effects import Kind
-
 VERIFY: Mapping[str, str] = {
     "none": "Nothing: the tool is where it should be.",
     "measurement": "Correct nothing in the arm: only a better measurement would show more.",
@@ -45,13 +43,13 @@ def after_measuring(word: str, unchecked: bool = False, advice: str = "") -> str
     return MEASURE[word] + (unproved if word == "Complete" and unchecked else "")
 
 
-def after_verify(cause: str, kind: str | None, *, with_arm: bool) -> str:
-    """Return the next step after a verification; kind: what the joint named as the cause has wrong."""
+def after_verify(cause: str, kind: str | None, *, zero: bool, with_arm: bool) -> str:
+    """Return the next step after a verification; kind: what the joint named as the cause has wrong; zero: its zero."""
     if not with_arm:
         return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
     if cause in VERIFY:
         return VERIFY[cause]
-    if kind == Kind.ZERO:
+    if zero:
         return f"Correct the zero of {cause} (`armsight calibrate arm` on these rows does), then verify on others."
     return f"Have the drive of {cause} looked at: a corrected zero does not mend {kind}."
 

@@ -43,8 +43,8 @@ def test_the_verdict_says_what_to_do():
     ],
 )
 def test_what_to_do_after_a_verification(cause, kind, said):
-    assert said in after_verify(cause, kind, with_arm=True)
-    assert "give --arm" in after_verify(cause, kind, with_arm=False)
+    assert said in after_verify(cause, kind, zero=kind == Kind.ZERO, with_arm=True)
+    assert "give --arm" in after_verify(cause, kind, zero=kind == Kind.ZERO, with_arm=False)
 
 
 def test_what_to_do_where_not_all_was_seen():
