@@ -256,12 +256,12 @@ def simulator() -> None:
     if not known(CELLS):
         return
     makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "beacon-cell")}
-    small = {"width": 320, "height": 180}
+    small, dark = {"width": 320, "height": 180}, {"room": "dark"}  # the light of a room takes long, and is `room`'s
     for cell in (
-        makers["led-cell"](0, 1, small, pipeline="ideal"),
-        makers["led-cell"](0, 1, {"diameter_m": 0.01, **small}),
-        makers["board-cell"](0, 1, **small),
-        makers["beacon-cell"](0, 1, **small),
+        makers["led-cell"](0, 1, small, pipeline="ideal", **dark),
+        makers["led-cell"](0, 1, {"diameter_m": 0.01, **small}, **dark),
+        makers["board-cell"](0, 1, **small, **dark),
+        makers["beacon-cell"](0, 1, **small, **dark),
     ):
         next(iter(cell.frames()))
 
