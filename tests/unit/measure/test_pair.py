@@ -15,7 +15,7 @@ from armsight.app.live.pace import SideBySide
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.geometry import pose_difference
 from armsight.measure.motion.kernels import levels
-from armsight.measure.pace import LIVE_S, Pace
+from armsight.measure.pace import BATCH, LIVE_S, Pace
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.kernels import correspondence, pose_ambiguity
@@ -310,13 +310,16 @@ def test_swapped_views_of_a_board_are_recognised() -> None:
         pose_of_views(BOARD_SETUP, right, left, 0.0)
 
 
-def test_a_board_that_is_not_there_is_lost_with_the_detectors_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(image: object, board: object, *, source: str) -> BoardView:
-        raise BadImage(f"{source}: no board found")
+@pytest.mark.parametrize(("pace", "searched"), [(BATCH, "auto"), (Pace(deadline_s=LIVE_S), "quick")])
+def test_a_board_that_is_not_there_is_lost_with_the_detectors_reason(
+    pace: Pace, searched: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(image: object, board: object, *, source: str, detector: str) -> BoardView:
+        raise BadImage(f"{source}: no board found by {detector}")
 
     monkeypatch.setattr(boardpair, "find_board", nothing)
-    measured = measure_pair(BOARD_SETUP, *frames(np.array([[9.0, 9.0, 10.0]]), 0))
-    assert measured.pose.status is PoseStatus.LOST and "no board found" in measured.pose.why
+    measured = measure_pair(replace(BOARD_SETUP, pace=pace), *frames(np.array([[9.0, 9.0, 10.0]]), 0))
+    assert measured.pose.status is PoseStatus.LOST and f"no board found by {searched}" in measured.pose.why
 
 
 def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() -> None:
