@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armsight.errors import BadImage, Inconsistent, Unseen, UsageError
-from armsight.measure.boards import find_board, same_way_up
+from armsight.measure.boards import circles, find_board, same_way_up
 from armsight.measure.boards.kernels.edge_models import CHUNK, REST, ROWS, V, X, Y, corner_rows, dot_rows
 from armsight.measure.boards.saddle_grid import grid_at_a_glance
 from armsight.records import Target, TargetKind, board_target, spot_target
@@ -249,6 +249,19 @@ def test_a_glance_sees_a_board_larger_and_smaller_and_no_other(view: View) -> No
             assert grid_at_a_glance(scaled, columns, rows) is None
     with refuses(BadImage, "10x6", "glance"):
         find_board(image, board_target(TargetKind.CHECKERBOARD, 10, 6, PITCH_M), detector="quick")
+
+
+@pytest.mark.parametrize(("detector", "looks"), [("auto", 10), ("quick", 1)])
+def test_a_live_picture_full_of_specks_is_not_searched_for_circles_to_its_end(
+    detector: str, looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image = np.random.default_rng(8).integers(0, 255, (720, 1280)).astype(np.uint8)
+    looked: list[bool] = []
+    find = circles.round_dots
+    monkeypatch.setattr(circles, "round_dots", lambda *given, dark: looked.append(dark) or find(*given, dark=dark))
+    with refuses(BadImage, "circles"):
+        find_board(image, CIRCLES, detector=detector)
+    assert len(looked) == looks
 
 
 def test_noise_is_no_board() -> None:

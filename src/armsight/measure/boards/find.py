@@ -65,7 +65,7 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
     if board.kind is TargetKind.APRILGRID:
         return find_aprilgrid(grey, board, source)
     if board.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES):
-        return find_circles(grey, board, source)
+        return find_circles(grey, board, source, quick=detector == "quick")
     raise Inconsistent(f"a target of kind {board.kind.value} is not a printed board", cure="Give a board")
 
 

@@ -227,11 +227,15 @@ LARGEST_SHARE = 1.0 / 16.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dots:
-    """Candidates: uv (n, 2), half axes (n, 2) in px, the long one first, and its direction (n,) in rad."""
+    """Candidates: uv (n, 2), half axes (n, 2) in px, the long one first, and its direction (n,) in rad.
+
+    contours: how many things were looked at to find them, round or not.
+    """
 
     uv: Array
     axes: Array
     angle: Array
+    contours: int = 0
 
     @cached_property
     def area(self) -> Array:
@@ -297,6 +301,7 @@ def round_dots(image: Image, block: int, *, dark: bool) -> Dots:
         uv=uv[keep],
         axes=axes[:, ::-1] + 0.5,
         angle=np.arctan2(vectors[keep, 1, 1], vectors[keep, 0, 1]),
+        contours=len(contours),
     )
 
 
