@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.live.pace import pace_of
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
@@ -131,7 +132,8 @@ def teach_standing(
     overlaid = False
     if pairs is None:
         pairs, overlaid = _pairs(seen_by, rig, target)
-    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour), overlaid=overlaid)
+    pace = pace_of(seen_by.left, seen_by.right, seen_by.image)
+    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour), overlaid=overlaid, pace=pace)
     prepare(progress)
     if not job.wait:
         recorder.start()

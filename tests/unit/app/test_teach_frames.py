@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.app.live.pace import pace_of
 from armsight.app.requests.motion import StandingJob, TeachJob
 from armsight.app.teach import AS_MEASURED, teach_poses, teach_standing
 from armsight.control.teach import PathRecorder, StandingRig
@@ -54,3 +55,7 @@ def test_targets_are_as_sure_as_the_cameras_are(mean: bool) -> None:
         assert np.diag(pose.covariance) == pytest.approx(
             VARIANCES[[1, 0, 2, 4, 3, 5]]
         )  # x of the rig is y of the world
+
+
+def test_only_before_a_camera_somebody_waits() -> None:
+    assert pace_of("camera:0", None, "left").live and not pace_of("left", None, "right").live

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.live.pace import pace_of
 from armsight.app.measure.run import target_of
 from armsight.app.requests.calibrate_robot import PivotJob
 from armsight.app.sources.frames import open_pairs
@@ -52,7 +53,8 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
 def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecording, TipCalibration, list[TargetPose]]:
     """Return the recording, the tip and the poses taken; write nothing. Raises as run_pivot."""
     target = target_of(job.target)
-    setup = Setup(rig=read_rig(job.rig), target=target, settings=SpotSettings(colour=target.colour))
+    settings, pace = SpotSettings(colour=target.colour), pace_of(job.left, job.right)
+    setup = Setup(rig=read_rig(job.rig), target=target, settings=settings, pace=pace)
     pairs = open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
     point = None if job.point is None else MeasuredPoint(xyz_m=np.asarray(job.point), sigma_m=job.sigma_m)
     with pairs:

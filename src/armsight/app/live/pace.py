@@ -6,8 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
-from armsight.drivers import cores
-from armsight.measure.pace import LIVE_S, Pace, T
+from armsight.drivers import cores, is_live
+from armsight.measure.pace import BATCH, LIVE_S, Pace, T
 
 
 class SideBySide:
@@ -31,3 +31,8 @@ class SideBySide:
 def live_pace() -> Pace:
     """Return the pace of live pictures; one thread serves all of a process."""
     return Pace(deadline_s=LIVE_S, both=SideBySide()) if cores() > 1 else Pace(deadline_s=LIVE_S)
+
+
+def pace_of(*sources: str | None) -> Pace:
+    """Return the pace of live pictures where one of the sources is a camera, else that of files."""
+    return live_pace() if any(source is not None and is_live(source) for source in sources) else BATCH
