@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its interpolation, a tenth of a second, where it is used: every measurement imports this
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from armsight.calibrate.timing import kernels
@@ -255,7 +255,7 @@ RIDGE = 1e-14
 
 def _pieces() -> Array:
     """Return the polynomials (ORDER, ORDER): value of local basis j is sum_k pieces[j, k] u^k, u from 0 to 1."""
-    bump = BSpline.basis_element(np.arange(ORDER + 1.0))
+    bump = scipy.interpolate.BSpline.basis_element(np.arange(ORDER + 1.0))
     u = np.linspace(0.1, 0.9, ORDER)
     values = np.stack([bump(DEGREE - j + u) for j in range(ORDER)], axis=1)
     return np.ascontiguousarray(np.linalg.solve(np.vander(u, increasing=True), values).T)
