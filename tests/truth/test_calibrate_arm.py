@@ -98,7 +98,7 @@ def test_left_out_errors_are_what_the_cramer_rao_bound_predicts() -> None:
 
 def test_corrections_are_found_within_their_deviations() -> None:
     chi2 = []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(100 + seed)
         arm = preset("irb120")
         zero = np.deg2rad(1.0) * rng.normal(size=6)
@@ -111,7 +111,7 @@ def test_corrections_are_found_within_their_deviations() -> None:
         joints = {f"{joint.name}.theta_rad": value for joint, value in zip(arm.joints, zero, strict=True)}
         assert len(names) >= 3
         chi2 += [((result.change(name) - joints[name]) / std[name]) ** 2 for name in names]
-    assert np.mean(chi2) == pytest.approx(1.0, abs=0.6)  # about 40 terms: 1 +- 0.22
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.8)  # about 20 terms: 1 +- 0.32
 
 
 def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
@@ -137,7 +137,7 @@ def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
 def test_zeros_are_found_within_their_deviations_where_all_lengths_are_off_too() -> None:
     """Zeros off by 2 degrees, lengths by 0.5 mm: Hayati's beta must not take a joint zero's place (MATH 4.5)."""
     chi2 = []
-    for seed in range(10):
+    for seed in range(5):
         rng = np.random.default_rng(500 + seed)
         made = cell(rng)
         result = calibrate_arm(made.arm, made.points(rng.uniform(-1.0, 1.0, (36, 6)) * REACH, rng))
@@ -149,12 +149,12 @@ def test_zeros_are_found_within_their_deviations_where_all_lengths_are_off_too()
         assert [name for name in result.free if "beta" in name] == [f"{names[1]}.beta_rad"]  # parallel: joints 2, 3
         assert f"{names[1]}.d_m" in dict(result.fixed)
         chi2 += [((result.change(name) - true) / std[name]) ** 2 for name, true in free]
-    assert np.mean(chi2) == pytest.approx(1.0, abs=0.7)  # 40 terms: 1 +- 0.22
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.8)  # 20 terms: 1 +- 0.32
     assert max(chi2) < 16.0
 
 
 def test_what_is_fixed_is_as_in_the_nominal_arm() -> None:
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         made = cell(rng)
         result = calibrate_arm(made.arm, made.points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng))
