@@ -113,10 +113,10 @@ def touching(apart: float) -> Draw:
     return draw
 
 
-def frame_of(tiles: list[Array], rng: np.random.Generator) -> NDArray[np.uint8]:
+def frame_of(tiles: list[Array], rng: np.random.Generator, noise: float = NOISE) -> NDArray[np.uint8]:
     rows = [np.hstack(tiles[k : k + ACROSS]) for k in range(0, TILES, ACROSS)]
     image = np.pad(np.vstack(rows), 1) + BACKGROUND
-    return np.clip(np.rint(image + rng.normal(0.0, NOISE, image.shape)), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(image + rng.normal(0.0, noise, image.shape)), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize(
@@ -154,6 +154,23 @@ def test_errors_meet_the_bound_and_covariances_are_true(
     assert missed <= refused * frames * TILES
     assert np.sqrt(np.mean(squares)) < ratio + 3.0 * ratio / np.sqrt(2.0 * n)
     assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))
+
+
+def test_noise_that_hangs_together_widens_the_covariances() -> None:
+    """As of a camera that smooths its images: the errors are several times those of independent pixels."""
+    rng = np.random.default_rng(17)
+    chi2 = []
+    for _ in range(8):
+        drawn = [plain(rng) for _ in range(TILES)]
+        clean = frame_of([lights(p) for p in drawn], rng, noise=0.0)
+        noise = gaussian_filter(rng.normal(0.0, 1.0, clean.shape), 1.0)
+        spots = find_spots(np.clip(np.rint(clean + NOISE / noise.std() * noise), 0, 255).astype(np.uint8))
+        for k, p in enumerate(drawn):
+            away = spots.uv_px - p[:2] - [1.0 + k % ACROSS * SIZE, 1.0 + k // ACROSS * SIZE]
+            nearest = int(np.linalg.norm(away, axis=1).argmin())
+            chi2.append(float(away[nearest] @ np.linalg.solve(spots.covariance_px2[nearest], away[nearest])))
+    n = 2 * len(chi2)
+    assert np.sum(chi2) / n < 1.1 + 3.0 * np.sqrt(2.0 / n)
 
 
 def test_two_touching_lights_in_the_dark_are_not_taken_for_one_that_moved() -> None:
