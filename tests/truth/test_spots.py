@@ -156,21 +156,38 @@ def test_errors_meet_the_bound_and_covariances_are_true(
     assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))
 
 
-def test_noise_that_hangs_together_widens_the_covariances() -> None:
-    """As of a camera that smooths its images: the errors are several times those of independent pixels."""
-    rng = np.random.default_rng(17)
-    chi2 = []
+def chi2_of(drawn: list[Sequence[float]], image: Array) -> list[float]:
+    """Squared errors over claimed variances of one light in each tile."""
+    spots, out = find_spots(np.clip(np.rint(image), 0, 255).astype(np.uint8)), []
+    for k, p in enumerate(drawn):
+        away = spots.uv_px - p[:2] - [1.0 + k % ACROSS * SIZE, 1.0 + k // ACROSS * SIZE]
+        nearest = int(np.linalg.norm(away, axis=1).argmin())
+        out.append(float(away[nearest] @ np.linalg.solve(spots.covariance_px2[nearest], away[nearest])))
+    return out
+
+
+def smoothed(clean: Array, rng: np.random.Generator) -> Array:
+    noise = gaussian_filter(rng.normal(0.0, 1.0, clean.shape), 1.0)
+    return NOISE / noise.std() * noise
+
+
+def shot(clean: Array, rng: np.random.Generator) -> Array:
+    return rng.normal(0.0, 1.0, clean.shape) * np.sqrt(1.0 + (clean - BACKGROUND))
+
+
+@pytest.mark.parametrize("noise", [smoothed, shot])
+def test_covariances_are_true_in_noise_that_is_not_alike_and_free_in_all_pixels(
+    noise: Callable[[Array, np.random.Generator], Array],
+) -> None:
+    """As of a camera that smooths its images, or of few electrons: that of equal, independent pixels would claim a
+    third of the variance or less."""
+    rng, chi2 = np.random.default_rng(17), []
     for _ in range(8):
         drawn = [plain(rng) for _ in range(TILES)]
-        clean = frame_of([lights(p) for p in drawn], rng, noise=0.0)
-        noise = gaussian_filter(rng.normal(0.0, 1.0, clean.shape), 1.0)
-        spots = find_spots(np.clip(np.rint(clean + NOISE / noise.std() * noise), 0, 255).astype(np.uint8))
-        for k, p in enumerate(drawn):
-            away = spots.uv_px - p[:2] - [1.0 + k % ACROSS * SIZE, 1.0 + k // ACROSS * SIZE]
-            nearest = int(np.linalg.norm(away, axis=1).argmin())
-            chi2.append(float(away[nearest] @ np.linalg.solve(spots.covariance_px2[nearest], away[nearest])))
+        clean = frame_of([lights(p) for p in drawn], rng, noise=0.0).astype(float)
+        chi2 += chi2_of(drawn, clean + noise(clean, rng))
     n = 2 * len(chi2)
-    assert np.sum(chi2) / n < 1.1 + 3.0 * np.sqrt(2.0 / n)
+    assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))
 
 
 def test_two_touching_lights_in_the_dark_are_not_taken_for_one_that_moved() -> None:
