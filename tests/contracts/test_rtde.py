@@ -8,13 +8,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
-from armsight.drivers.rtde.link import address
+from armsight.drivers.rtde.link import ControllerState, address
+from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.testing import RobotCase, RobotContract
 from refusals import refuses
@@ -174,6 +176,15 @@ def test_a_program_ended_at_the_controller_is_told(twin: Twin) -> None:
             until(lambda: robot.state is RobotState.LOST)
         with pytest.raises(DeviceLost, match=r"ended|took no"):
             robot.read()
+
+
+@pytest.mark.parametrize(("bit", "word"), [(2, "protective"), (4, "safeguard"), (7, "emergency"), (9, "fault")])
+def test_a_stop_of_the_controllers_safety_ends_the_link_with_its_name(bit: int, word: str) -> None:
+    robot = RtdeRobot("127.0.0.1")
+    state = ControllerState(stamp_s=1.0, q=tuple(HOME), q_planned=tuple(HOME), runtime=PLAYING, safety=1 | 1 << bit)
+    with refuses(DeviceLost, word):
+        robot._hear(state)
+    robot._hear(replace(state, safety=1))  # normal
 
 
 def test_a_second_client_is_refused(twin: Twin) -> None:

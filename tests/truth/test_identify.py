@@ -222,6 +222,14 @@ def test_sweeps_that_cannot_tell_an_arm_are_refused() -> None:
         identify(sweeps, rig=RIG, method="paper", increments="order")
 
 
+def test_a_joint_that_creeps_through_the_sweep_of_another_is_refused() -> None:
+    sweeps = rrp_sweeps(0.1, 120.0, 0)
+    creeping = sweeps.q.copy()  # by less than an encoder's noise from one reading to the next
+    creeping[10:20, 0] += np.linspace(0.0, 0.015, 10)
+    with refuses(Inconsistent, "joint 1 moves", "sweep", "joint 2"):
+        identify(Sweeps(joint=sweeps.joint, q=creeping, xyz_m=sweeps.xyz_m, uv_px=sweeps.uv_px), rig=RIG)
+
+
 def test_several_sweeps_of_a_joint_are_pooled() -> None:
     """Three short arcs of a joint with the next one elsewhere each time tell more than one of them."""
     rows: list[Row] = [(0.1, 0.4, 0.0, np.pi / 2, True), (0.0, 0.1, 0.3, 0.0, True)]

@@ -113,10 +113,10 @@ def touching(apart: float) -> Draw:
     return draw
 
 
-def frame_of(tiles: list[Array], rng: np.random.Generator) -> NDArray[np.uint8]:
+def frame_of(tiles: list[Array], rng: np.random.Generator, noise: float = NOISE) -> NDArray[np.uint8]:
     rows = [np.hstack(tiles[k : k + ACROSS]) for k in range(0, TILES, ACROSS)]
     image = np.pad(np.vstack(rows), 1) + BACKGROUND
-    return np.clip(np.rint(image + rng.normal(0.0, NOISE, image.shape)), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(image + rng.normal(0.0, noise, image.shape)), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize(
@@ -153,6 +153,40 @@ def test_errors_meet_the_bound_and_covariances_are_true(
     n = 2 * len(chi2)
     assert missed <= refused * frames * TILES
     assert np.sqrt(np.mean(squares)) < ratio + 3.0 * ratio / np.sqrt(2.0 * n)
+    assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))
+
+
+def chi2_of(drawn: list[Sequence[float]], image: Array) -> list[float]:
+    """Squared errors over claimed variances of one light in each tile."""
+    spots, out = find_spots(np.clip(np.rint(image), 0, 255).astype(np.uint8)), []
+    for k, p in enumerate(drawn):
+        away = spots.uv_px - p[:2] - [1.0 + k % ACROSS * SIZE, 1.0 + k // ACROSS * SIZE]
+        nearest = int(np.linalg.norm(away, axis=1).argmin())
+        out.append(float(away[nearest] @ np.linalg.solve(spots.covariance_px2[nearest], away[nearest])))
+    return out
+
+
+def smoothed(clean: Array, rng: np.random.Generator) -> Array:
+    noise = gaussian_filter(rng.normal(0.0, 1.0, clean.shape), 1.0)
+    return NOISE / noise.std() * noise
+
+
+def shot(clean: Array, rng: np.random.Generator) -> Array:
+    return rng.normal(0.0, 1.0, clean.shape) * np.sqrt(1.0 + (clean - BACKGROUND))
+
+
+@pytest.mark.parametrize("noise", [smoothed, shot])
+def test_covariances_are_true_in_noise_that_is_not_alike_and_free_in_all_pixels(
+    noise: Callable[[Array, np.random.Generator], Array],
+) -> None:
+    """As of a camera that smooths its images, or of few electrons: that of equal, independent pixels would claim a
+    third of the variance or less."""
+    rng, chi2 = np.random.default_rng(17), []
+    for _ in range(8):
+        drawn = [plain(rng) for _ in range(TILES)]
+        clean = frame_of([lights(p) for p in drawn], rng, noise=0.0).astype(float)
+        chi2 += chi2_of(drawn, clean + noise(clean, rng))
+    n = 2 * len(chi2)
     assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))
 
 

@@ -141,6 +141,16 @@ def test_errors_of_the_rig_enter_the_deviations() -> None:
     assert without > chi2_law.isf(1e-6, dof)  # the rig taken as exact claims too much
 
 
+def test_spots_worse_than_they_say_widen_the_deviations() -> None:
+    total = dof = 0.0
+    for seed in range(12):
+        frames = recording(SCALENE, np.random.default_rng([9, seed]), sigma_px=0.2)
+        claimed = [replace(f, left=spots(f.left.uv_px, 0.05), right=spots(f.right.uv_px, 0.05)) for f in frames]
+        chi2, free = free_chi2(calibrate_target(RIG, claimed), frame_axes(SCALENE))
+        total, dof = total + chi2, dof + free
+    assert chi2_law.ppf(1e-4, dof) < total < chi2_law.isf(1e-4, dof)
+
+
 def test_left_out_residuals_are_those_of_a_shape_fitted_without_the_frame() -> None:
     frames = recording(SCALENE, np.random.default_rng(3), 6)
     done = calibrate_target(RIG, frames)

@@ -112,6 +112,9 @@ def test_poses_may_come_in_any_form() -> None:
     for form in forms:
         found = armsight.calibrate_hand_eye(form, B)
         np.testing.assert_allclose(found.T_flange_camera, X.as_matrix(), atol=1e-9)
+    shown = {name: float(text.split()[0]) for name, text in found.rows()[:6]}
+    wanted = [*1e3 * X.translation, *X.rotation.as_euler("xyz", degrees=True)]
+    assert shown == pytest.approx(dict(zip(("x", "y", "z", "rx", "ry", "rz"), wanted, strict=True)), abs=1e-3)
     with refuses(armsight.Inconsistent, "T_base_camera", "eye-in-hand"):
         _ = found.T_base_camera
 

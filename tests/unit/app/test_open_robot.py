@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from armsight.app.robot.opening import open_robot
+from armsight.app.servo.session import check_arm
 from armsight.clock import ManualClock
-from armsight.drivers import RobotState
-from armsight.errors import BadFile, DeviceNotFound, UsageError
+from armsight.drivers import RobotState, RobotTraits
+from armsight.errors import BadFile, DeviceNotFound, Inconsistent, UsageError
+from armsight.store.arm_file import arm_from_mapping
 from refusals import refuses
 
 
@@ -16,6 +20,18 @@ def test_a_simulated_robot_stands_at_its_scenarios_home() -> None:
     assert robot.state is RobotState.CLOSED
     with robot:
         assert robot.read().q[1] == pytest.approx(-1.0472, abs=1e-4)
+
+
+def test_an_arm_file_of_another_arm_is_refused_before_a_servo_moves_it() -> None:
+    with open_robot("sim:webcam-cell", ManualClock()) as robot:
+        described = RobotTraits.of(robot).arm_mapping
+        assert described is not None
+        arm = arm_from_mapping(described())
+        check_arm(robot, arm)
+        first = arm.joints[0]
+        for other in (replace(first, d_m=first.d_m + 0.03), replace(first, theta_rad=first.theta_rad + 0.1)):
+            with refuses(Inconsistent, "another arm"):
+                check_arm(robot, replace(arm, joints=(other, *arm.joints[1:])))
 
 
 @pytest.mark.parametrize("text", ["sim", "sim:", ":x", ""])

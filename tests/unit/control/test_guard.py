@@ -252,8 +252,9 @@ def test_limits_that_cannot_be_are_refused() -> None:
 
 
 def test_limits_narrow_the_arms_own_and_never_widen_them() -> None:
-    wide = joint_bounds(ARM, Limits(joints=tuple(JointLimit(lower=-9.0, upper=9.0) for _ in HOME)))
+    wide = joint_bounds(ARM, Limits(joints=tuple(JointLimit(lower=-9.0, upper=9.0, speed=9.0) for _ in HOME)))
     assert (wide.lower >= ARM.lower).all() and (wide.upper <= ARM.upper).all()
+    assert wide.speed.tolist() == [joint.max_speed for joint in ARM.joints]
 
 
 LAST = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

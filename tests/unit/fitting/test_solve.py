@@ -133,6 +133,19 @@ def test_parameters_that_cannot_be_told_apart_are_named() -> None:
     assert np.isfinite(fit.std()["offset"])
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_they_are_named_to_whichever_side_of_zero_rounding_falls(seed: int) -> None:
+    design = np.random.default_rng(seed).normal(size=(20, 2))
+    J = np.column_stack([design, design @ [0.3, 1.7], np.ones(20)])  # the third is made of the first two
+
+    def evaluate(shared: np.ndarray, local: np.ndarray) -> Evaluation:
+        return Evaluation(residuals=(J @ (shared - 1.0))[None], shared=J[None], local=np.zeros((1, 20, 0)))
+
+    with pytest.raises(Undetermined) as caught:
+        solve(Problem(names=("p", "q", "r", "offset"), guess=np.zeros(4), evaluate=evaluate, n_residuals=20))
+    assert {"q", "r"} <= set(caught.value.groups[0]) <= {"p", "q", "r"}
+
+
 @pytest.mark.parametrize("kind", [LossKind.HUBER, LossKind.CAUCHY])
 def test_a_robust_loss_ignores_gross_errors(kind: LossKind) -> None:
     rng = np.random.default_rng(5)

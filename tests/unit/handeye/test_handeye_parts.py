@@ -75,9 +75,9 @@ def test_the_logarithm_holds_up_to_half_a_turn() -> None:
     out = np.empty(3)
     for angle in (0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7):
         axis = rng.normal(size=3)
-        w = angle * axis / np.linalg.norm(axis)
-        rotvec_of(Rotation.from_rotvec(w).as_matrix(), out)
-        assert out == pytest.approx(w, abs=1e-8)
+        for w in (angle * axis / np.linalg.norm(axis), -angle * axis / np.linalg.norm(axis)):
+            rotvec_of(Rotation.from_rotvec(w).as_matrix(), out)
+            assert out == pytest.approx(w, abs=1e-8)
 
 
 @pytest.mark.parametrize("setup", SETUPS)

@@ -88,6 +88,17 @@ def test_limits_are_kept_and_named_as_the_reason() -> None:
     assert tight.within_limits(blocked.closest_q)
 
 
+@pytest.mark.parametrize("room", [(0.2, 3.0), (3.0, 0.2)], ids=["below", "above"])
+def test_the_closed_forms_answers_beyond_either_limit_are_told_apart(room: tuple[float, float]) -> None:
+    arm, q = preset("irb120"), np.array([0.3, -0.5, 0.6, 0.4, 0.7, 0.3])
+    joints = (dataclasses.replace(j, lower=v - room[0], upper=v + room[1]) for j, v in zip(arm.joints, q, strict=True))
+    tight = dataclasses.replace(arm, joints=tuple(joints))
+    answer = ik(tight, fk(tight, q))
+    assert answer.solutions and answer.beyond_limits
+    assert tight.within_limits(np.array([one.q for one in answer.solutions])).all()
+    assert not tight.within_limits(np.array([one.q for one in answer.beyond_limits])).any()
+
+
 def test_solutions_beyond_limits_are_told_apart() -> None:
     T = fk(preset("korayem6r"), [0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
     answer = ik(limited(2.9), T)

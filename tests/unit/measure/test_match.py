@@ -128,6 +128,26 @@ def test_a_track_resolves_the_equilateral_triangle() -> None:
     assert_pose(measure(target, points_of(EQUILATERAL, moved), track=track, t_s=0.03), moved)
 
 
+@pytest.mark.parametrize("about_rad", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+def test_a_light_hidden_by_another_in_one_view_is_not_given_its_spot(about_rad: float) -> None:
+    eye, first = RIG.T_rig_left.translation, np.array([0.0, 0.0, 0.6])
+    sight = (first - eye) / np.linalg.norm(first - eye)
+    places = np.array(list(SCALENE.values()))
+    way = (places[1] - places[0]) / np.linalg.norm(places[1] - places[0])
+    R, _ = Rotation.align_vectors([sight], [way])  # from A to B along the left camera's line of sight
+    R = Rotation.from_rotvec(about_rad * sight) * R
+    points = points_of(SCALENE, RigidTransform.from_components(first - R.apply(places[0]), R))
+    measured = measure(spot_target(SCALENE), points[[0, 2]], points)
+    assert measured.pose.status is not PoseStatus.OK
+
+
+def test_a_target_whose_file_mirrors_it_is_refused() -> None:
+    mirrored = {name: (x, -y, z) for name, (x, y, z) in SCALENE.items()}
+    measured = measure(spot_target(mirrored), points_of(SCALENE))
+    assert measured.pose.status is PoseStatus.LOST and measured.cause is Unseen.WRONG_TARGET
+    assert "from behind" in measured.pose.why
+
+
 def test_isosceles_triangle_is_seen_from_its_front() -> None:
     measured = measure(spot_target(ISOSCELES), points_of(ISOSCELES))
     assert_pose(measured, POSE)

@@ -40,6 +40,16 @@ def test_one_drives_at_a_time(authority, host):
     assert ("release", "done") in host.told
 
 
+def test_who_has_driven_for_long_and_still_does_is_not_replaced(authority, host):
+    anna = authority.take("anna")
+    for _ in range(3):
+        host.t_s += 0.9 * SILENT_S
+        authority.perform(anna, Beat(enable=False))
+    host.t_s += 0.9 * SILENT_S
+    with refuses(DeviceFailed, "anna"):
+        authority.take("bert")
+
+
 def test_a_silent_driver_is_replaced_and_then_refused(authority, host):
     anna = authority.take("anna")
     host.t_s += SILENT_S

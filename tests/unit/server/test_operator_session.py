@@ -9,7 +9,7 @@ from armsight.app.operator.session_robot import SessionRobot
 from armsight.control.session.operator_session import FRESH_S, LOST_S, OperatorSession, Person, Push
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity
 from armsight.drivers import RobotState
-from armsight.errors import DeviceFailed, UsageError
+from armsight.errors import DeviceFailed, StaleData, UsageError
 from refusals import refuses
 
 ANN, BEN = Person(who="ann"), Person(who="ben")
@@ -202,6 +202,16 @@ def test_work_moves_with_the_enable(session, host):
         assert sent.q == pytest.approx([0.05, 0.0]) and sent.limited == ()
         assert robot.state is RobotState.READY and robot.read().q == pytest.approx([0.05, 0.0])
     assert isinstance(told(host, "post")[-1], Hold), "closing it holds the robot"
+
+
+def test_a_reading_of_before_is_none(session, host, monkeypatch):
+    with robot_of(session, host, waits=False) as robot:
+        robot.read()
+        now = session.status()
+        monkeypatch.setattr(session, "status", lambda: now)
+        host.t_s += 0.5  # the robot fell silent
+        with refuses(StaleData, "fresh"):
+            robot.read()
 
 
 @pytest.mark.parametrize("waits", [False, True])

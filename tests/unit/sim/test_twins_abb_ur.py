@@ -12,7 +12,8 @@ import pytest
 from armsight.clock import ManualClock
 from armsight.drivers.egm.packets import parse
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
-from armsight_sim.twins.base import HOME
+from armsight.geometry import is_close
+from armsight_sim.twins.base import HOME, small_arm
 from armsight_sim.twins.egm import EgmTwin
 from armsight_sim.twins.rtde import RtdeTwin
 from refusals import refuses
@@ -40,6 +41,7 @@ def test_the_abb_controller_sends_one_state_a_cycle_that_the_driver_reads() -> N
         assert np.abs(packet.q - HOME).max() <= 0.5e-5 + 1e-12
         assert packet.why_still == ""
         assert packet.T_base_flange is not None
+        assert is_close(packet.T_base_flange, small_arm().flange(packet.q), tol_m=2e-5, tol_rad=5e-5)
 
 
 def test_the_controller_of_universal_robots_listens_where_it_says() -> None:

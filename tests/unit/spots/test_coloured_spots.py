@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from armsight.errors import BadImage
 from armsight.measure.spots import SpotSettings, find_spots, track_spots
+from armsight.measure.spots.grey import grey_of
 from armsight.records import Colour
 from armsight.records.target import BLUE, GREEN, RED
 from refusals import refuses
@@ -53,6 +54,13 @@ def test_hues_wrap_through_zero() -> None:
 def test_a_grey_image_has_no_colours() -> None:
     with refuses(BadImage, "colours"):
         find_spots(scene()[:, :, 0], SpotSettings(colour=RED))
+
+
+def test_a_channel_that_is_clipped_is_not_measured_through_grey() -> None:
+    image = np.zeros((2, 3, 3), np.uint8)
+    image[0, 1], image[1, 2] = (255, 10, 10), (254, 10, 10)  # blue: little of a grey level
+    grey = grey_of(image, 255).astype(int)
+    assert grey[0, 1] == 255 and 20 < grey[1, 2] < 60 and grey.sum() == grey[0, 1] + grey[1, 2]
 
 
 def test_a_coloured_beacon_at_the_border_is_refused() -> None:

@@ -61,11 +61,14 @@ def test_an_arm_that_hangs_sags_the_other_way() -> None:
     assert arm.based().gravity_torque(q) == pytest.approx(arm.gravity_torque(q))
 
 
-def test_masses_of_a_urdf_are_those_that_pinocchio_reads() -> None:
+@pytest.mark.parametrize("down", [(0.0, 0.0, -1.0), (0.36, 0.48, -0.8)])
+def test_masses_of_a_urdf_are_those_that_pinocchio_reads(down: tuple[float, float, float]) -> None:
     pin = pytest.importorskip("pinocchio")
     text = URDF.format(mass=3, inertia=INERTIA)
     arm = arm_from_urdf(text, tip="tool")
+    arm = replace(arm, down_in_base=arm.T_world_base.rotation.inv().apply(down))
     model = pin.buildModelFromXML(text)
+    model.gravity.linear = 9.81 * np.array(down)
     for q in np.random.default_rng(0).uniform(-2.0, 2.0, (10, 2)):
         full = np.append(q, 0.0)  # the finger stands at zero
         assert arm.gravity_torque(q) == pytest.approx(

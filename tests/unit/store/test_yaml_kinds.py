@@ -245,9 +245,13 @@ def test_a_wrong_rig_is_refused_with_its_key(case):
     assert caught.value.cure
 
 
-def test_a_covariance_must_be_one():
+@pytest.mark.parametrize(
+    "spoilt", [lambda rows: [-rows[0][0], *rows[0][1:]], lambda rows: [rows[0][0], 1.0, *rows[0][2:]]]
+)
+def test_a_covariance_must_be_one(spoilt):
     content = rig_content()
-    content["covariance"]["matrix"][0][0] *= -1.0
+    rows = content["covariance"]["matrix"]
+    rows[0] = spoilt(rows)
     with refuses(BadFile, "symmetric"):
         store.rig_from_mapping(content)
 

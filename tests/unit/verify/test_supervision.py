@@ -61,6 +61,19 @@ def test_errors_are_measured_minus_expected_in_the_bases_axes() -> None:
     np.testing.assert_allclose(found.std_m, 1e-4, rtol=1e-9)
 
 
+def test_what_the_cameras_leave_open_is_turned_into_the_bases_axes() -> None:
+    """Depth is known worst: the covariance's long axes are those of the camera's z, as the base has it."""
+    own, lasting = np.diag([1e-8, 1e-8, 4e-6, 1e-6, 4e-6, 1e-6]), np.diag([0.0, 0.0, 1e-6, 0.0, 0.0, 0.0])
+    T = (RIG.inv() * RigidTransform.from_matrix(fk(ARM, Q))).as_matrix()
+    pose = TargetPose(
+        t_s=0.0, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=own, systematic_covariance=lasting
+    )
+    found = Expectation(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
+    turned = np.kron(np.eye(2), RIG.rotation.as_matrix())
+    np.testing.assert_allclose(found.systematic, turned @ lasting @ turned.T, atol=1e-18)
+    np.testing.assert_allclose(found.random, turned @ (own - lasting) @ turned.T, atol=1e-18)
+
+
 def test_a_doubtful_pose_is_not_compared() -> None:
     T = (RIG.inv() * RigidTransform.from_matrix(fk(ARM, Q))).as_matrix()
     pose = TargetPose(t_s=0.0, status=PoseStatus.DOUBTFUL, parent="rig", T_parent_target=T, covariance=1e-8 * np.eye(6))

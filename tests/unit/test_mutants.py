@@ -1,0 +1,83 @@
+"""The tool that plants faults: its table fits the source, and it tells a fault that is found from a missed one."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+POSES = "src/armsight/geometry/poses.py"
+TEST = "import planted\n\n\ndef test_one():\n    assert planted.one() == 1\n"
+
+
+@pytest.fixture(scope="module")
+def tool() -> Iterator[ModuleType]:
+    spec = importlib.util.spec_from_file_location("mutants", ROOT / "tools" / "mutants.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_every_fault_can_be_planted(tool: ModuleType) -> None:
+    assert not tool.misfits(tool.read_faults())
+
+
+def test_a_fault_that_no_longer_fits_is_refused(tool: ModuleType) -> None:
+    sound = tool.read_faults()[0]
+    stale = [replace(sound, name="a", old="this is nowhere"), replace(sound, name="b", tests=("tests/nowhere.py",))]
+    assert [text.split(":")[0] for text in tool.misfits([*stale, sound, sound])] == ["a", "b", sound.name, sound.name]
+
+
+def test_compiled_kernels_of_all_that_import_a_file_go(tool: ModuleType) -> None:
+    graph = tool.imports(ROOT)
+    reached = tool.importers_of("src/armsight/geometry/kernels.py", graph)
+    assert {"src/armsight/measure/poses/kernels/pose.py", "src/armsight/measure/consistency/kernels.py"} <= reached
+    assert "src/armsight/geometry/kernels.py" not in tool.importers_of(
+        "src/armsight/measure/poses/kernels/pose.py", graph
+    )
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A checkout of one function, its test, and a cache that holds it compiled."""
+    for name in ("src/__pycache__", "sim/src", "tests"):
+        (tmp_path / "small" / name).mkdir(parents=True)
+    (tmp_path / "small" / "src" / "planted.py").write_text("def one():\n    return 1\n")
+    (tmp_path / "small" / "src" / "__pycache__" / "planted.one-1.py311.nbi").write_text("")
+    (tmp_path / "small" / "tests" / "test_planted.py").write_text(TEST)
+    return tmp_path / "small"
+
+
+@pytest.mark.parametrize(("new", "found"), [("return 2", "tests/test_planted.py::test_one"), ("return 1.0", "")])
+def test_what_became_of_a_fault_is_told(tool: ModuleType, small: Path, tmp_path: Path, new: str, found: str) -> None:
+    fault = tool.Fault(
+        name="a", file="src/planted.py", old="return 1", new=new, breaks="", tests=("tests/test_planted.py",)
+    )
+    assert not tool.misfits([fault], small)
+    before = {path: path.read_bytes() for path in small.rglob("*") if path.is_file()}
+    ((_, outcome),) = tool.try_faults([fault], tmp_path / "copies", small)
+    assert outcome.found_by == found
+    assert before == {path: path.read_bytes() for path in small.rglob("*") if path.is_file()}
+
+
+def test_tests_that_do_not_end_have_found_it(tool: ModuleType, small: Path) -> None:
+    assert tool.run_tests(small, ["tests"], 0.0).found_by.startswith("hangs")
+
+
+def test_what_fails_without_a_fault_is_refused(tool: ModuleType, small: Path, tmp_path: Path) -> None:
+    (small / "tests" / "test_planted.py").write_text(TEST.replace("== 1", "== 3"))
+    fault = tool.Fault(
+        name="a", file="src/planted.py", old="return 1", new="return 2", breaks="", tests=("tests/test_planted.py",)
+    )
+    with pytest.raises(ValueError, match="without a fault"):
+        list(tool.try_faults([fault], tmp_path / "copies", small))
