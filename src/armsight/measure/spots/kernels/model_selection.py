@@ -7,7 +7,7 @@ from math import erf, exp, log, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     AS_ELLIPSE,
@@ -59,7 +59,7 @@ DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
 
 
-@inner_kernel
+@lean_kernel
 def start_model(kind, lights, comp, shape, background, peaks, p):
     """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
     large, small, angle = principal(shape[2], shape[3], shape[4])
@@ -105,7 +105,7 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
     return 8
 
 
-@inner_kernel
+@lean_kernel
 def drop_worst(residuals, use, rss, noise):
     """Set use to 0 at the pixel that holds a dominant share of all squares; tell whether there was one."""
     worst = 0.0
@@ -124,7 +124,7 @@ def drop_worst(residuals, use, rss, noise):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def add_light(residuals, x0, y0, p, n):
     """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
     best = -1.0
@@ -142,13 +142,13 @@ def add_light(residuals, x0, y0, p, n):
     return n + 3
 
 
-@inner_kernel
+@lean_kernel
 def bic(rss, count, n):
     """Return the Bayesian information criterion (Schwarz 1978) for n parameters."""
     return count * log(max(rss / count, PIXEL_VARIANCE)) + n * log(float(count))
 
 
-@inner_kernel
+@lean_kernel
 def order_of_trial(comp, shape, n_peaks, only, order):
     """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
     if only == ONLY_GAUSSIAN:
@@ -171,7 +171,7 @@ def order_of_trial(comp, shape, n_peaks, only, order):
     return 3
 
 
-@inner_kernel
+@lean_kernel
 def start_and_fit(kind, lights, comp, shape, background, peaks, patch, count, p, residuals):
     """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
     n = start_model(kind, lights, comp, shape, background, peaks, p)
@@ -179,7 +179,7 @@ def start_and_fit(kind, lights, comp, shape, background, peaks, patch, count, p,
     return n, rss, run
 
 
-@inner_kernel
+@lean_kernel
 def refit(kind, n, patch, count, p, residuals):
     """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
     rss = fit_model(kind, p, n, patch, count, residuals)
@@ -321,7 +321,7 @@ def residual_noise(residuals, patch, u, v, n, count, rss, lights):
     return wider, rss, noise
 
 
-@inner_kernel
+@lean_kernel
 def centre_first(first, n, order):
     """Fill order (n,) with the parameters' numbers, those of a light's centre first, as uncertainty wants them."""
     at = 2
@@ -333,7 +333,7 @@ def centre_first(first, n, order):
             at += 1
 
 
-@inner_kernel
+@lean_kernel
 def write_look(kind, p, first, lights, row):
     """Write height, size and model of a light, whose centre is p[first:], into its row."""
     if kind == JOINT:
