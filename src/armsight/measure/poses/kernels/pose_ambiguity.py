@@ -11,7 +11,7 @@ from math import acos, exp, log, pi, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot, rotate_left
 from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, pose_normal, refine_pose, weights
@@ -36,14 +36,14 @@ LEAST_TURN = 1e-3
 """Turn (rad) from a tilt to its mirror image below which they are one."""
 
 
-@inner_kernel
+@lean_kernel
 def scale(a, factor):
     """Multiply a vector by a number, in place."""
     for i in range(a.shape[0]):
         a[i] *= factor
 
 
-@inner_kernel
+@lean_kernel
 def split(T, R, t):
     """Fill R (3, 3) and t (3,) from the pose T (4, 4)."""
     for i in range(3):
@@ -52,7 +52,7 @@ def split(T, R, t):
         t[i] = T[i, 3]
 
 
-@inner_kernel
+@lean_kernel
 def det_2(S):
     """Return the determinant of S (2, 2)."""
     return S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
@@ -74,6 +74,22 @@ def mirrored_turn(R, t, Rp, centre, normal, turn):
     cross(n, u, turn)
     length = sqrt(dot(turn, turn))
     scale(turn, 0.0 if length < 0.5 * LEAST_TURN else 2.0 * acos(min(dot(n, u), 1.0)) / length)
+
+
+@inner_kernel
+def plane_normal(lights):
+    """Return the normal (3,) of the plane of three lights, of more that of the target's, in target axes."""
+    X = lights.X
+    normal = np.empty(3)
+    copy_1(lights.normal, normal)
+    if X.shape[0] == 3:
+        first, second = np.empty(3), np.empty(3)
+        for i in range(3):
+            first[i] = X[1, i] - X[0, i]
+            second[i] = X[2, i] - X[0, i]
+        cross(first, second, normal)
+        scale(normal, 1.0 / sqrt(dot(normal, normal)))
+    return normal
 
 
 @inner_kernel
@@ -120,7 +136,7 @@ def settle_beside(rig, lights, seen, free, Rp, tp, residual):
     return chi2
 
 
-@inner_kernel
+@lean_kernel
 def turned_about(Rp, tp, centre, turn, R2, t2):
     """Fill R2, t2 with the pose turned by the rotation vector about the centre (3,) of the lights."""
     rotate_left(turn, Rp, R2)
@@ -145,7 +161,7 @@ def difference(Rp, tp, R2, t2, d):
     d[5] = factor * (E[1, 0] - E[0, 1])
 
 
-@inner_kernel
+@lean_kernel
 def add_outer(d, factor, C):
     """Add factor d d' to C (n, n)."""
     for i in range(d.shape[0]):
@@ -237,11 +253,10 @@ def depth_chi2(P, S):
 
 
 @kernel
-def fold(rig, lights, plane, views, T, factor, C):
+def fold(rig, lights, views, T, factor, C):
     """Widen C (6, 6) of the pose T (4, 4) for tilts that first order takes as too unlikely; return by how much.
 
-    rig, lights, views: as solve_named takes them. plane (3,): normal of the lights' plane in target axes. factor: on
-    every pixel's variance, of misfit, which C has.
+    rig, lights, views: as solve_named takes them. factor: on every pixel's variance, of misfit, which C has.
     The number is the largest ratio of squared deviations to the rise of chi-square, 1 where first order holds.
     """
     rig = RigK(*rig)
@@ -262,7 +277,7 @@ def fold(rig, lights, plane, views, T, factor, C):
         return 1.0
     base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual)
     most = 1.0
-    turns, shares = looks(rig, Rp, centre, plane, C)
+    turns, shares = looks(rig, Rp, centre, plane_normal(lights), C)
     for s in range(3):
         angle = sqrt(dot(turns[s], turns[s]))
         if angle < LEAST_TURN:
