@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import njit, prange, types
-from numba.core import compiler, event
+from numba.core import compiler, errors, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher
@@ -89,7 +89,9 @@ def _require_no_arrays(result: Any) -> None:
         if getattr(call, "op", "") == "call" and isinstance(types_of[call.func.name], types.Dispatcher):
             returned.append(signature.return_type)
     if any(map(_holds_array, returned)):
-        raise TypeError(f"{result.fndesc.qualname} counts no references: it may return no array, nor call what does")
+        raise errors.NumbaTypeError(
+            f"{result.fndesc.qualname} counts no references: it may return no array, nor call what does"
+        )
 
 
 def _holds_array(kind: Any) -> bool:

@@ -5,24 +5,20 @@ That is the noise's constant and shot parts, and the background's slope.
 
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
-from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
-    add_prior,
     grid_of,
     is_feasible,
     light,
-    prior_square,
     slopes,
 )
 from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.priors import add_prior, prior_square
 
 STEPS = 40
 CLOSE = 3e-3
@@ -262,60 +258,6 @@ def add_light_to_patch(kind, p, n, patch, sign):
     flat = patch.values.reshape(-1)
     for i in range(flat.size):
         flat[i] += sign * m[i]
-
-
-@inner_kernel
-def slope_prior(levels, y, x, w, h, noise, prior):
-    """Fill prior (4,): slope of the background per px along x and y at pixel (x, y), and how well it is known.
-
-    The middle one of three rows' (columns') central differences; its standard deviation is their spread plus the step's
-    unevenness plus the sample's own noise.
-    """
-    i = y * col.GRID // h
-    j = x * col.GRID // w
-    three = np.empty(3)
-    for axis in range(2):
-        size = (w if axis == 0 else h) / col.GRID
-        c = j if axis == 0 else i
-        o = i if axis == 0 else j
-        lo = max(c - 1, 0)
-        hi = min(c + 1, col.GRID - 1)
-        known = 0
-        bend = 0.0
-        for k in range(max(o - 1, 0), min(o + 2, col.GRID)):
-            a = levels[k, lo] if axis == 0 else levels[lo, k]
-            b = levels[k, c] if axis == 0 else levels[c, k]
-            d = levels[k, hi] if axis == 0 else levels[hi, k]
-            if a < 0.0 or b < 0.0 or d < 0.0:
-                continue
-            three[known] = (d - a) / ((hi - lo) * size)
-            # the second difference: how far the slope changes from tile to tile
-            if k == o and hi - lo == 2:
-                bend = abs(d - 2.0 * b + a) / size
-            known += 1
-        prior[axis] = 0.0
-        prior[2 + axis] = 1.0
-        if known > 1:
-            low = min(three[0], three[1]) if known == 2 else min(three[0], three[1], three[2])
-            high = max(three[0], three[1]) if known == 2 else max(three[0], three[1], three[2])
-            middle = 0.5 * (low + high)
-            if known == 3:
-                middle = three[0] + three[1] + three[2] - low - high
-            prior[axis] = middle
-            prior[2 + axis] = high - low + bend + 0.25 * sqrt(noise) / size + 1e-4
-
-
-LEAST_SLOPE = 0.05
-"""Slope (grey levels per px) that a background before which nothing is seen to change may still have."""
-
-
-@lean_kernel
-def ring_prior(slope, prior):
-    """Fill prior (4,) as slope_prior does where a ring about the light tells how much the background changes."""
-    prior[0] = 0.0
-    prior[1] = 0.0
-    prior[2] = slope + LEAST_SLOPE
-    prior[3] = slope + LEAST_SLOPE
 
 
 MISFIT = 4.0

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
-from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, normal
+from armsight.measure.spots.kernels.gaussian_axes import normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
 FAR = 5.0
@@ -28,11 +28,6 @@ CORE_VARIANCE = 0.05
 """Keeps the direction of an ellipse's edge defined at its centre, px^2."""
 ROOT_2 = sqrt(2.0)
 ROOT_2PI = sqrt(2.0 * pi)
-PRIOR_NOISE = 0.01
-PRIOR_HEIGHT = 4.0
-PRIOR_BLUR = 1.0
-"""Standard deviations of the priors: of the height in heights of the start, of the blur in px, for a noise of this
-share of the height. Unclipped lights tell both a hundred times better."""
 CLIPPED_PIXEL = 2
 """Mark of a pixel whose value is a lower bound."""
 LEAST_BLUR = 0.2
@@ -370,13 +365,6 @@ def slopes(kind, p, n, grid, J):
 
 
 @lean_kernel
-def light_and_slopes(kind, p, n, grid, J, m):
-    """Fill m (pixels,) with the light of the model (without background), and J (n, pixels) with its derivatives."""
-    light(kind, p, n, grid, J, m)
-    slopes(kind, p, n, grid, J)
-
-
-@lean_kernel
 def is_feasible(kind, p, n):
     """Tell whether parameters may be evaluated at all."""
     if kind == JOINT:
@@ -388,33 +376,3 @@ def is_feasible(kind, p, n):
         return 0.05 < p[6] < 60.0
     # positive definite, and with a trace of M below 16 no half axis below a quarter of a px
     return p[5] > 0.0 and p[5] * p[7] - p[6] * p[6] > 1e-9 and p[5] + p[7] < 16.0
-
-
-@lean_kernel
-def prior_weight(kind, i, height):
-    """Return the weight of parameter i's prior: weak, only there for what clipping hides (the height, the blur)."""
-    # weights are beside squares in grey levels, of pixels of this noise
-    variance = max(PIXEL_VARIANCE, (PRIOR_NOISE * height) ** 2)
-    if kind == JOINT:
-        return variance / (PRIOR_HEIGHT * height) ** 2 if i > 1 and (i - 2) % 3 == 2 else 0.0
-    if i == 3:
-        return variance / (PRIOR_HEIGHT * height) ** 2
-    return variance / (PRIOR_BLUR * PRIOR_BLUR) if i == 4 else 0.0
-
-
-@lean_kernel
-def prior_square(kind, p, start, n):
-    """Return what the priors about start (n,) add to the sum of squares."""
-    total = 0.0
-    for i in range(n):
-        total += prior_weight(kind, i, start[4] if kind == JOINT else start[3]) * (p[i] - start[i]) ** 2
-    return total
-
-
-@lean_kernel
-def add_prior(kind, p, start, n, H, g):
-    """Add the priors about start (n,) to H (n, n) and g (n,)."""
-    for i in range(n):
-        w = prior_weight(kind, i, start[4] if kind == JOINT else start[3])
-        H[i, i] += w
-        g[i] += w * (p[i] - start[i])

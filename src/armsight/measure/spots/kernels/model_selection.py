@@ -28,7 +28,7 @@ from armsight.measure.spots.kernels.leastsquares import (
     variance_inflation,
     weighted_information,
 )
-from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK
 from armsight.measure.spots.kernels.patch import (
     antisymmetric_part,
     find_peaks,
@@ -38,6 +38,7 @@ from armsight.measure.spots.kernels.patch import (
     used,
 )
 from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.priors import prior_weight
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
