@@ -14,7 +14,16 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import copy_1, copy_2
-from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, kabsch, pose_normal, refine_pose, weights
+from armsight.measure.poses.kernels.pose import (
+    SOLVED,
+    Lights,
+    Observations,
+    kabsch,
+    new_work,
+    pose_normal,
+    refine_pose,
+    weights,
+)
 from armsight.optics.kernels.camera import RigK
 from armsight.optics.kernels.triangulation import (
     BEHIND,
@@ -246,7 +255,7 @@ def _judge(rig, model, ellipse, candidates, chosen, count, limit, Rp, tp):
     H = np.empty((6, 6))
     residual = np.empty((count, 2, 2))
     lights, seen = Lights(x, r, model.normal), Observations(z, w)
-    if not pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual) <= HOPELESS * limit:
+    if not pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual, new_work()) <= HOPELESS * limit:
         return np.inf
     state, chi2 = refine_pose(rig, lights, seen, Rp, tp, H, residual)
     return chi2 if state == SOLVED else np.inf
@@ -340,7 +349,7 @@ def neg2_log_likelihood(rig, lights, views, Rp, tp):
         return np.inf
     H, g = np.empty((6, 6)), np.empty(6)
     lights, seen = Lights(X.copy(), radius, normal), Observations(uv, W)
-    if not np.isfinite(pose_normal(RigK(*rig), lights, seen, Rp.copy(), tp.copy(), H, g, residual)):
+    if not np.isfinite(pose_normal(RigK(*rig), lights, seen, Rp.copy(), tp.copy(), H, g, residual, new_work())):
         return np.inf
     best = np.inf
     for slack in SLACKS:

@@ -14,7 +14,15 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot, rotate_left
-from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, pose_normal, refine_pose, weights
+from armsight.measure.poses.kernels.pose import (
+    SOLVED,
+    Lights,
+    Observations,
+    new_work,
+    pose_normal,
+    refine_pose,
+    weights,
+)
 from armsight.optics.kernels.camera import RigK
 from armsight.optics.kernels.triangulation import invert_2
 
@@ -93,7 +101,7 @@ def plane_normal(lights):
 
 
 @inner_kernel
-def settle_beside(rig, lights, seen, free, Rp, tp, residual):
+def settle_beside(rig, lights, seen, free, Rp, tp, residual, work):
     """Move Rp, tp along the columns of free (6, m) towards the least chi-square; return it (infinite: none)."""
     m = free.shape[1]
     H = np.empty((6, 6))
@@ -104,7 +112,7 @@ def settle_beside(rig, lights, seen, free, Rp, tp, residual):
     step = np.empty(6)
     R2 = np.empty((3, 3))
     t2 = np.empty(3)
-    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual)
+    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work)
     for _ in range(SETTLE_STEPS):
         for i in range(m):  # bend = free' H free, slope = free' g
             slope[i] = 0.0
@@ -124,7 +132,7 @@ def settle_beside(rig, lights, seen, free, Rp, tp, residual):
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
-        new = pose_normal(rig, lights, seen, R2, t2, H, g, residual)
+        new = pose_normal(rig, lights, seen, R2, t2, H, g, residual, work)
         if not new < chi2:
             break
         fell = chi2 - new
@@ -275,7 +283,8 @@ def fold(rig, lights, views, T, factor, C):
             centre[a] += (dot(Rp[a], X[i]) + tp[a]) / X.shape[0]
     if not weights(cov, 0.0, W):
         return 1.0
-    base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual)
+    work = new_work()
+    base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual, work)
     most = 1.0
     turns, shares = looks(rig, Rp, centre, plane_normal(lights), C)
     for s in range(3):
@@ -293,7 +302,7 @@ def fold(rig, lights, views, T, factor, C):
                 state, least = refine_pose(rig, lights, seen, R2, t2, H, residual)
                 rise = least - base if state == SOLVED else np.inf
             else:
-                rise = settle_beside(rig, lights, seen, free, R2, t2, residual) - base
+                rise = settle_beside(rig, lights, seen, free, R2, t2, residual, work) - base
             if rise < POSSIBLE * factor:
                 difference(Rp, tp, R2, t2, d)
                 most = max(most, reach_out(C, d, rise / factor))
