@@ -12,10 +12,12 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
+from numba.core.errors import TypingError
 
 import armsight
 import armsight_sim
-from armsight._numba import InnerKernel, borrowing_kernel, fast_kernel, inner_kernel, kernel
+from armsight._numba import InnerKernel, borrowing_kernel, fast_kernel, inner_kernel, kernel, lean_kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = re.compile(r"\b(njit|numba\.jit|guvectorize)\b")
@@ -100,6 +102,33 @@ def test_a_borrowing_kernel_leaves_the_arrays_of_its_tuples_to_their_owners() ->
     assert sum_of_firsts(a, b, 1000) == 2500.0
     assert (sys.getrefcount(a), sys.getrefcount(b)) == held
     assert a.tolist() == [1.5, 2.0] and b.sum() == 6.0
+
+
+@inner_kernel
+def sum_of_a_new_array(n: Any) -> Any:
+    return np.ones(n).sum()
+
+
+@lean_kernel
+def lean_caller(n: Any) -> Any:
+    return sum_of_a_new_array(n)
+
+
+@lean_kernel
+def lean_rows(a: Any) -> Any:
+    return a[0], a[1]
+
+
+@lean_kernel
+def caller_of_a_row(a: Any) -> Any:
+    return doubled(a)[0, 0]
+
+
+def test_a_kernel_that_counts_no_references_returns_no_array_nor_calls_what_does() -> None:
+    assert lean_caller(4) == 4.0  # what it calls may make arrays: it does not take over its caller's rule
+    for planted, name in ((lean_rows, "lean_rows"), (caller_of_a_row, "caller_of_a_row")):
+        with pytest.raises(TypingError, match=f"{name} counts no references"):
+            planted(np.ones((2, 2)))
 
 
 @inner_kernel

@@ -142,7 +142,7 @@ def test_derivative_of_the_pose_residuals() -> None:
         R = (Rotation.from_rotvec(step[3:]) * T.rotation).as_matrix()
         out = np.empty((3, 2, 2))
         rig, lights, seen = RigK(*packed.arrays), kernels.Lights(X, radius, normal), kernels.Observations(uv, W)
-        kernels.pose_normal(rig, lights, seen, R, np.asarray(T.translation) + step[:3], H, g, out)
+        kernels.pose_normal(rig, lights, seen, R, np.asarray(T.translation) + step[:3], H, g, out, kernels.new_work())
         return out.ravel()
 
     H, g = np.empty((6, 6)), np.empty(6)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 
 
 class Pose(NamedTuple):
@@ -21,7 +21,7 @@ class Pose(NamedTuple):
     t: Any
 
 
-@inner_kernel
+@lean_kernel
 def rotation_from_rotvec(w, R):
     """Fill R (3, 3) with Exp of the rotation vector w (3,) in radians (Rodrigues)."""
     t2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -91,14 +91,14 @@ def rotate_left(dw, R, out):
             out[i, j] = E[i, 0] * R[0, j] + E[i, 1] * R[1, j] + E[i, 2] * R[2, j]
 
 
-@inner_kernel
+@lean_kernel
 def copy_1(a, out):
     """Copy a vector."""
     for i in range(a.shape[0]):
         out[i] = a[i]
 
 
-@inner_kernel
+@lean_kernel
 def copy_2(a, out):
     """Copy a matrix."""
     for i in range(a.shape[0]):
@@ -106,14 +106,14 @@ def copy_2(a, out):
             out[i, j] = a[i, j]
 
 
-@inner_kernel
+@lean_kernel
 def copy_3(a, out):
     """Copy an array of three axes."""
     for i in range(a.shape[0]):
         copy_2(a[i], out[i])
 
 
-@inner_kernel
+@lean_kernel
 def dot(a, b):
     """Return the inner product of two vectors."""
     total = 0.0
@@ -122,7 +122,7 @@ def dot(a, b):
     return total
 
 
-@inner_kernel
+@lean_kernel
 def cross(a, b, out):
     """Fill out (3,) with a x b."""
     out[0] = a[1] * b[2] - a[2] * b[1]
@@ -130,7 +130,7 @@ def cross(a, b, out):
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@inner_kernel
+@lean_kernel
 def multiply(A, B, out):
     """Fill out (n, m) with A (n, k) B (k, m)."""
     for i in range(A.shape[0]):
@@ -141,7 +141,7 @@ def multiply(A, B, out):
             out[i, j] = total
 
 
-@inner_kernel
+@lean_kernel
 def sandwich(A, S, out):
     """Fill out (n, n) with A S A' for A (n, k), S (k, k)."""
     for i in range(A.shape[0]):

@@ -243,7 +243,7 @@ class Arm(Saveable):
             )
         array = for_kernels(array)
         flat = array.ravel()
-        if not flat.dot(flat) <= FAR_TURNED_RAD**2:  # also true for NaN; most are nearer, and that is quick
+        if not (flat.dot(flat) <= FAR_TURNED_RAD**2 or np.abs(flat).max(initial=0.0) <= FAR_TURNED_RAD):  # NaN too
             self._require_sizes(array)
         return array
 

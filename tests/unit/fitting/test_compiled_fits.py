@@ -17,8 +17,9 @@ from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
 from armsight.measure.poses.kernels import pose as pose_kernels
+from armsight.measure.spots.kernels import light_models
 from armsight.measure.spots.kernels.leastsquares import fit_model
-from armsight.measure.spots.kernels.light_models import STREAK, grid_of, light_and_slopes
+from armsight.measure.spots.kernels.light_models import STREAK, grid_of
 from armsight.measure.spots.kernels.patch import Patch
 from armsight.measure.spots.kernels.picture import Picture
 from armsight.measure.spots.kernels.round_gaussian import (
@@ -146,7 +147,7 @@ def test_a_streak_is_the_engines() -> None:
     # the model at the truth, from the fit's own residuals of an empty picture, then noise on top
     def light(p: Array) -> Array:
         m, J = np.empty(nx * ny), np.empty((len(p), nx * ny))
-        light_and_slopes(STREAK, p, len(p), grid_of(0, 0, nx, ny), J, m)
+        light_models.light(STREAK, p, len(p), grid_of(0, 0, nx, ny), J, m)
         return m + p[0]
 
     values = light(truth).reshape(ny, nx) + rng.normal(0.0, 1.5, (ny, nx))

@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from armsight.measure.spots.kernels import light_models
 from armsight.measure.spots.kernels.gaussian_axes import normal
-from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, STREAK, grid_of, light_and_slopes
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, STREAK, grid_of
 
 Array = NDArray[np.float64]
 SHAPE = (17, 14)
@@ -23,8 +24,9 @@ MODELS = {
 def light(kind: int, p: Array) -> tuple[Array, Array]:
     """Return the light of a patch with its background, and the derivatives."""
     ny, nx = SHAPE
-    m, J = np.empty(nx * ny), np.empty((len(p), nx * ny))
-    light_and_slopes(kind, p, len(p), grid_of(100, 50, nx, ny), J, m)
+    m, J, grid = np.empty(nx * ny), np.empty((len(p), nx * ny)), grid_of(100, 50, nx, ny)
+    light_models.light(kind, p, len(p), grid, J, m)
+    light_models.slopes(kind, p, len(p), grid, J)
     return m + p[0], J
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard.decision import GuardState
 from armsight.control.guard.faults import Fault, hold_reason
+from armsight.control.guard.kernels import ceilings
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.guard.motion import Ceiling, Course, Planner, State
 from armsight.control.guard.space import HAIR, Breach, Sight, Space, pose_difference
@@ -31,8 +31,6 @@ SHARES = (1.0, 0.5, 0.2)
 """Of the speed asked for, tried one after the other before the arm is brought to rest."""
 BELOW = 0.97
 """Share of a limit of speed that is aimed at: the Jacobian turns under way, and the real arm is not quite the model."""
-BELOW_ACCELERATION = 0.85
-"""The same of acceleration and jerk, which the turning Jacobian adds to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +62,15 @@ class Follower:
         self.arm, self.limits, self.bounds, self.cycle_s = arm, limits, bounds, cycle_s
         self._space = Space(arm, limits, bounds)
         self._planner = Planner(arm.n, cycle_s)
+        self._joints = np.array([bounds.acceleration, bounds.jerk])
+        self._tool = np.array(
+            [
+                [limits.acceleration_m_s2, limits.turn_acceleration_rad_s2],
+                [limits.jerk_m_s3, limits.turn_jerk_rad_s3],
+            ]
+        )
+        self._apart = np.zeros(arm.n)
+        self._tool_of: Sight | None = None
         self._before: dict[bool, Breach] = {}
         self._allowed: Array | None = None
         self.stand(np.zeros(arm.n))
@@ -75,8 +82,10 @@ class Follower:
 
     @property
     def T_base_tool(self) -> RigidTransform:
-        """The tool there."""
-        return RigidTransform(self._sight.T, normalize=False, copy=False)
+        """The tool there; made once for all who ask in a cycle, which costs as much as a tenth of the decision."""
+        if self._tool_of is not self._sight:
+            self._tool_of, self._T_base_tool = self._sight, RigidTransform(self._sight.T, normalize=False, copy=False)
+        return self._T_base_tool
 
     def stand(self, q: Array) -> None:
         """Be at rest at q (n,)."""
@@ -305,32 +314,13 @@ class Follower:
         return self._before[in_space]
 
     def _ceiling(self, J: Array, way: Array | None = None) -> Ceiling:
-        """Return what the joints may do so that the tool keeps its limits: whatever signs their motions have.
+        """Return what the joints may do so that the tool keeps its limits (kernels.ceilings).
 
-        way (n,): where all joints change their motion along it together, and so may do more; whether they really do
-        is left to the check.
+        way (n,): where all joints change their motion along it together; whether they really do is left to the check.
         """
-        limits, bounds = self.limits, self.bounds
-        straight, turned = np.sqrt(np.square(J[:3]).sum(axis=0)), np.sqrt(np.square(J[3:]).sum(axis=0))
-        along: Array | None = None
-        if way is not None and np.abs(way).max() > 0.0:
-            along = np.abs(way) / np.abs(way).max()
-            v, w = self._space.twist(J, way / np.abs(way).max())
-            fast, wide = math.sqrt(float(v @ v)), math.sqrt(float(w @ w))
-
-        def shared(joints: Array, tool: float, tool_turn: float) -> Array:
-            worst = max(float(straight @ joints) / tool, float(turned @ joints) / tool_turn)
-            least = joints * min(1.0, BELOW_ACCELERATION / max(worst, 1e-12))
-            if along is None:
-                return np.asarray(least)
-            most = max(fast / tool, wide / tool_turn, float((along / joints).max()))
-            return np.asarray(np.maximum(along * (BELOW_ACCELERATION / max(most, 1e-12)), least))
-
-        return Ceiling(
-            BELOW * bounds.speed,
-            shared(bounds.acceleration, limits.acceleration_m_s2, limits.turn_acceleration_rad_s2),
-            shared(bounds.jerk, limits.jerk_m_s3, limits.turn_jerk_rad_s3),
-        )
+        out = np.empty_like(self._joints)
+        ceilings(J, self._apart if way is None else way, self._joints, self._tool, out)
+        return Ceiling(BELOW * self.bounds.speed, out[0], out[1])
 
     def _speed_share(self, qd: Array) -> tuple[float, tuple[str, ...]]:
         """Return the share of joint velocities that keeps the limits of speed, at most 1, and those that bind."""

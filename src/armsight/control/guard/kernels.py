@@ -1,18 +1,24 @@
-"""Compiled: by how much a stretch of motion goes beyond each limit."""
+"""Compiled: by how much a stretch of motion goes beyond each limit, and what the joints may do within them."""
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import fast_kernel, inner_fast_kernel
+from armsight.fitting.kernels import invert_spd, solve_damped
 
 TOOL = 4
 """Entries of the table of depths for the tool: speed, turning, and the accelerations of both. Each joint has three
 behind them: below its lower end, above its upper one, too fast, n of each kind; then come the faces and boxes."""
 FACES = 6
 """Of the workspace, for each of two points: below and above in x, y, z."""
+ROUNDING = 1e-12
+"""Share of its trace by which J J^T is known worse than it is computed."""
+BELOW_ACCELERATION = 0.85
+"""Share of a limit of acceleration or jerk that is aimed at: the turning Jacobian adds to it."""
 
 
 class Motion(NamedTuple):
@@ -129,3 +135,83 @@ def depths_each(motion, limits, outside, out):
     for i in range(len(q)):
         at = slice(i, i + 1)
         depths((T[at], J[at], q[at], qd[at], qdd[at]), 0.0, limits, outside, out[i])
+
+
+@inner_fast_kernel
+def clear_square(J, lengths, least, square):
+    """Fill square (r, r) with J J^T of the first r rows of J (6, n), each divided by its length, lengths (r,).
+
+    Returns whether it is positive definite less the square of least: no singular value is below that.
+    """
+    rows = len(lengths)
+    trace = 0.0
+    less = np.empty((rows, rows))
+    for a in range(rows):
+        for b in range(a + 1):
+            total = 0.0
+            for j in range(J.shape[1]):
+                total += J[a, j] * J[b, j]
+            square[a, b] = total / (lengths[a] * lengths[b])
+            square[b, a] = square[a, b]
+            less[a, b] = square[a, b]
+        trace += square[a, a]
+    # A is positive definite less t I just where all its eigenvalues, squares of the singular values, are above t
+    for a in range(rows):
+        less[a, a] -= least * least + ROUNDING * trace
+    return invert_spd(less, less.copy())
+
+
+@fast_kernel
+def clear_of_singularities(J, lengths, least):
+    """Tell of Jacobians (m, 6, n) whether none has a singular value below least; lengths as clear_square has them."""
+    square = np.empty((len(lengths), len(lengths)))
+    clear = True
+    for i in range(len(J)):
+        clear = clear and clear_square(J[i], lengths, least, square)
+    return clear
+
+
+@fast_kernel
+def least_motion(J, lengths, least, wanted, out):
+    """Fill out (n,) with the least joint motion of the tool's motion wanted (r,); False near a singularity (least)."""
+    rows = len(lengths)
+    square, g, weights = np.empty((rows, rows)), np.empty(rows), np.empty(rows)
+    if not clear_square(J, lengths, least, square):
+        return False
+    for a in range(rows):
+        g[a] = -wanted[a] / lengths[a]
+    # qd = J' (J J')^-1 wanted
+    solve_damped(square, g, 0.0, weights)
+    for j in range(len(out)):
+        out[j] = 0.0
+        for a in range(rows):
+            out[j] += J[a, j] / lengths[a] * weights[a]
+    return True
+
+
+@fast_kernel
+def ceilings(J, way, joints, tool, out):
+    """Fill out (k, n) with what the joints may do so that the tool keeps its limits: whatever signs their motions have.
+
+    J (6, n); joints (k, n): their own limits, of acceleration and jerk; tool (k, 2): of its motion and its turning. way
+    (n,): where all joints change their motion along it together, and so may do more; none where it is zero.
+    """
+    far = np.abs(way).max()
+    for k in range(len(joints)):
+        worst, most = 1e-12, 1e-12 * far
+        for half in range(2):
+            apart, together = 0.0, np.zeros(3)
+            for j in range(len(way)):
+                # apart: each joint by itself, their motions of the tool all in one direction at the worst
+                square = 0.0
+                for r in range(3):
+                    square += J[3 * half + r, j] ** 2
+                    together[r] += J[3 * half + r, j] * way[j]
+                apart += sqrt(square) * joints[k, j]
+                most = max(most, abs(way[j]) / joints[k, j])
+            worst = max(worst, apart / tool[k, half])
+            most = max(most, sqrt((together**2).sum()) / tool[k, half])
+        for j in range(len(way)):
+            out[k, j] = joints[k, j] * min(1.0, BELOW_ACCELERATION / worst)
+            if far > 0.0:
+                out[k, j] = max(out[k, j], abs(way[j]) * BELOW_ACCELERATION / most)

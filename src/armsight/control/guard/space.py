@@ -6,10 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from armsight.control.guard.kernels import FACES, TOOL, depths, depths_each
+from armsight.control.guard.kernels import (
+    FACES,
+    TOOL,
+    clear_of_singularities,
+    depths,
+    depths_each,
+    least_motion,
+)
 from armsight.control.guard.limits import Box, JointBounds, Limits
+from armsight.geometry.kernels import rotvec
 from armsight.kinematics import Arm, fk_jacobian
 from armsight.records import for_kernels
 
@@ -26,8 +33,6 @@ KEPT_BACK = 0.99
 """Share of the limits of the tool that is checked for: the real arm differs from its model by parts in a thousand."""
 HAIR = 1e-9
 """What is worse by less than this (m, rad, m/s) than it was is not worse: rounding."""
-ROUNDING = 1e-12
-"""Share of its trace by which J J^T is known worse than it is computed."""
 OUTSIDE = 1e-6
 """Who is beyond a limit by less than this (m, rad) stands at it: where motion has ended within rounding and HAIR."""
 LESS, LESS_SHARE = 1e-12, 0.02
@@ -136,6 +141,7 @@ class Space:
         self._walls = TOOL + 3 * arm.n
         self.rows = 6 if arm.n >= 6 else 3
         """How many rows of a Jacobian motion in space uses: three where joints are too few to turn the tool."""
+        self._row_lengths = np.ascontiguousarray(self._lengths[: self.rows, 0])
         self.names = self._named(spaces[0].name)
         still = np.zeros((1, arm.n))
         T, J = fk_jacobian(arm, still, all_cores=False)
@@ -206,18 +212,10 @@ class Space:
     def _singular(self, J: Array) -> float:
         """Return by how much the distance to singularities is too small over Jacobians (m, 6, n); 0 where it is not.
 
-        Where J J^T less the square of the limit is positive definite at each, none is near: a fifth of the time of the
-        singular values, which are needed only where one is.
+        The singular values themselves are needed only where one is near.
         """
         least = self._limits.singularity
-        scaled = self.scaled(J)
-        square = scaled @ np.swapaxes(scaled, -1, -2)
-        more = least**2 + ROUNDING * np.trace(square, axis1=-2, axis2=-1)[:, None, None]
-        try:
-            np.linalg.cholesky(square - more * np.eye(self.rows))
-        except np.linalg.LinAlgError:
-            return least - self.singularity(J)
-        return 0.0
+        return 0.0 if clear_of_singularities(J, self._row_lengths, least) else least - self.singularity(J)
 
     def _on_the_way_back(
         self, T: Array, J: Array, motion: tuple[Array, ...], values: Array, before: Breach, found: Array
@@ -282,10 +280,15 @@ class Space:
 
         Damping begins at twice the limit's distance; it slows the tool in the direction that is being lost.
         """
-        scaled = self.scaled(J)
-        wanted = (np.concatenate([velocity_m_s, angular_rad_s])[:, None] / self._lengths)[: self.rows, 0]
-        u, s, vt = np.linalg.svd(scaled, full_matrices=False)
-        start = 2.0 * self._limits.singularity
+        wanted, start, qd = (
+            np.concatenate([velocity_m_s, angular_rad_s]),
+            2.0 * self._limits.singularity,
+            np.empty(self.arm.n),
+        )
+        if least_motion(J, self._row_lengths, start, wanted, qd):
+            return qd
+        wanted = wanted[: self.rows] / self._row_lengths
+        u, s, vt = np.linalg.svd(self.scaled(J), full_matrices=False)
         damping = 0.0 if s[-1] >= start else (1.0 - (s[-1] / start) ** 2) * (0.5 * start) ** 2
         share = np.divide(s, s * s + damping, out=np.zeros_like(s), where=s > 0.0)
         return np.asarray(vt.T @ (share * (u.T @ wanted)))
@@ -315,11 +318,4 @@ class Space:
 
 def pose_difference(T_to: Array, T_from: Array) -> tuple[Array, Array]:
     """Return the way (3,) in m and the rotation vector (3,) in rad from one pose (4, 4) to another, in base axes."""
-    R = T_to[:3, :3] @ T_from[:3, :3].T
-    if np.trace(R) > 2.99:  # below 6 degrees: the sine's vector, made long enough
-        v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-        sine = float(np.sqrt(v @ v))
-        turn = v * (np.arcsin(min(1.0, sine)) / sine) if sine > 1e-12 else v
-    else:
-        turn = np.asarray(Rotation.from_matrix(R).as_rotvec())
-    return T_to[:3, 3] - T_from[:3, 3], turn
+    return T_to[:3, 3] - T_from[:3, 3], rotvec(T_to[:3, :3] @ T_from[:3, :3].T)

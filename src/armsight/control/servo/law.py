@@ -60,6 +60,14 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
+def inverse(T: Array) -> Array:
+    """Return the inverse of a pose (4, 4)."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out
+
+
 def delay_cycles(delay_s: float, cycle_s: float) -> int:
     """Return how many cycles of the servo a delay lasts, begun ones counted whole. Raises UsageError below zero."""
     if not (cycle_s > 0.0 and 0.0 <= delay_s < math.inf):
@@ -158,7 +166,7 @@ class Reaction:
             self._n, self._mean, self._scatter = 1, np.zeros(6), 0.0
             self._T_base_since, self._T_since = T_base_rig, T_rig_target
         self._T_rig_target = T_rig_target
-        rested = np.linalg.inv(T_base_rig) @ self._T_base_since @ self._T_since
+        rested = inverse(T_base_rig) @ self._T_base_since @ self._T_since
         deviation = np.concatenate(pose_difference(rested, self._T_since)) / sigma
         way_m = float(np.linalg.norm(T_base_rig[:3, 3] - self._T_base_since[:3, 3]))
         stands = self._same >= STANDS and way_m > STANDS_M

@@ -17,6 +17,7 @@ from armsight.control.servo.law import (
     ServoError,
     cross,
     delay_cycles,
+    inverse,
     servo_error,
     servo_twist,
     stability_gain,
@@ -345,11 +346,3 @@ class ServoSource:
         """Return T_base_flange (4, 4) at an exposure. Raises StaleData where the joints are not known there."""
         q = self.history.at(t_s).q
         return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)
-
-
-def inverse(T: Array) -> Array:
-    """Return the inverse of a pose (4, 4)."""
-    out = np.eye(4)
-    out[:3, :3] = T[:3, :3].T
-    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return out

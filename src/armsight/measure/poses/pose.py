@@ -182,8 +182,7 @@ def _widen(
         pose_ambiguity.one_astray(packed.arrays, lights, views, T, chi2, C)
     folded = 1.0
     if depth_chi2 < pose_ambiguity.PLAIN * factor:
-        plane = _plane(xyz_m, spots.normal)
-        folded = pose_ambiguity.fold(packed.arrays, lights, plane, views, T, factor, C)
+        folded = pose_ambiguity.fold(packed.arrays, lights, views, T, factor, C)
     return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else "", factor
 
 
@@ -281,14 +280,6 @@ def misfit_factor(chi2: float, n_spots: int) -> float:
 def _certain(C: Array, most: float) -> bool:
     """Whether the rotation of a covariance (6, 6) is known well enough to be one."""
     return bool(max(C[3, 3], C[4, 4], C[5, 5]) <= most**2)
-
-
-def _plane(xyz_m: Array, normal: Array) -> Array:
-    """Return the normal (3,) of the plane of three lights, of more that of the target's."""
-    if len(xyz_m) != 3:
-        return normal
-    across = np.cross(xyz_m[1] - xyz_m[0], xyz_m[2] - xyz_m[0])
-    return np.asarray(across / np.linalg.norm(across))
 
 
 def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:

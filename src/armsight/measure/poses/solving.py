@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from armsight.errors import Unseen
+from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
@@ -45,13 +45,35 @@ def solve_assignment(setup: Setup, t_s: float, left: Spots, right: Spots, pairs:
     return solve_spots(setup, t_s, chosen.names, take_spots(left, index[:, 0]), take_spots(right, index[:, 1]))
 
 
+class Views(NamedTuple):
+    """Spots of n lights as [spot, side]: uv_px (n, 2, 2), cov_px2 (n, 2, 2, 2).
+
+    radius_m (n, 2): of the flat light where the spot is its outline, else 0.
+    """
+
+    uv_px: Array
+    cov_px2: Array
+    radius_m: Array
+
+
 def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots) -> Solved:
     """Return the pose of three or more named spots (the frame of an unmeasured target), or the place of fewer."""
+    return _solve_views(setup, t_s, names, _views(setup, left, right))
+
+
+def _views(setup: Setup, left: Spots, right: Spots) -> Views:
+    """Return the spots of both sides, in doubt by what perspective may do to outlines of unknown size."""
+    radius_m, n = setup.model.radius_m, len(left)
+    views = Views(np.empty((n, 2, 2)), np.empty((n, 2, 2, 2)), _radii(radius_m, left, right))
+    kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, *views[:2])
+    if radius_m <= 0.0:
+        add_outline_shift(setup.packed, left, right, views.cov_px2)
+    return views
+
+
+def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views) -> Solved:
     model, packed = setup.model, setup.packed
-    uv, cov = np.empty((len(names), 2, 2)), np.empty((len(names), 2, 2, 2))  # [spot, side]
-    kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
-    if model.radius_m <= 0.0:
-        add_outline_shift(packed, left, right, cov)
+    uv, cov, radius = views
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
         if isinstance(seen, NotSeen):
@@ -66,12 +88,11 @@ def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, r
     if not setup.target.model_known:
         return solve_frame(packed, t_s, names, uv, cov)
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
-    radius, limit = _radii(model.radius_m, left, right), float(model.limits[len(names)])
     return solve_pose(
         packed,
         t_s,
         NamedSpots(names, rows, uv, cov, radius, model.normal),
-        limit=limit,
+        limit=float(model.limits[len(names)]),
         slack_px=setup.slack_px,
         covariance=setup.covariance_of(names),
     )
@@ -116,12 +137,11 @@ def add_outline_shift(packed: PackedRig, left: Spots, right: Spots, cov: Array) 
     The centre of a disc's image is off by r^2 sin a cos a / f, r in px, at a tilt of a.
     """
     for side, spots in enumerate((left, right)):
-        if OUTLINE not in spots.model:
-            continue
         for i, kind in enumerate(spots.model):
             if kind == OUTLINE:
                 shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / packed.k[side][0]
-                cov[i, side] += shift * shift * np.eye(2)
+                cov[i, side, 0, 0] += shift * shift
+                cov[i, side, 1, 1] += shift * shift
 
 
 def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots, right: Spots) -> NotSeen | None:
@@ -244,10 +264,11 @@ def widen(
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
     light is nearly free, poses bend too much for slopes. None where the rotation or the place is not known then.
     """
-    T, own = solved.T, solved.pose.covariance
+    T, own, views = solved.T, solved.pose.covariance, _views(setup, left, right)
     if T is None or own is None:
-        doubted = (_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
-        placed = solve_spots(setup, t_s, names, *doubted)
+        hidden = found[:, :, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
+        views.cov_px2[:] += hidden.swapaxes(0, 1)
+        placed = _solve_views(setup, t_s, names, views)
         return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
     for side in range(2):
@@ -256,7 +277,7 @@ def widen(
                 continue
             variances, ways = np.linalg.eigh(np.array([[uu, uv], [uv, vv]]))
             for step in (np.sqrt(np.maximum(variances, 0.0)) * ways).T:
-                possible = _moves(setup, names, (left, right), T, (side, i), step)
+                possible = _moves(setup, names, views, T, (i, side), step)
                 C += sum((np.outer(d, d) for d in possible), np.zeros((6, 6))) / max(len(possible), 1)
     before = float(np.diag(own)[3:].max())
     if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
@@ -264,23 +285,17 @@ def widen(
     return replace(solved, pose=replace(solved.pose, covariance=C))
 
 
-def _doubted(spots: Spots, found: Array) -> Spots:
-    """Return the spots with what may be hidden of each, found (n, FINDING), in their covariances."""
-    hidden = found[:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
-    return replace(spots, covariance_px2=spots.covariance_px2 + hidden)
-
-
 def _moves(
-    setup: Setup, names: tuple[str, ...], spots: tuple[Spots, Spots], T: Array, at: tuple[int, int], step_px: Array
+    setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array
 ) -> list[Array]:
-    """Return the ways (6,) from the pose T to those with the spot at (side, light) moved by step_px (2,), both ways.
+    """Return the ways (6,) from the pose T to those with the spot at (light, side) moved by step_px (2,), both ways.
 
     Where the target then fits neither way, less is hidden; nothing where it never does.
     """
     if not step_px @ step_px > LEAST_STEP_PX**2:
         return []
     for share in SHARES:
-        moved = [_moved_by(setup, names, spots, T, at, sign * share * step_px) for sign in (-1.0, 1.0)]
+        moved = [_moved_by(setup, names, views, T, at, sign * share * step_px) for sign in (-1.0, 1.0)]
         possible = [d for d in moved if d is not None]
         if possible:
             return possible
@@ -288,18 +303,13 @@ def _moves(
 
 
 def _moved_by(
-    setup: Setup, names: tuple[str, ...], spots: tuple[Spots, Spots], T: Array, at: tuple[int, int], step_px: Array
+    setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array
 ) -> Array | None:
     """Return the way (6,) from the pose T to that with one spot moved by step_px (2,); None where that fits no pose."""
-    both, (side, i) = list(spots), at
-    uv = np.array(both[side].uv_px)
-    uv[i] += step_px
-    both[side] = replace(both[side], uv_px=uv)
-    other = solve_spots(setup, 0.0, names, *both).T
-    if other is None:
-        return None
-    turn = Rotation.from_matrix(other[:3, :3] @ T[:3, :3].T).as_rotvec()
-    return np.concatenate([other[:3, 3] - T[:3, 3], turn])
+    uv = views.uv_px.copy()
+    uv[at] += step_px
+    other = _solve_views(setup, 0.0, names, views._replace(uv_px=uv)).T
+    return None if other is None else np.concatenate([other[:3, 3] - T[:3, 3], rotvec(other[:3, :3] @ T[:3, :3].T)])
 
 
 def channels(frame: Frame) -> Image:

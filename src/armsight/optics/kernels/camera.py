@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inline_kernel, inner_kernel, kernel
+from armsight._numba import inline_kernel, kernel, lean_kernel
 
 UNDISTORT_STEPS = 30
 UNDISTORT_TOLERANCE = 1e-13
@@ -51,7 +51,7 @@ def is_fisheye(k):
     return k.shape[0] > 10 and k[10] < 0.0
 
 
-@inner_kernel
+@lean_kernel
 def fisheye_angle(k1, k2, k3, k4, theta):
     """Return theta_d and d theta_d / d theta."""
     q = theta * theta
@@ -59,7 +59,7 @@ def fisheye_angle(k1, k2, k3, k4, theta):
     return image, 1.0 + q * (3.0 * k1 + q * (5.0 * k2 + q * (7.0 * k3 + q * 9.0 * k4)))
 
 
-@inner_kernel
+@lean_kernel
 def fisheye_radial(k1, k2, k3, k4, r2):
     """Return theta_d / r and its derivative by r^2, for a point with the square r2 of its tangent."""
     if r2 < NEAR_AXIS:
@@ -70,13 +70,13 @@ def fisheye_radial(k1, k2, k3, k4, r2):
     return image / r, 0.5 * (rate / (1.0 + r2) - image / r) / r2
 
 
-@inner_kernel
+@lean_kernel
 def fisheye_sees(k1, k2, k3, k4, widest, r2):
     """Tell whether a point with the square r2 of its tangent is within the widest one and the lens does not fold."""
     return r2 <= widest * widest and fisheye_angle(k1, k2, k3, k4, atan(sqrt(r2)))[1] > 0.0
 
 
-@inner_kernel
+@lean_kernel
 def distort_fisheye(k1, k2, k3, k4, x, y):
     """As distort, of a fisheye lens."""
     radial, slope = fisheye_radial(k1, k2, k3, k4, x * x + y * y)
@@ -84,7 +84,7 @@ def distort_fisheye(k1, k2, k3, k4, x, y):
     return x * radial, y * radial, radial + turn * x * x, turn * x * y, radial + turn * y * y
 
 
-@inner_kernel
+@lean_kernel
 def see_fisheye(k1, k2, k3, k4, widest, x, y):
     """Return whether a fisheye lens sees a normalised point, and what distort_fisheye does."""
     if not fisheye_sees(k1, k2, k3, k4, widest, x * x + y * y):
@@ -107,7 +107,7 @@ def distort_pinhole(k1, k2, p1, p2, k3, x, y):
     return xd, yd, dxx, dxy, dyy
 
 
-@inner_kernel
+@lean_kernel
 def distort(k, x, y):
     """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
     if is_fisheye(k):
@@ -126,7 +126,7 @@ def plate_shift(thickness, index, U, V):
     return thickness * np.sqrt(0.5) * (1.0 - c / np.sqrt(index * index - 1.0 + c * c))
 
 
-@inner_kernel
+@lean_kernel
 def behind_plate(thickness, index, x, y, z):
     """Return x and z of a point as a pinhole without the plate would have it, whose centre the chief ray points to."""
     chief = plate_shift(thickness, index, 0.0, 0.0)
@@ -137,7 +137,7 @@ def behind_plate(thickness, index, x, y, z):
     return x + shift, z - shift
 
 
-@inner_kernel
+@lean_kernel
 def project_point(k, x, y, z, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0.
 
@@ -174,7 +174,7 @@ def project_point(k, x, y, z, uv, J):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def intrinsics_jacobian(k, x, y, z, D):
     """Fill D (2, 10) = d uv / d intrinsics for a point in camera axes with z > 0."""
     a = x / z
@@ -210,7 +210,7 @@ def intrinsics_jacobian(k, x, y, z, D):
     D[1, 8] = fy * py
 
 
-@inner_kernel
+@lean_kernel
 def fisheye_tangent(k1, k2, k3, k4, widest, image):
     """Return tan(theta) / theta_d of the ray whose theta_d is image; negative where the lens has none.
 
@@ -238,7 +238,7 @@ def fisheye_tangent(k1, k2, k3, k4, widest, image):
     return -1.0
 
 
-@inner_kernel
+@lean_kernel
 def undistort_fisheye(k1, k2, k3, k4, widest, xd, yd):
     """As undistort_pinhole, of a fisheye lens."""
     stretch = fisheye_tangent(k1, k2, k3, k4, widest, sqrt(xd * xd + yd * yd))
@@ -248,7 +248,7 @@ def undistort_fisheye(k1, k2, k3, k4, widest, xd, yd):
     return stretch > 0.0, x, y, dxx, dxy, dyy
 
 
-@inner_kernel
+@lean_kernel
 def undistort_pinhole(k1, k2, p1, p2, k3, xd, yd):
     """Return whether a distorted normalised point has a ray, found by Newton's iteration, the ray (x, y) and the
     derivative (xx, xy, yy) of the distortion there.
@@ -270,7 +270,7 @@ def undistort_pinhole(k1, k2, p1, p2, k3, xd, yd):
     return False, x, y, 0.0, 0.0, 0.0
 
 
-@inner_kernel
+@lean_kernel
 def ray_of(k, u, v):
     """Return whether a pixel has a ray under this model, the ray (x/z, y/z) and the distortion's derivative there.
 
@@ -286,7 +286,7 @@ def ray_of(k, u, v):
     return found and dxx * dyy - dxy * dxy > 0.0 and dxx > 0.0, x, y, dxx, dxy, dyy
 
 
-@inner_kernel
+@lean_kernel
 def undistort_point(k, u, v, xy, J):
     """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
 
@@ -331,7 +331,7 @@ def undistort_many(k, uv, xy):
         xy[i, 1] = y if found else np.nan
 
 
-@inner_kernel
+@lean_kernel
 def see_point(k, R, t, X, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d X for a point X (3,) in rig axes, p_camera = R X + t; False behind it."""
     x = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] + t[0]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import sqrt
 
-from armsight._numba import inner_kernel
+from armsight._numba import lean_kernel
 from armsight.optics.kernels.camera import distort, project_point
 
 
-@inner_kernel
+@lean_kernel
 def bend_outline(k, x, y, z, nx, ny, nz, radius, uv):
     """Fill uv (2,) with the centre of a disc's distorted image; x/z, y/z is the centre of its undistorted outline.
 
@@ -45,7 +45,7 @@ def bend_outline(k, x, y, z, nx, ny, nz, radius, uv):
     uv[1] = k[1] * yd + k[3]
 
 
-@inner_kernel
+@lean_kernel
 def see_light(camera, p, radius, normal, uv, J):
     """Fill uv (2,), J (2, 3) = d uv / d p for a light at p (3,) in rig axes; False behind the camera.
 

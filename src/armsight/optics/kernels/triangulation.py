@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, dot
 from armsight.optics.kernels.camera import RigK, see_point, undistort_point
@@ -25,7 +25,7 @@ TRIANGULATE_STEPS = 30
 SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a standard deviation
 
 
-@inner_kernel
+@lean_kernel
 def _undetermined(X, S, centre):
     """Tell whether the standard deviation along the sight line exceeds DEPTH_DEVIATION of the distance."""
     s2 = 0.0
@@ -38,14 +38,14 @@ def _undetermined(X, S, centre):
     return not s2 <= DEPTH_DEVIATION * DEPTH_DEVIATION * n2 * n2
 
 
-@inner_kernel
+@lean_kernel
 def centre_of(R, t, c):
     """Fill c (3,) with the centre of projection -R' t in rig axes."""
     for i in range(3):
         c[i] = -(R[0, i] * t[0] + R[1, i] * t[1] + R[2, i] * t[2])
 
 
-@inner_kernel
+@lean_kernel
 def _parallel(rays):
     """Tell whether two rays (2, 3) are parallel to rounding."""
     cross2 = (
@@ -142,7 +142,7 @@ def _point_normal(rig, uv, W, X, H, g):
     return cost
 
 
-@inner_kernel
+@lean_kernel
 def invert_2(S, out):
     """Fill out (2, 2) with the inverse of the symmetric positive S; False where it is not positive."""
     det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
@@ -241,7 +241,7 @@ def rays_in_rig(k, R, uv, d, D, ok):
                 D[i, r, c] = R[0, r] * J[0, c] + R[1, r] * J[1, c]
 
 
-@inner_kernel
+@lean_kernel
 def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_right):
     """Return baseline . (d_left x d_right) of one pair of rays and fill its gradients (2,) by the two pixels."""
     a = d_right[1] * baseline[2] - d_right[2] * baseline[1]  # d e / d d_left = d_right x baseline
@@ -257,7 +257,7 @@ def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_righ
     return e
 
 
-@inner_kernel
+@lean_kernel
 def quadratic_form_2(S, g):
     """Return g' S g for S (2, 2), g (2,)."""
     return g[0] * (S[0, 0] * g[0] + S[0, 1] * g[1]) + g[1] * (S[1, 0] * g[0] + S[1, 1] * g[1])

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.motion.kernels.state import STATE, N, add_jerk, multiply, multiply_t, predict
 from armsight.measure.motion.kernels.views import (
@@ -29,7 +29,7 @@ LOST_WEIGHT = 1e-4
 """Probability of a level below which its filter goes on from the likeliest one's state."""
 
 
-@inner_kernel
+@lean_kernel
 def mixed(w, m, stick):
     """Return the probability of level m before the next view: levels change to a neighbour now and then."""
     # beyond the first and the last level there is none: what would go there stays
@@ -201,7 +201,7 @@ def levels_of_all(logs, fresh, stick, post):
             back[m] = mixed(e, m, stick)
 
 
-@inner_kernel
+@lean_kernel
 def tempered(log, before, after):
     """Fill after (K,) with probabilities before (K,) times the likelihoods of log (K,), their sum 1."""
     top = -1e300

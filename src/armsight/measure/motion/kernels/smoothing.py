@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.motion.kernels.state import N, difference, move, multiply, multiply_t, predict, transposed
 from armsight.measure.motion.kernels.views import ViewK, innovation_covariance, observe, select, update
@@ -81,7 +81,7 @@ def run_filter(views, spots, line, rig, X, motion, start, filtered, predicted, e
                 by_timing((xp[i], Cp[i]), (xs[i], Cs[i]), camera, view, line[a:b], residual, ds[i], L, g)
 
 
-@inner_kernel
+@lean_kernel
 def speed_uncertainty2(H, C):
     """Return the sum of the variances of the speeds in the image that a state with C (18, 18) gives spots, px^2/s^2."""
     s = 0.0

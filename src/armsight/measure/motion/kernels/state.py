@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import rotation_from_rotvec, rotvec_of
 
 N = 18
@@ -77,7 +77,7 @@ def transition(x, tau, F):
             F[3 + i, 15 + c] = 0.5 * tau * F[3 + i, 9 + c]
 
 
-@inner_kernel
+@lean_kernel
 def multiply(X, Y, out):
     """Fill out with X Y, leaving out what is zero in X."""
     n, m, p = X.shape[0], Y.shape[1], X.shape[1]
@@ -91,7 +91,7 @@ def multiply(X, Y, out):
                     out[i, j] += f * Y[k, j]
 
 
-@inner_kernel
+@lean_kernel
 def multiply_t(X, Y, out):
     """Fill out with X Y'."""
     n, m, p = X.shape[0], Y.shape[0], X.shape[1]
@@ -103,7 +103,7 @@ def multiply_t(X, Y, out):
             out[i, j] = s
 
 
-@inner_kernel
+@lean_kernel
 def transposed(X, out):
     """Fill out with X'."""
     for i in range(X.shape[0]):

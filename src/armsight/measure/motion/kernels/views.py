@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.motion.kernels.state import (
     STATE,
@@ -42,7 +42,7 @@ class ViewK(NamedTuple):
     cov: Any
 
 
-@inner_kernel
+@lean_kernel
 def select(X, light, out):
     """Fill out (n, 3) with the rows light (n,) of X."""
     for i in range(light.shape[0]):
@@ -205,7 +205,7 @@ def update(x, C, camera, view, residual):
     return chi2, logdet
 
 
-@inner_kernel
+@lean_kernel
 def innovation_covariance(H, C, cov, G, S):
     """Fill G (m, 18) = H C and S (m, m) = H C H' + cov, for spots of covariance cov (n, 2, 2), m = 2 n."""
     multiply(H, C, G)
@@ -216,7 +216,7 @@ def innovation_covariance(H, C, cov, G, S):
                 S[2 * i + a, 2 * i + b] += cov[i, a, b]
 
 
-@inner_kernel
+@lean_kernel
 def quadratic_form(T, e):
     """Return e' T e for T (m, m), e (m,)."""
     s = 0.0
@@ -226,7 +226,7 @@ def quadratic_form(T, e):
     return s
 
 
-@inner_kernel
+@lean_kernel
 def step_by_gain(G, T, e, C, d):
     """Replace the error d (18,) by K e, the gain K = G' T; return the squared change over the state's variances.
 
@@ -262,7 +262,7 @@ def lower_covariance(G, T, C):
             C[j, i] = s
 
 
-@inner_kernel
+@lean_kernel
 def pose_innovation(x, C, x_seen, cov, d, S, inverse):
     """Fill the pose's innovation d (18,), of which 6 count, its covariance S (6, 6) and inverse; return chi-square."""
     difference(x_seen, x, d)

@@ -12,9 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import copy_1, copy_2
-from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, kabsch, pose_normal, refine_pose, weights
+from armsight.measure.poses.kernels.pose import (
+    SOLVED,
+    Lights,
+    Observations,
+    kabsch,
+    new_work,
+    pose_normal,
+    refine_pose,
+    weights,
+)
 from armsight.optics.kernels.camera import RigK
 from armsight.optics.kernels.triangulation import (
     BEHIND,
@@ -156,14 +165,14 @@ def distance_fits(P, S, a, b, distance, gate):
     return (np.sqrt(length2) - distance) ** 2 * length2 <= gate * variance
 
 
-@inner_kernel
+@lean_kernel
 def _spreads(S, gate, spread):
     """Fill spread (c,) with how far each point may be off in any direction: at least what `distance_fits` allows."""
     for c in range(S.shape[0]):
         spread[c] = np.sqrt(gate * (S[c, 0, 0] + S[c, 1, 1] + S[c, 2, 2]))
 
 
-@inner_kernel
+@lean_kernel
 def _near(P, spread, a, b, distance):
     """Tell, cheaply, whether the points a and b could be `distance` apart."""
     x = P[a, 0] - P[b, 0]
@@ -175,7 +184,7 @@ def _near(P, spread, a, b, distance):
     return low * low <= length2 <= (distance + slack) ** 2
 
 
-@inner_kernel
+@lean_kernel
 def _fill_pool(anchor, name, candidates, D, pool):
     """Fill pool with the candidates as far from the anchor, which is `name`, as one of the later names is; return how
     many: all others `_near` refuses beside it, whatever they are called.
@@ -194,7 +203,7 @@ def _fill_pool(anchor, name, candidates, D, pool):
     return n
 
 
-@inner_kernel
+@lean_kernel
 def _allowed(name, candidate, chosen, candidates, D, rules):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     pairs = candidates.index
@@ -213,7 +222,7 @@ def _allowed(name, candidate, chosen, candidates, D, rules):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def _next_allowed(k, last, name, among, chosen, candidates, D, rules):
     """Return the first place from k up to last whose candidate may be `name` beside those chosen; last where none."""
     while k < last and not _allowed(name, among[k], chosen, candidates, D, rules):
@@ -246,7 +255,7 @@ def _judge(rig, model, ellipse, candidates, chosen, count, limit, Rp, tp):
     H = np.empty((6, 6))
     residual = np.empty((count, 2, 2))
     lights, seen = Lights(x, r, model.normal), Observations(z, w)
-    if not pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual) <= HOPELESS * limit:
+    if not pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual, new_work()) <= HOPELESS * limit:
         return np.inf
     state, chi2 = refine_pose(rig, lights, seen, Rp, tp, H, residual)
     return chi2 if state == SOLVED else np.inf
@@ -340,7 +349,7 @@ def neg2_log_likelihood(rig, lights, views, Rp, tp):
         return np.inf
     H, g = np.empty((6, 6)), np.empty(6)
     lights, seen = Lights(X.copy(), radius, normal), Observations(uv, W)
-    if not np.isfinite(pose_normal(RigK(*rig), lights, seen, Rp.copy(), tp.copy(), H, g, residual)):
+    if not np.isfinite(pose_normal(RigK(*rig), lights, seen, Rp.copy(), tp.copy(), H, g, residual, new_work())):
         return np.inf
     best = np.inf
     for slack in SLACKS:
@@ -358,7 +367,7 @@ def neg2_log_likelihood(rig, lights, views, Rp, tp):
     return best
 
 
-@inner_kernel
+@lean_kernel
 def _keep(found, margin, chosen, chi2, Rp, tp, best):
     """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
     chi2s = best.chi2

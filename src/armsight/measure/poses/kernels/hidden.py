@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.outline import AREA, EDGE_X, EDGE_Y, MOMENTS, OUTLINE, RING, XX, XY, YY, outline
 from armsight.optics.kernels.camera import CameraK, RigK
@@ -66,7 +66,7 @@ class SpotsK(NamedTuple):
     size: Any
 
 
-@inner_kernel
+@lean_kernel
 def radii(mine, other, out):
     """Fill out (3,), logarithms: how much narrower and how much wider a light is than the other, each in the direction
     in which it is so most, and how much larger."""
@@ -80,7 +80,7 @@ def radii(mine, other, out):
     out[2] = 0.5 * (out[1] - out[0])
 
 
-@inner_kernel
+@lean_kernel
 def differences(mine, other, out):
     """Fill out (3,): px by which a light is narrower, and wider, in one direction than the other; log of their ratio.
 
@@ -98,7 +98,7 @@ def differences(mine, other, out):
     out[1] = wider * radius
 
 
-@inner_kernel
+@lean_kernel
 def add_along(angle, variance, row):
     """Add a variance along a direction to row (.., uu, uv, vv)."""
     c = cos(angle)
@@ -108,7 +108,7 @@ def add_along(angle, variance, row):
     row[VV] += variance * s * s
 
 
-@inner_kernel
+@lean_kernel
 def doubt_light(mine, mean, sigma, narrower, wider, row):
     """Add to row what may be hidden of a light (where narrower), and what may lie beside it (where wider).
 
@@ -133,7 +133,7 @@ def doubt_light(mine, mean, sigma, narrower, wider, row):
         add_along(angle + 0.5 * pi, max(min(second, 0.0) ** 2 - known, 0.0), row)
 
 
-@inner_kernel
+@lean_kernel
 def doubt_edge(mine, mean, sigma, row):
     """Add to row what the thing whose edge runs through a light may hide of it: what it lacks across the edge.
 
@@ -151,7 +151,7 @@ def doubt_edge(mine, mean, sigma, row):
     add_along(atan2(s, c), max(variance - known, 0.0), row)
 
 
-@inner_kernel
+@lean_kernel
 def compare_view(outlines, size, sigma, mean, d, found):
     """Compare the lights (n, OUTLINE) of one view. size (n,); sigma (n,): largest standard deviation of each centre.
 
@@ -202,7 +202,7 @@ def compare_view(outlines, size, sigma, mean, d, found):
             found[i, 1] = max(d[1], 0.0)
 
 
-@inner_kernel
+@lean_kernel
 def turn_alike(camera, P, lean, outlines):
     """Change the outlines of flat lights, as at the first one's distance, to what they would be in its place.
 
@@ -240,7 +240,7 @@ def turn_alike(camera, P, lean, outlines):
             outlines[i, YY] = yy
 
 
-@inner_kernel
+@lean_kernel
 def outlines_of(image, flip, camera, P, lean, spots, outlines, sigma, work):
     """Fill outlines (n, OUTLINE), as at the first light's place, and sigma (n,) of the lights in one image."""
     R, t = camera.R, camera.t
@@ -311,7 +311,7 @@ def compare_views(rig, p, outlines, side, mean, d, found):
     found[1] = 0.0
 
 
-@inner_kernel
+@lean_kernel
 def judge_light(outlines, mean, sigma, found, out):
     """Fill out (2, FINDING) for a light from its outline, that of the others, and found (compare_view), in both views.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, copy_3, cross, dot, rotate_left, sandwich
 from armsight.optics.kernels.camera import CameraK, RigK, see_point
@@ -39,6 +39,26 @@ class Observations(NamedTuple):
 
     uv: Any
     W: Any
+
+
+class Workspace(NamedTuple):
+    """Small arrays that one light after the other is projected with; making them would take as long as that."""
+
+    q: Any  # (3,) the light turned, in rig axes, the normal there
+    p: Any
+    m: Any
+    px: Any  # (2,) its pixel, and the derivatives: by its place (2, 3), by the pose (2, 6), these weighted
+    J: Any
+    G: Any
+    WG: Any
+
+
+@inner_kernel
+def new_work():
+    """Return fresh work arrays."""
+    return Workspace(
+        np.empty(3), np.empty(3), np.empty(3), np.empty(2), np.empty((2, 3)), np.empty((2, 6)), np.empty((2, 6))
+    )
 
 
 @inner_kernel
@@ -85,23 +105,18 @@ def kabsch(X, P, R, t):
         t[a] = mp[a] - (R[a, 0] * mx[0] + R[a, 1] * mx[1] + R[a, 2] * mx[2])
 
 
-@inner_kernel
-def pose_normal(rig, lights, seen, Rp, tp, H, g, residual):
+@lean_kernel
+def pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work):
     """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
 
     The pose moves as t + dt, Exp(dw) R in rig axes. Infinite where a spot is behind a camera.
     """
-    H[:] = 0.0
-    g[:] = 0.0
-    X = lights.X
-    normal = lights.normal
-    q = np.empty(3)
-    p = np.empty(3)
-    m = np.empty(3)
-    px = np.empty(2)
-    J = np.empty((2, 3))
-    G = np.empty((2, 6))
-    WG = np.empty((2, 6))
+    X, normal = lights.X, lights.normal
+    q, p, m, px, J, G, WG = work
+    for i in range(6):
+        g[i] = 0.0
+        for j in range(6):
+            H[i, j] = 0.0
     for i in range(3):
         m[i] = Rp[i, 0] * normal[0] + Rp[i, 1] * normal[1] + Rp[i, 2] * normal[2]
     chi2 = 0.0
@@ -152,7 +167,8 @@ def refine_pose(rig, lights, seen, Rp, tp, H, residual):
     step = np.empty(6)
     R2 = np.empty((3, 3))
     t2 = np.empty(3)
-    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual)
+    work = new_work()
+    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work)
     if not np.isfinite(chi2):
         return BEHIND_CAMERA, np.inf
     damping = 0.0
@@ -164,7 +180,7 @@ def refine_pose(rig, lights, seen, Rp, tp, H, residual):
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
-        new = pose_normal(rig, lights, seen, R2, t2, H2, g2, residual2)
+        new = pose_normal(rig, lights, seen, R2, t2, H2, g2, residual2, work)
         if new <= chi2:
             settled = chi2 - new <= SETTLED * (1.0 + chi2)
             share = 2.0 * (chi2 - new) / promised - 1.0

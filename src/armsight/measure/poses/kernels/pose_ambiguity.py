@@ -11,10 +11,18 @@ from math import acos, exp, log, pi, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot, rotate_left
-from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, pose_normal, refine_pose, weights
+from armsight.measure.poses.kernels.pose import (
+    SOLVED,
+    Lights,
+    Observations,
+    new_work,
+    pose_normal,
+    refine_pose,
+    weights,
+)
 from armsight.optics.kernels.camera import RigK
 from armsight.optics.kernels.triangulation import invert_2
 
@@ -36,14 +44,14 @@ LEAST_TURN = 1e-3
 """Turn (rad) from a tilt to its mirror image below which they are one."""
 
 
-@inner_kernel
+@lean_kernel
 def scale(a, factor):
     """Multiply a vector by a number, in place."""
     for i in range(a.shape[0]):
         a[i] *= factor
 
 
-@inner_kernel
+@lean_kernel
 def split(T, R, t):
     """Fill R (3, 3) and t (3,) from the pose T (4, 4)."""
     for i in range(3):
@@ -52,7 +60,7 @@ def split(T, R, t):
         t[i] = T[i, 3]
 
 
-@inner_kernel
+@lean_kernel
 def det_2(S):
     """Return the determinant of S (2, 2)."""
     return S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
@@ -77,7 +85,23 @@ def mirrored_turn(R, t, Rp, centre, normal, turn):
 
 
 @inner_kernel
-def settle_beside(rig, lights, seen, free, Rp, tp, residual):
+def plane_normal(lights):
+    """Return the normal (3,) of the plane of three lights, of more that of the target's, in target axes."""
+    X = lights.X
+    normal = np.empty(3)
+    copy_1(lights.normal, normal)
+    if X.shape[0] == 3:
+        first, second = np.empty(3), np.empty(3)
+        for i in range(3):
+            first[i] = X[1, i] - X[0, i]
+            second[i] = X[2, i] - X[0, i]
+        cross(first, second, normal)
+        scale(normal, 1.0 / sqrt(dot(normal, normal)))
+    return normal
+
+
+@inner_kernel
+def settle_beside(rig, lights, seen, free, Rp, tp, residual, work):
     """Move Rp, tp along the columns of free (6, m) towards the least chi-square; return it (infinite: none)."""
     m = free.shape[1]
     H = np.empty((6, 6))
@@ -88,7 +112,7 @@ def settle_beside(rig, lights, seen, free, Rp, tp, residual):
     step = np.empty(6)
     R2 = np.empty((3, 3))
     t2 = np.empty(3)
-    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual)
+    chi2 = pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work)
     for _ in range(SETTLE_STEPS):
         for i in range(m):  # bend = free' H free, slope = free' g
             slope[i] = 0.0
@@ -108,7 +132,7 @@ def settle_beside(rig, lights, seen, free, Rp, tp, residual):
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
-        new = pose_normal(rig, lights, seen, R2, t2, H, g, residual)
+        new = pose_normal(rig, lights, seen, R2, t2, H, g, residual, work)
         if not new < chi2:
             break
         fell = chi2 - new
@@ -120,7 +144,7 @@ def settle_beside(rig, lights, seen, free, Rp, tp, residual):
     return chi2
 
 
-@inner_kernel
+@lean_kernel
 def turned_about(Rp, tp, centre, turn, R2, t2):
     """Fill R2, t2 with the pose turned by the rotation vector about the centre (3,) of the lights."""
     rotate_left(turn, Rp, R2)
@@ -145,7 +169,7 @@ def difference(Rp, tp, R2, t2, d):
     d[5] = factor * (E[1, 0] - E[0, 1])
 
 
-@inner_kernel
+@lean_kernel
 def add_outer(d, factor, C):
     """Add factor d d' to C (n, n)."""
     for i in range(d.shape[0]):
@@ -237,11 +261,10 @@ def depth_chi2(P, S):
 
 
 @kernel
-def fold(rig, lights, plane, views, T, factor, C):
+def fold(rig, lights, views, T, factor, C):
     """Widen C (6, 6) of the pose T (4, 4) for tilts that first order takes as too unlikely; return by how much.
 
-    rig, lights, views: as solve_named takes them. plane (3,): normal of the lights' plane in target axes. factor: on
-    every pixel's variance, of misfit, which C has.
+    rig, lights, views: as solve_named takes them. factor: on every pixel's variance, of misfit, which C has.
     The number is the largest ratio of squared deviations to the rise of chi-square, 1 where first order holds.
     """
     rig = RigK(*rig)
@@ -260,9 +283,10 @@ def fold(rig, lights, plane, views, T, factor, C):
             centre[a] += (dot(Rp[a], X[i]) + tp[a]) / X.shape[0]
     if not weights(cov, 0.0, W):
         return 1.0
-    base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual)
+    work = new_work()
+    base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual, work)
     most = 1.0
-    turns, shares = looks(rig, Rp, centre, plane, C)
+    turns, shares = looks(rig, Rp, centre, plane_normal(lights), C)
     for s in range(3):
         angle = sqrt(dot(turns[s], turns[s]))
         if angle < LEAST_TURN:
@@ -278,7 +302,7 @@ def fold(rig, lights, plane, views, T, factor, C):
                 state, least = refine_pose(rig, lights, seen, R2, t2, H, residual)
                 rise = least - base if state == SOLVED else np.inf
             else:
-                rise = settle_beside(rig, lights, seen, free, R2, t2, residual) - base
+                rise = settle_beside(rig, lights, seen, free, R2, t2, residual, work) - base
             if rise < POSSIBLE * factor:
                 difference(Rp, tp, R2, t2, d)
                 most = max(most, reach_out(C, d, rise / factor))

@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import copy_2, dot, multiply, sandwich
 from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, see_point
 from armsight.optics.kernels.triangulation import centre_of, invert_2
@@ -66,7 +66,7 @@ def light_slopes(rig, T, X, p, s, uv, J, D, G):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def place_slopes(J, T, E):
     """Fill E (2, 3) = d pixel / d the light's place in target axes, from J (2, 3) by its place in rig axes."""
     for i in range(2):
@@ -118,7 +118,7 @@ def carry_to_pose(rig, cov, X, T, covariance, C, residual, systematic):
     return marginal_chi2(chi2, N, b, covariance)
 
 
-@inner_kernel
+@lean_kernel
 def add_information(D, W, G, r, B, N, b):
     """Add one pixel's rows D (2, q), G (2, 6), residual r (2,), weight W (2, 2) to B = G'WD, N = D'WD, b = D'Wr."""
     for j in range(D.shape[1]):

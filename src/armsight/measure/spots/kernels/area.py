@@ -6,7 +6,7 @@ from math import exp, log, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel
+from armsight._numba import lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 
@@ -25,7 +25,7 @@ CROWDED_SIGMA = 0.35
 """A touching spot's centre must be known to this share of the width, or it is not told apart."""
 
 
-@inner_kernel
+@lean_kernel
 def classify(comp, w, h, window, min_pixels, max_radius, margin):
     """Return ACCEPTED or why a component is refused before any fit. window (4,): x0, x1, y0, y1 that were searched."""
     if comp[col.AREA] < min_pixels:
@@ -41,7 +41,7 @@ def classify(comp, w, h, window, min_pixels, max_radius, margin):
     return ACCEPTED
 
 
-@inner_kernel
+@lean_kernel
 def boxes_overlap(a, b, reach):
     """Tell whether the bounds of component b, widened by reach, meet those of a."""
     return (
@@ -52,13 +52,13 @@ def boxes_overlap(a, b, reach):
     )
 
 
-@inner_kernel
+@lean_kernel
 def fit_margin(comp):
     """Return how far beyond a component's bounds its fit looks, in px."""
     return 0.9 * max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN]) / 2.0 + 4.0
 
 
-@inner_kernel
+@lean_kernel
 def round_start(comp, background, saturation, start):
     """Fill start (u, v, A, q, b) for a round Gaussian from a component's sums.
 
@@ -80,7 +80,7 @@ def round_start(comp, background, saturation, start):
     start[4] = background
 
 
-@inner_kernel
+@lean_kernel
 def check_fit(comp, rows, lights, saturated, noise):
     """Return ACCEPTED, or why these lights of one component are refused."""
     for k in range(lights):
@@ -102,7 +102,7 @@ def check_fit(comp, rows, lights, saturated, noise):
     return ACCEPTED
 
 
-@inner_kernel
+@lean_kernel
 def hot_pixels(comps, state, hot):
     """Fill hot (2 n, 2) with the pixels x, y of the areas that are hot pixels; return how many."""
     n = np.int64(0)

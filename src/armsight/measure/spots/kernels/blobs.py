@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
 
@@ -55,7 +55,7 @@ class Labels(NamedTuple):
     stack: Any
 
 
-@inner_kernel
+@lean_kernel
 def ring_level(image, flip, x0, y0, radius, ring):
     """Fill ring with the sorted grey levels on a circle about (x0, y0); return how many lie within the image."""
     h, w = image.shape
@@ -70,7 +70,7 @@ def ring_level(image, flip, x0, y0, radius, ring):
     return n
 
 
-@inner_kernel
+@lean_kernel
 def has_contrast(image, flip, x0, y0, radius, top, contrast):
     """Tell whether a peak of level top is `contrast` above the background that ring_level's samples tell (see blob_at).
 
@@ -90,7 +90,7 @@ def has_contrast(image, flip, x0, y0, radius, top, contrast):
     return n >= FEWEST_SAMPLES and below > min(int(BACKGROUND_SHARE * n), n - 1)
 
 
-@inner_kernel
+@lean_kernel
 def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
@@ -150,7 +150,7 @@ def grow_region(picture, x0, y0, level, reach, stamp, labels, row):
     return code
 
 
-@inner_kernel
+@lean_kernel
 def roundness(labels, stamp, row):
     """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
     marks, left, top, _ = labels
@@ -182,7 +182,7 @@ def roundness(labels, stamp, row):
     return fill * axes if axes > LEAST_AXES and fill > LEAST_FILL else 0.0
 
 
-@inner_kernel
+@lean_kernel
 def brightest_near(image, flip, x0, y0, r):
     """Return place and level of the brightest pixel within r of (x0, y0) along each axis, the nearest of equals."""
     h, w = image.shape
@@ -213,7 +213,7 @@ def brightest_near(image, flip, x0, y0, r):
     return bx, by, best
 
 
-@inner_kernel
+@lean_kernel
 def find_duplicate(table, n, row):
     """Return which of the n blobs has its centre within half the larger one's radius of row's; -1 for none."""
     x = row[col.SUM_X] / row[col.WEIGHT]
@@ -227,7 +227,7 @@ def find_duplicate(table, n, row):
     return -1
 
 
-@inner_kernel
+@lean_kernel
 def blob_at(picture, x, y, top, radius, limits, stamp, labels, ring, row):
     """Fill row (COLUMNS,) with the blob of the peak at (x, y); return its roundness, 0 where it is none.
 
@@ -298,7 +298,7 @@ def grow_blobs(picture, peaks, limits, table, work):
     return n, looked, spent
 
 
-@inner_kernel
+@lean_kernel
 def is_peak(image, flip, x, y, grey):
     """Tell whether no pixel within two of (x, y) is brighter, nor as bright and earlier in reading order."""
     h, w = image.shape

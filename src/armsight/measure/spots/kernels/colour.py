@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels.scan import brightest
 
 # a colour as the kernels see it: hue from, to (degrees, wrapping), least saturation (0..1), least value (0..255)
@@ -154,7 +154,7 @@ def fill_white(image, saturation, box, signal):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def _pale(image, y, x, saturation):
     b = image[y, x, 0]
     g = image[y, x, 1]

@@ -9,7 +9,7 @@ from math import erf, exp, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, inner_sum_kernel
+from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 
 PIXEL_VARIANCE = 1.0 / 12.0
 NARROW = 0.9
@@ -18,7 +18,7 @@ P = 5
 """Parameters of a round light: u, v, A, 1/q, b."""
 
 
-@inner_kernel
+@lean_kernel
 def profile(centre, q, start, n, f):
     """Fill f (3, n): profile, its derivative by the centre and by 1/q, at pixels start..start+n-1."""
     if q < NARROW:
@@ -60,7 +60,7 @@ def profile(centre, q, start, n, f):
         ratio *= shrink
 
 
-@inner_kernel
+@lean_kernel
 def gram(f, n, power, g):
     """Fill g (4, 4) with the sums of products of 1, f0, f1, f2 over n pixels, each times f0**power.
 
@@ -89,7 +89,7 @@ def gram(f, n, power, g):
     g[3, 2] = g[2, 3]
 
 
-@inner_kernel
+@lean_kernel
 def assemble(gx, gy, a, H):
     """Fill H (5, 5) = sum of J'J from the axes' sums gx, gy (4, 4) and the height a."""
     # the model is a product along the axes: sums over the window are products of sums along them
@@ -168,7 +168,7 @@ DENSITY = np.array([exp(-0.5 * (i / NODES) ** 2) / sqrt(2.0 * pi) for i in range
 PROBABILITY = np.array([0.5 * (1.0 + erf(i / NODES / sqrt(2.0))) for i in range(-LAST_NODE, LAST_NODE + 1)])
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def normal(z, density, probability):
     """Fill density and probability of the standard normal distribution at z; NaN gives any number."""
     for i in range(z.shape[0]):

@@ -5,29 +5,27 @@ That is the noise's constant and shot parts, and the background's slope.
 
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 
-from armsight._numba import inner_kernel, inner_sum_kernel
+from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
-from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
-    add_prior,
     grid_of,
     is_feasible,
-    light_and_slopes,
+    light,
+    slopes,
 )
 from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.priors import add_prior, prior_square
 
 STEPS = 40
 CLOSE = 3e-3
 """Stop where a step lowers chi-square by less than this share of the noise variance."""
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def dot(a, b):
     """Return the sum of the products of a and b."""
     total = 0.0
@@ -36,14 +34,14 @@ def dot(a, b):
     return total
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def subtract_model(values, background, m, r):
     """Fill r with values less background and light m."""
     for i in range(r.shape[0]):
         r[i] = values[i] - background - m[i]
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def products(a, b, ab):
     """Fill ab with the products of a and b."""
     for i in range(a.shape[0]):
@@ -74,25 +72,34 @@ def patch_grid(patch):
     return grid_of(patch.box[0], patch.box[2], patch.values.shape[1], patch.values.shape[0])
 
 
-@inner_kernel
+@lean_kernel
 def evaluate(kind, p, n, patch, special, grid, J, m, r):
-    """Fill light m, derivatives J (n, pixels) and residuals r of a patch (values less model).
+    """Fill light m and residuals r of a patch (values less model); return the sum of their squares.
 
-    Zero in J and r, and so in every sum, where use is 0, and where it is CLIPPED_PIXEL and the model is brighter than
-    the value: the light is at least as bright there, and a model that is brighter costs nothing.
+    Both are zero where use is 0, and where it is CLIPPED_PIXEL and the model is brighter than the value: the light is
+    at least as bright there, and a model that is brighter costs nothing.
     """
-    light_and_slopes(kind, p, n, grid, J, m)
+    light(kind, p, n, grid, J, m)
     subtract_model(patch.values.reshape(-1), p[0], m, r)
     marks = patch.use.reshape(-1)
     for k in special:
         if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
             r[k] = 0.0
             m[k] = 0.0
+    return dot(r, r)
+
+
+@lean_kernel
+def differentiate(kind, p, n, special, grid, J, m, r):
+    """Fill derivatives J (n, pixels) of a patch that was evaluated last; zero where light and residual are."""
+    slopes(kind, p, n, grid, J)
+    for k in special:
+        if m[k] == 0.0 and r[k] == 0.0:
             for a in range(n):
                 J[a, k] = 0.0
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def four_dots(a0, a1, b0, b1):
     """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
     t00 = 0.0
@@ -107,7 +114,7 @@ def four_dots(a0, a1, b0, b1):
     return t00, t01, t10, t11
 
 
-@inner_kernel
+@lean_kernel
 def gram(J, n, H):
     """Fill H (n, n) = J J', in blocks of two rows and two columns: each number is loaded half as often."""
     for a in range(0, n - 1, 2):
@@ -128,13 +135,12 @@ def gram(J, n, H):
             H[b, n - 1] = H[n - 1, b]
 
 
-@inner_kernel
+@lean_kernel
 def normal_equations(J, r, n, H, g):
-    """Fill H (n, n), g (n,) of a patch that was evaluated; return the sum of squares."""
+    """Fill H (n, n), g (n,) of a patch that was differentiated."""
     gram(J, n, H)
     for a in range(n):
         g[a] = -dot(J[a], r)
-    return dot(r, r)
 
 
 @inner_kernel
@@ -147,8 +153,6 @@ def fit_model(kind, p, n, patch, count, residuals):
     step = np.empty(n)
     trial = np.empty(n)
     H = np.empty((n, n))
-    H2 = np.empty((n, n))
-    g2 = np.empty(n)
     start = np.empty(n)
     copy_to(p[:n], start)
     if not is_feasible(kind, p, n):
@@ -160,13 +164,16 @@ def fit_model(kind, p, n, patch, count, residuals):
     m = np.empty(pixels)
     r = np.empty(pixels)
     best = residuals.reshape(-1)
-    evaluate(kind, p, n, patch, special, grid, J, m, best)
+    # the priors, which are about the start, add nothing to the squares there
     extra = 0.0
-    rss = normal_equations(J, best, n, H, g)
-    # at the start, which the priors are about, they add nothing to the squares
-    add_prior(kind, p, start, n, H, g)
+    rss = evaluate(kind, p, n, patch, special, grid, J, m, best)
+    better = True
     damping = 1e-3
     for _ in range(STEPS):
+        if better:
+            differentiate(kind, p, n, special, grid, J, m, best)
+            normal_equations(J, best, n, H, g)
+            add_prior(kind, p, start, n, H, g)
         if not solve_damped(H, g, damping, step):
             return -1.0
         for i in range(n):
@@ -175,12 +182,11 @@ def fit_model(kind, p, n, patch, count, residuals):
         new = rss + 1.0
         new_extra = 0.0
         if is_feasible(kind, trial, n):
-            evaluate(kind, trial, n, patch, special, grid, J, m, r)
-            new = normal_equations(J, r, n, H2, g2)
-            new_extra = add_prior(kind, trial, start, n, H2, g2)
-            new += new_extra
+            new_extra = prior_square(kind, trial, start, n)
+            new = evaluate(kind, trial, n, patch, special, grid, J, m, r) + new_extra
         # written so that NaN is no improvement
-        if not new <= rss:
+        better = new <= rss
+        if not better:
             damping *= 10.0
             if damping > 1e6:
                 return -1.0
@@ -190,9 +196,6 @@ def fit_model(kind, p, n, patch, count, residuals):
         extra = new_extra
         copy_to(trial, p)
         copy_to(r, best)
-        copy_to(g2, g)
-        for i in range(n):
-            copy_to(H2[i], H[i])
         # the small gain of a damped step says nothing of the minimum
         if gain < CLOSE * rss / count and damping <= 1e-3:
             return rss - extra
@@ -206,11 +209,14 @@ def evaluate_patch(kind, p, n, patch, residuals):
     grid = patch_grid(patch)
     J = np.empty((n, patch.values.size))
     m = np.empty(patch.values.size)
-    evaluate(kind, p, n, patch, unused(patch.use), grid, J, m, residuals.reshape(-1))
+    special = unused(patch.use)
+    r = residuals.reshape(-1)
+    evaluate(kind, p, n, patch, special, grid, J, m, r)
+    differentiate(kind, p, n, special, grid, J, m, r)
     return J, m, grid
 
 
-@inner_kernel
+@lean_kernel
 def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
     """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
 
@@ -248,64 +254,10 @@ def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
 def add_light_to_patch(kind, p, n, patch, sign):
     """Add sign times the model's light to the patch's values."""
     m = np.empty(patch.values.size)
-    light_and_slopes(kind, p, n, patch_grid(patch), np.empty((n, patch.values.size)), m)
+    light(kind, p, n, patch_grid(patch), np.empty((n, patch.values.size)), m)
     flat = patch.values.reshape(-1)
     for i in range(flat.size):
         flat[i] += sign * m[i]
-
-
-@inner_kernel
-def slope_prior(levels, y, x, w, h, noise, prior):
-    """Fill prior (4,): slope of the background per px along x and y at pixel (x, y), and how well it is known.
-
-    The middle one of three rows' (columns') central differences; its standard deviation is their spread plus the step's
-    unevenness plus the sample's own noise.
-    """
-    i = y * col.GRID // h
-    j = x * col.GRID // w
-    three = np.empty(3)
-    for axis in range(2):
-        size = (w if axis == 0 else h) / col.GRID
-        c = j if axis == 0 else i
-        o = i if axis == 0 else j
-        lo = max(c - 1, 0)
-        hi = min(c + 1, col.GRID - 1)
-        known = 0
-        bend = 0.0
-        for k in range(max(o - 1, 0), min(o + 2, col.GRID)):
-            a = levels[k, lo] if axis == 0 else levels[lo, k]
-            b = levels[k, c] if axis == 0 else levels[c, k]
-            d = levels[k, hi] if axis == 0 else levels[hi, k]
-            if a < 0.0 or b < 0.0 or d < 0.0:
-                continue
-            three[known] = (d - a) / ((hi - lo) * size)
-            # the second difference: how far the slope changes from tile to tile
-            if k == o and hi - lo == 2:
-                bend = abs(d - 2.0 * b + a) / size
-            known += 1
-        prior[axis] = 0.0
-        prior[2 + axis] = 1.0
-        if known > 1:
-            low = min(three[0], three[1]) if known == 2 else min(three[0], three[1], three[2])
-            high = max(three[0], three[1]) if known == 2 else max(three[0], three[1], three[2])
-            middle = 0.5 * (low + high)
-            if known == 3:
-                middle = three[0] + three[1] + three[2] - low - high
-            prior[axis] = middle
-            prior[2 + axis] = high - low + bend + 0.25 * sqrt(noise) / size + 1e-4
-
-
-LEAST_SLOPE = 0.05
-"""Slope (grey levels per px) that a background before which nothing is seen to change may still have."""
-
-
-@inner_kernel
-def ring_prior(slope, prior):
-    """Fill prior (4,) as slope_prior does where a ring about the light tells how much the background changes."""
-    prior[0] = 0.0
-    prior[1] = 0.0
-    prior[2] = slope + LEAST_SLOPE
-    prior[3] = slope + LEAST_SLOPE
 
 
 MISFIT = 4.0
@@ -315,7 +267,7 @@ LEVERAGE = 1.3
 """What a round fit takes of the sum of m^2, over what it takes of the sum of m; 1.295-1.30 for sigma 1.5-4 px."""
 
 
-@inner_kernel
+@lean_kernel
 def variance_inflation(run, products, squares):
     """Return the factor of the covariance for residuals that hang together: wrong model, or noise that is not white.
 
@@ -328,7 +280,7 @@ def variance_inflation(run, products, squares):
     return ((1.0 + rho) / (1.0 - rho)) ** 2
 
 
-@inner_kernel
+@lean_kernel
 def remaining_square(square, signal, left):
     """Return the sum of m^2 less the fit's take, from that of the sum of m (signal, of which `left` is left)."""
     return square * max(1.0 - LEVERAGE * (1.0 - left / signal), 0.1) if signal > 0.0 else 0.0

@@ -7,7 +7,8 @@ STREAK    p = b, u, v, A, s, angle, h: a Gaussian of width s drawn along a segme
 ELLIPSE   p = b, u, v, A, s, m0, m1, m2: a flat ellipse x'Mx <= 1, M = [[m0, m1], [m1, m2]], with an edge of blur s
 
 Derivatives J (n, pixels) lie parameter by parameter, and a loop writes one or two of them: such loops become vector
-code, in which a pixel costs a tenth of what it does one by one.
+code, in which a pixel costs a tenth of what it does one by one. They cost more than the light, which a fit first looks
+at alone: each model's slopes go on from what its light has left in the grid's work and in J.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, inner_sum_kernel
-from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, normal
+from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
+from armsight.measure.spots.kernels.gaussian_axes import normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
 FAR = 5.0
@@ -27,11 +28,6 @@ CORE_VARIANCE = 0.05
 """Keeps the direction of an ellipse's edge defined at its centre, px^2."""
 ROOT_2 = sqrt(2.0)
 ROOT_2PI = sqrt(2.0 * pi)
-PRIOR_NOISE = 0.01
-PRIOR_HEIGHT = 4.0
-PRIOR_BLUR = 1.0
-"""Standard deviations of the priors: of the height in heights of the start, of the blur in px, for a noise of this
-share of the height. Unclipped lights tell both a hundred times better."""
 CLIPPED_PIXEL = 2
 """Mark of a pixel whose value is a lower bound."""
 LEAST_BLUR = 0.2
@@ -64,7 +60,7 @@ def grid_of(x0, y0, nx, ny):
     return Grid(float(x0), float(y0), nx, ny, x, y, np.empty((WORK, nx * ny)))
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def outer(ex, ey, nx, ny, e):
     """Fill e (nx ny,) with the products of ex (nx,) and ey (ny,)."""
     for j in range(ny):
@@ -73,59 +69,66 @@ def outer(ex, ey, nx, ny, e):
             row[i] = ey[j] * ex[i]
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def add_scaled(a, b, factor):
     """Add factor times a to b."""
     for i in range(a.shape[0]):
         b[i] += factor * a[i]
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def scaled(a, factor, b):
     """Fill b with factor times a."""
     for i in range(a.shape[0]):
         b[i] = factor * a[i]
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def moved_round(e, x, u, scale, by_u):
     """Fill by_u with the derivative of a Gaussian's light e by its centre: scale (x - u) e."""
     for i in range(e.shape[0]):
         by_u[i] = scale * (x[i] - u) * e[i]
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def wider_round(e, x, y, u, v, height, by_width):
     """Add the derivative of a Gaussian's light by 1 / variance."""
     for i in range(e.shape[0]):
         by_width[i] -= 0.5 * height * ((x[i] - u) ** 2 + (y[i] - v) ** 2) * e[i]
 
 
-@inner_kernel
+@lean_kernel
 def joint_light(p, n, grid, J, m):
-    """Fill m (pixels,) with the light of (n - 2) / 3 Gaussians, and J (n, pixels)."""
+    """Fill m (pixels,) with the light of (n - 2) / 3 Gaussians, and of J (n, pixels) each one's own for height 1."""
     for i in range(m.shape[0]):
         m[i] = 0.0
-        J[1, i] = 0.0
     w = p[1]
     # separable: nx + ny exponentials in place of nx ny
-    ex = np.empty(grid.nx)
-    ey = np.empty(grid.ny)
+    ex = grid.work[0]
+    ey = grid.work[1]
     for k in range(2, n, 3):
         for i in range(grid.nx):
             ex[i] = exp(-0.5 * w * (grid.x0 + i - p[k]) ** 2)
         for j in range(grid.ny):
             ey[j] = exp(-0.5 * w * (grid.y0 + j - p[k + 1]) ** 2)
+        outer(ex, ey, grid.nx, grid.ny, J[k + 2])
+        add_scaled(J[k + 2], m, p[k + 2])
+
+
+@lean_kernel
+def joint_slopes(p, n, grid, J):
+    """Fill the rest of J (n, pixels)."""
+    for i in range(J.shape[1]):
+        J[1, i] = 0.0
+    for k in range(2, n, 3):
         e = J[k + 2]
         height = p[k + 2]
-        outer(ex, ey, grid.nx, grid.ny, e)
-        moved_round(e, grid.x, p[k], height * w, J[k])
-        moved_round(e, grid.y, p[k + 1], height * w, J[k + 1])
+        moved_round(e, grid.x, p[k], height * p[1], J[k])
+        moved_round(e, grid.y, p[k + 1], height * p[1], J[k + 1])
         wider_round(e, grid.x, grid.y, p[k], p[k + 1], height, J[1])
-        add_scaled(e, m, height)
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def streak_axes(grid, p, c, s_, across, a, b):
     """Fill the distance across the streak p, and those along it from its two ends, in widths.
 
@@ -140,7 +143,7 @@ def streak_axes(grid, p, c, s_, across, a, b):
         b[i] = a[i] - 2.0 * h / s
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def streak_ends(fa, to_a, fb, to_b, a, b, scale):
     """Replace fa by fa - fb, to_a by the profile along, fb by fa + fb and to_b by a fa - b fb, all scaled."""
     for i in range(a.shape[0]):
@@ -152,14 +155,14 @@ def streak_ends(fa, to_a, fb, to_b, a, b, scale):
         to_b[i] = a[i] * first - b[i] * last
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def streak_moved(across, z, along, ends, height, s, c, s_, by_u):
     """Fill the derivative by a coordinate of the centre, of which c and s_ are the direction along and across."""
     for i in range(z.shape[0]):
         by_u[i] = height * across[i] / s * (z[i] * along[i] * s_ - ends[i] * c)
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
     """Fill the derivative by the angle."""
     for i in range(z.shape[0]):
@@ -167,55 +170,55 @@ def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
         by_angle[i] = height * across[i] * z[i] * (ends[i] + t * along[i])
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def streak_wider(across, z, along, moments, height, s, by_s):
     """Fill the derivative by the width."""
     for i in range(z.shape[0]):
         by_s[i] = height * across[i] / s * (z[i] * z[i] * along[i] + along[i] - moments[i])
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def streak_longer(across, along, both, height, s, h, by_h):
     """Fill the derivative by half the length."""
     for i in range(along.shape[0]):
         by_h[i] = height * across[i] * (both[i] / s - along[i] / h)
 
 
-@inner_kernel
+@lean_kernel
 def streak_light(p, grid, J, m):
-    """Fill m (pixels,) with the light of a streak, and J (7, pixels)."""
-    c = cos(p[5])
-    s_ = sin(p[5])
+    """Fill m (pixels,) with the light of a streak, and of J (7, pixels) the row of its height."""
     s = p[4]
-    h = p[6]
-    z = grid.work[0]
-    a = grid.work[1]
-    b = grid.work[2]
-    across = grid.work[3]
-    fa = grid.work[4]
-    along = grid.work[5]
-    fb = grid.work[6]
-    to_b = grid.work[7]
-    streak_axes(grid, p, c, s_, z, a, b)
+    w = grid.work
+    z, a, b, across, fa, along, fb, to_b = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]
+    streak_axes(grid, p, cos(p[5]), sin(p[5]), z, a, b)
     normal(z, across, fa)
     # the density times sqrt(2 pi): a profile of height 1
     scaled(across, ROOT_2PI, across)
     normal(a, fa, along)
     normal(b, fb, to_b)
     # along = sqrt(2 pi) s / (2 h) (Phi(a) - Phi(b)): for h -> 0 a round Gaussian of the same height
-    streak_ends(fa, along, fb, to_b, a, b, ROOT_2PI * s / (2.0 * h))
-    # u moves along by c and across by -s, v along by s and across by c
-    streak_moved(across, z, along, fa, p[3], s, c, -s_, J[1])
-    streak_moved(across, z, along, fa, p[3], s, s_, c, J[2])
+    streak_ends(fa, along, fb, to_b, a, b, ROOT_2PI * s / (2.0 * p[6]))
     for i in range(m.shape[0]):
         J[3, i] = across[i] * along[i]
-    streak_wider(across, z, along, to_b, p[3], s, J[4])
-    streak_turned(across, z, a, along, fa, p[3], s, h, J[5])
-    streak_longer(across, along, fb, p[3], s, h, J[6])
     scaled(J[3], p[3], m)
 
 
-@inner_sum_kernel
+@lean_kernel
+def streak_slopes(p, grid, J):
+    """Fill the rest of J (7, pixels)."""
+    c = cos(p[5])
+    s_ = sin(p[5])
+    w = grid.work
+    z, a, across, fa, along, fb, to_b = w[0], w[1], w[3], w[4], w[5], w[6], w[7]
+    # u moves along by c and across by -s, v along by s and across by c
+    streak_moved(across, z, along, fa, p[3], p[4], c, -s_, J[1])
+    streak_moved(across, z, along, fa, p[3], p[4], s_, c, J[2])
+    streak_wider(across, z, along, to_b, p[3], p[4], J[4])
+    streak_turned(across, z, a, along, fa, p[3], p[4], p[6], J[5])
+    streak_longer(across, along, fb, p[3], p[4], p[6], J[6])
+
+
+@lean_sum_kernel
 def edge_form(x, y, u, v, m0, m1, m2, Q, G):
     """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
     k = CORE_VARIANCE
@@ -231,7 +234,7 @@ def edge_form(x, y, u, v, m0, m1, m2, Q, G):
         G[i] = (n0 * dx * dx + 2.0 * n1 * dx * dy + n2 * dy * dy + k * (n0 + n2)) / q
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_distance(Q, G, core, s, d, h):
     """Fill the distance d to the edge, and h = sqrt(S + s^2 g^2)."""
     for i in range(Q.shape[0]):
@@ -240,7 +243,7 @@ def edge_distance(Q, G, core, s, d, h):
         d[i] = (1.0 - S) / (np.sqrt(G[i]) * (1.0 + h[i]))
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_cut(d, s, height, share, slope):
     """Fill slope = dm / dd by the density that it holds; beyond FAR it is zero, and the share one or zero."""
     for i in range(d.shape[0]):
@@ -249,14 +252,14 @@ def edge_cut(d, s, height, share, slope):
         slope[i] = 0.0 if far else slope[i] * (height / s)
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_blur(slope, d, h, G, s, by_s):
     """Fill the derivative by the blur s."""
     for i in range(d.shape[0]):
         by_s[i] = -slope[i] * d[i] * (1.0 / s + s * G[i] / (h[i] * (1.0 + h[i])))
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_factors(slope, Q, G, s, d, h):
     """Replace h and d by a and b: the light's change is -a dS - b (dP - G dQ), P = x'M^2x + CORE_VARIANCE tr M^2."""
     for i in range(d.shape[0]):
@@ -266,7 +269,7 @@ def edge_factors(slope, Q, G, s, d, h):
         h[i] = a
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_moved(grid, p, a, b, G, of_M, of_M2, by_u):
     """Fill the derivative by a coordinate of the centre, for that row of M and of M^2, two numbers each."""
     x, y, u, v = grid.x, grid.y, p[1], p[2]
@@ -279,7 +282,7 @@ def edge_moved(grid, p, a, b, G, of_M, of_M2, by_u):
         by_u[i] = 2.0 * (a[i] * by_S + b[i] * (nx * dx + ny * dy - G[i] * by_S))
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
     """Fill the derivative by the entry m of M's diagonal that goes with x; m1: M's other entry."""
     k = CORE_VARIANCE
@@ -290,7 +293,7 @@ def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
         by_m[i] = -a[i] * xx - b[i] * (2.0 * (m * (xx + k) + m1 * dx * dy) - G[i] * (xx + k))
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def edge_turned(grid, p, a, b, G, by_m):
     """Fill the derivative by m1."""
     x, y, u, v, m0, m1, m2 = grid.x, grid.y, p[1], p[2], p[5], p[6], p[7]
@@ -303,48 +306,43 @@ def edge_turned(grid, p, a, b, G, by_m):
         by_m[i] = -a[i] * xy - b[i] * (by_P - G[i] * xy)
 
 
-@inner_kernel
+@lean_kernel
 def ellipse_light(p, grid, J, m):
-    """Fill m (pixels,) with the light of an edge-blurred ellipse, and J (8, pixels).
+    """Fill m (pixels,) with the light of an edge-blurred ellipse, and of J (8, pixels) the row of its height.
 
     m = A Phi(d / s), d = (1 - S) / (g (1 + sqrt(S + s^2 g^2))), S = x'Mx, g^2 = x'M^2x / x'Mx: the distance to the
     edge, which tends to a parabola within a blur of the centre. For a disc of radius r: d = (r^2 - R^2) /
     (r + sqrt(R^2 + s^2)), within 0.15 % of the true convolution for r >= 1.5 px and s from 0.5 to 2 px.
     """
-    u = p[1]
-    v = p[2]
-    s = p[4]
-    m0 = p[5]
-    m1 = p[6]
-    m2 = p[7]
-    x = grid.x
-    y = grid.y
-    Q = grid.work[0]
-    G = grid.work[1]
-    d = grid.work[2]
-    h = grid.work[3]
-    slope = grid.work[4]
-    edge_form(x, y, u, v, m0, m1, m2, Q, G)
-    edge_distance(Q, G, CORE_VARIANCE * (m0 + m2), s, d, h)
-    scaled(d, 1.0 / s, grid.work[5])
-    normal(grid.work[5], slope, J[3])
-    edge_cut(d, s, p[3], J[3], slope)
-    edge_blur(slope, d, h, G, s, J[4])
-    edge_factors(slope, Q, G, s, d, h)
-    n1 = m1 * (m0 + m2)
-    edge_moved(grid, p, h, d, G, (m0, m1), (m0 * m0 + m1 * m1, n1), J[1])
-    edge_moved(grid, p, h, d, G, (m1, m2), (n1, m1 * m1 + m2 * m2), J[2])
-    edge_formed(x, y, u, v, h, d, G, m0, m1, J[5])
-    edge_turned(grid, p, h, d, G, J[6])
-    edge_formed(y, x, v, u, h, d, G, m2, m1, J[7])
+    w = grid.work
+    Q, G, d, h, slope, z = w[0], w[1], w[2], w[3], w[4], w[5]
+    edge_form(grid.x, grid.y, p[1], p[2], p[5], p[6], p[7], Q, G)
+    edge_distance(Q, G, CORE_VARIANCE * (p[5] + p[7]), p[4], d, h)
+    scaled(d, 1.0 / p[4], z)
+    normal(z, slope, J[3])
+    edge_cut(d, p[4], p[3], J[3], slope)
     scaled(J[3], p[3], m)
 
 
-@inner_kernel
-def light_and_slopes(kind, p, n, grid, J, m):
-    """Fill m (pixels,) with the light of the model (without background), and J (n, pixels) with its derivatives."""
-    for i in range(m.shape[0]):
-        J[0, i] = 1.0
+@lean_kernel
+def ellipse_slopes(p, grid, J):
+    """Fill the rest of J (8, pixels)."""
+    u, v, m0, m1, m2 = p[1], p[2], p[5], p[6], p[7]
+    w = grid.work
+    Q, G, d, h, slope = w[0], w[1], w[2], w[3], w[4]
+    edge_blur(slope, d, h, G, p[4], J[4])
+    edge_factors(slope, Q, G, p[4], d, h)
+    n1 = m1 * (m0 + m2)
+    edge_moved(grid, p, h, d, G, (m0, m1), (m0 * m0 + m1 * m1, n1), J[1])
+    edge_moved(grid, p, h, d, G, (m1, m2), (n1, m1 * m1 + m2 * m2), J[2])
+    edge_formed(grid.x, grid.y, u, v, h, d, G, m0, m1, J[5])
+    edge_turned(grid, p, h, d, G, J[6])
+    edge_formed(grid.y, grid.x, v, u, h, d, G, m2, m1, J[7])
+
+
+@lean_kernel
+def light(kind, p, n, grid, J, m):
+    """Fill m (pixels,) with the light of the model (without background); J and the grid's work are written to."""
     if kind == JOINT:
         joint_light(p, n, grid, J, m)
     elif kind == STREAK:
@@ -353,7 +351,20 @@ def light_and_slopes(kind, p, n, grid, J, m):
         ellipse_light(p, grid, J, m)
 
 
-@inner_kernel
+@lean_kernel
+def slopes(kind, p, n, grid, J):
+    """Fill J (n, pixels) with the derivatives of the model whose light was filled last."""
+    for i in range(J.shape[1]):
+        J[0, i] = 1.0
+    if kind == JOINT:
+        joint_slopes(p, n, grid, J)
+    elif kind == STREAK:
+        streak_slopes(p, grid, J)
+    else:
+        ellipse_slopes(p, grid, J)
+
+
+@lean_kernel
 def is_feasible(kind, p, n):
     """Tell whether parameters may be evaluated at all."""
     if kind == JOINT:
@@ -365,30 +376,3 @@ def is_feasible(kind, p, n):
         return 0.05 < p[6] < 60.0
     # positive definite, and with a trace of M below 16 no half axis below a quarter of a px
     return p[5] > 0.0 and p[5] * p[7] - p[6] * p[6] > 1e-9 and p[5] + p[7] < 16.0
-
-
-@inner_kernel
-def prior_weight(kind, i, height):
-    """Return the weight of parameter i's prior: weak, only there for what clipping hides (the height, the blur)."""
-    # weights are beside squares in grey levels, of pixels of this noise
-    variance = max(PIXEL_VARIANCE, (PRIOR_NOISE * height) ** 2)
-    if kind == JOINT:
-        return variance / (PRIOR_HEIGHT * height) ** 2 if i > 1 and (i - 2) % 3 == 2 else 0.0
-    if i == 3:
-        return variance / (PRIOR_HEIGHT * height) ** 2
-    return variance / (PRIOR_BLUR * PRIOR_BLUR) if i == 4 else 0.0
-
-
-@inner_kernel
-def add_prior(kind, p, start, n, H, g):
-    """Add the priors about start (n,) to H (n, n) and g (n,); return what they add to the sum of squares."""
-    total = 0.0
-    height = start[4] if kind == JOINT else start[3]
-    for i in range(n):
-        w = prior_weight(kind, i, height)
-        if w > 0.0:
-            d = p[i] - start[i]
-            H[i, i] += w
-            g[i] += w * d
-            total += w * d * d
-    return total

@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED, BEYOND, HOT, OTHER, SMALL, boxes_overlap, classify
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
@@ -47,7 +47,7 @@ BUSY_RUNS = 4096
 """Bright runs from which it is one; counted as rises above the threshold first, of which nearly each begins a run."""
 
 
-@inner_kernel
+@lean_kernel
 def survey_image(image, flip, mask, survey, thresholds):
     """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
     noise, processed = estimate_background(image, flip, mask, survey)
@@ -62,7 +62,7 @@ def survey_image(image, flip, mask, survey, thresholds):
     return margin, low, high
 
 
-@inner_kernel
+@lean_kernel
 def count_rising_edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
     """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
     level = np.uint8(thresholds[0, 0])
@@ -99,7 +99,7 @@ def label_components(picture, thresholds, mapped, blocks, n_blocks, likely, most
         runs_most *= 8
 
 
-@inner_kernel
+@lean_kernel
 def classify_areas(comps, state, options, w, h, window, margin):
     """Fill STATUS of all areas: what is refused before any fit."""
     for i in range(comps.shape[0]):
@@ -132,7 +132,7 @@ def ring_background(image, flip, comps, survey, w, h):
         comps[k, col.SLOPE] = max(step, 0.0) / (half + RING_GAP)
 
 
-@inner_kernel
+@lean_kernel
 def unbounded_window(w, h, window):
     """Fill window (x0, x1, y0, y1) so that nothing reaches beyond it."""
     window[0] = -1
@@ -200,7 +200,7 @@ def locate(image, mask, options):
     return comps, state, survey, FULL
 
 
-@inner_kernel
+@lean_kernel
 def nearest(comps, n, u, v, window, options, w, h, margin):
     """Return the component whose centre is nearest to (u, v), fit for measuring if there is one; -1 where none is."""
     best = -1
@@ -219,7 +219,7 @@ def nearest(comps, n, u, v, window, options, w, h, margin):
     return best
 
 
-@inner_kernel
+@lean_kernel
 def remove_duplicates(seen, owner, n, predicted):
     """Leave each component to the nearest of the predictions that chose it, once; return how many are left."""
     left = 0
@@ -240,7 +240,7 @@ def remove_duplicates(seen, owner, n, predicted):
     return left
 
 
-@inner_kernel
+@lean_kernel
 def distance(comp, uv):
     """Return the squared distance in px^2 of a component's centre from uv (2,)."""
     dx = comp[col.SUM_X] / comp[col.WEIGHT] - uv[0]
@@ -248,7 +248,7 @@ def distance(comp, uv):
     return dx * dx + dy * dy
 
 
-@inner_kernel
+@lean_kernel
 def crowded_window(table, count, box):
     """Tell whether what is bright in a window (x0, x1, y0, y1) is more than a light and some specks."""
     if count < 0 or count > MOST_SEEN:
@@ -264,7 +264,7 @@ def crowded_window(table, count, box):
     return count == 0
 
 
-@inner_kernel
+@lean_kernel
 def set_window(u, v, half, w, h, box):
     """Fill box (x0, x1, y0, y1; ends excluded) with the window about (u, v), cut at the image."""
     box[0] = max(int(u + 0.5) - half, 0)
@@ -273,7 +273,7 @@ def set_window(u, v, half, w, h, box):
     box[3] = min(int(v + 0.5) + half + 1, h)
 
 
-@inner_kernel
+@lean_kernel
 def write_cut(comp, row):
     """Fill row (3,) with the centre of an area that reaches beyond its window, and why it is refused."""
     row[0] = comp[col.SUM_X] / comp[col.WEIGHT]

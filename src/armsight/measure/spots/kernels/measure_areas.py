@@ -6,7 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
@@ -26,10 +26,11 @@ from armsight.measure.spots.kernels.area import (
     round_start,
 )
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch, ring_prior, slope_prior
+from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch
 from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
 from armsight.measure.spots.kernels.picture import Picture, copy_to
+from armsight.measure.spots.kernels.priors import ring_prior, slope_prior
 from armsight.measure.spots.kernels.processed import is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.round_gaussian import (
     COV,
@@ -65,7 +66,7 @@ CROWD_SWEEPS = 2
 """Times that crowded spots are refitted with their neighbours' light subtracted."""
 
 
-@inner_kernel
+@lean_kernel
 def write_round(result, source, row):
     """Write the result of a round fit into a spot's row."""
     row[col.S_U] = result[U]
@@ -85,7 +86,7 @@ def write_round(result, source, row):
     row[col.S_FLOOR] = 0.0
 
 
-@inner_kernel
+@lean_kernel
 def store_fit(result, p):
     """Write the result of a round fit into p as a joint model of one light."""
     p[0] = result[B]
@@ -95,7 +96,7 @@ def store_fit(result, p):
     p[4] = result[A]
 
 
-@inner_kernel
+@lean_kernel
 def background_of(comp, survey, w, h):
     """Return the background level beside a component: its ring's where it has one, else that of its tile."""
     # its own ring is nearer than what the survey sampled of the tile
@@ -107,7 +108,7 @@ def background_of(comp, survey, w, h):
     return min(survey[col.GRID + i, j], comp[col.LEVEL])
 
 
-@inner_kernel
+@lean_kernel
 def is_hot_near(comp, hot):
     """Tell whether a hot pixel may lie in the component's window."""
     # the fit moves and widens its window while it runs
@@ -253,7 +254,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
                 refine(picture, comps, state, i, hot, noise, fits, rows)
 
 
-@inner_kernel
+@lean_kernel
 def write_centroid(comp, outline, row, source):
     """Write into a spot's row the centroid of a blob that no model fits: its pixels above half height, weighted.
 
@@ -307,7 +308,7 @@ def refine(picture, comps, state, i, hot, noise, fits, rows):
             copy_to(trial[k], rows[i, k])
 
 
-@inner_kernel
+@lean_kernel
 def shot_gain(spots, n):
     """Return the gain (grey levels of variance per grey level of light) that the residuals of all spots prove.
 
@@ -335,7 +336,7 @@ def shot_gain(spots, n):
     return max((top - GAIN_DOUBT * sqrt(spread)) / bottom, 0.0)
 
 
-@inner_kernel
+@lean_kernel
 def noise_of(row, g):
     """Return the constant part of a spot's noise variance, given the shot noise's gain g.
 

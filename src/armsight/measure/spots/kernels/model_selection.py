@@ -7,7 +7,7 @@ from math import erf, exp, log, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     AS_ELLIPSE,
@@ -28,7 +28,7 @@ from armsight.measure.spots.kernels.leastsquares import (
     variance_inflation,
     weighted_information,
 )
-from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
+from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK
 from armsight.measure.spots.kernels.patch import (
     antisymmetric_part,
     find_peaks,
@@ -38,6 +38,7 @@ from armsight.measure.spots.kernels.patch import (
     used,
 )
 from armsight.measure.spots.kernels.picture import copy_to
+from armsight.measure.spots.kernels.priors import prior_weight
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
@@ -59,7 +60,7 @@ DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
 
 
-@inner_kernel
+@lean_kernel
 def start_model(kind, lights, comp, shape, background, peaks, p):
     """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
     large, small, angle = principal(shape[2], shape[3], shape[4])
@@ -105,7 +106,7 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
     return 8
 
 
-@inner_kernel
+@lean_kernel
 def drop_worst(residuals, use, rss, noise):
     """Set use to 0 at the pixel that holds a dominant share of all squares; tell whether there was one."""
     worst = 0.0
@@ -124,7 +125,7 @@ def drop_worst(residuals, use, rss, noise):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def add_light(residuals, x0, y0, p, n):
     """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
     best = -1.0
@@ -142,13 +143,13 @@ def add_light(residuals, x0, y0, p, n):
     return n + 3
 
 
-@inner_kernel
+@lean_kernel
 def bic(rss, count, n):
     """Return the Bayesian information criterion (Schwarz 1978) for n parameters."""
     return count * log(max(rss / count, PIXEL_VARIANCE)) + n * log(float(count))
 
 
-@inner_kernel
+@lean_kernel
 def order_of_trial(comp, shape, n_peaks, only, order):
     """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
     if only == ONLY_GAUSSIAN:
@@ -171,7 +172,7 @@ def order_of_trial(comp, shape, n_peaks, only, order):
     return 3
 
 
-@inner_kernel
+@lean_kernel
 def start_and_fit(kind, lights, comp, shape, background, peaks, patch, count, p, residuals):
     """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
     n = start_model(kind, lights, comp, shape, background, peaks, p)
@@ -179,7 +180,7 @@ def start_and_fit(kind, lights, comp, shape, background, peaks, patch, count, p,
     return n, rss, run
 
 
-@inner_kernel
+@lean_kernel
 def refit(kind, n, patch, count, p, residuals):
     """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
     rss = fit_model(kind, p, n, patch, count, residuals)
@@ -321,7 +322,7 @@ def residual_noise(residuals, patch, u, v, n, count, rss, lights):
     return wider, rss, noise
 
 
-@inner_kernel
+@lean_kernel
 def centre_first(first, n, order):
     """Fill order (n,) with the parameters' numbers, those of a light's centre first, as uncertainty wants them."""
     at = 2
@@ -333,7 +334,7 @@ def centre_first(first, n, order):
             at += 1
 
 
-@inner_kernel
+@lean_kernel
 def write_look(kind, p, first, lights, row):
     """Write height, size and model of a light, whose centre is p[first:], into its row."""
     if kind == JOINT:

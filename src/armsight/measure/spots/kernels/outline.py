@@ -11,7 +11,7 @@ from math import pi
 
 import numpy as np
 
-from armsight._numba import inner_kernel
+from armsight._numba import lean_kernel
 
 AREA, XX, XY, YY, EDGE_X, EDGE_Y = range(6)
 MOMENTS, OUTLINE = 4, 6
@@ -32,7 +32,7 @@ LEAST_HEIGHT = 3.0
 LEAST_MOMENT = 0.05
 
 
-@inner_kernel
+@lean_kernel
 def level_at(image, flip, y, x):
     """Return the sum of a pixel's channels."""
     total = 0.0
@@ -41,7 +41,7 @@ def level_at(image, flip, y, x):
     return total
 
 
-@inner_kernel
+@lean_kernel
 def look_around(image, flip, u, v, radius, ring, out):
     """Return the median level on a circle about (u, v), negative where too little of it is within the image.
 
@@ -70,7 +70,7 @@ def look_around(image, flip, u, v, radius, ring, out):
     return ring[n // 2] if n >= FEWEST else -1.0
 
 
-@inner_kernel
+@lean_kernel
 def share_of(weight):
     """Return a weight between 0 and 1."""
     if weight < 0.0:
@@ -78,7 +78,7 @@ def share_of(weight):
     return 1.0 if weight > 1.0 else weight
 
 
-@inner_kernel
+@lean_kernel
 def add_row(image, flip, y, u, v, first, last, low, scale, sums):
     """Add the pixels first..last of a row, by quarters, to sums (6,): weight, and times x, y, xx, xy, yy about (u, v).
 
@@ -129,7 +129,7 @@ def add_row(image, flip, y, u, v, first, last, low, scale, sums):
     sums[5] += 0.25 * (all_ * dy * dy + 0.5 * sum_y * dy + 0.0625 * all_)
 
 
-@inner_kernel
+@lean_kernel
 def add_light(image, flip, u, v, low, scale, far, sums):
     """Add the pixels above low that hang together with the one at (u, v), and 1 px all round, to sums (6,)."""
     h = image.shape[0] - 1
@@ -163,7 +163,7 @@ def add_light(image, flip, u, v, low, scale, far, sums):
             y += 1 - 2 * way
 
 
-@inner_kernel
+@lean_kernel
 def outline(image, flip, u, v, size, work, out):
     """Fill out (OUTLINE,) for the light at (u, v) in image (h, w, c): its rows of pixels that hang together.
 

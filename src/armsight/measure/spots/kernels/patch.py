@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, boxes_overlap, fit_margin
 from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, ROOT_2
@@ -41,7 +41,7 @@ def new_patch(comp, h, w):
     return Patch(box, np.empty(shape), np.empty(shape, np.uint8))
 
 
-@inner_kernel
+@lean_kernel
 def patch_box(comp, h, w, box):
     """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its tails and some background."""
     half = 0.5 * max(comp[col.X_MAX] - comp[col.X_MIN], comp[col.Y_MAX] - comp[col.Y_MIN])
@@ -52,7 +52,7 @@ def patch_box(comp, h, w, box):
     box[3] = min(int(comp[col.Y_MAX]) + margin + 1, h)
 
 
-@inner_kernel
+@lean_kernel
 def fill_patch(picture, patch):
     """Fill values and use from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
     image, flip, saturation, mask = picture
@@ -65,7 +65,7 @@ def fill_patch(picture, patch):
             use[j, i] = 0 if not free else 1 if grey < saturation else CLIPPED_PIXEL
 
 
-@inner_kernel
+@lean_kernel
 def exclude_other_area(own, other, patch):
     """Set use to 0 where a pixel belongs to another component rather than to this one."""
     box, use = patch.box, patch.use
@@ -88,7 +88,7 @@ def exclude_other_area(own, other, patch):
                 use[j, i] = 0
 
 
-@inner_kernel
+@lean_kernel
 def used(use):
     """Return how many pixels of the patch are used for what they are."""
     n = 0
@@ -145,7 +145,7 @@ def shape_of(patch, comp, level, background, shape):
     shape[8] = a[0]
 
 
-@inner_kernel
+@lean_kernel
 def smoothed(values, use, j, i):
     """Return the mean of the 3 x 3 pixels around (j, i), or -1 where one of them is not used."""
     if j < 1 or i < 1 or j > values.shape[0] - 2 or i > values.shape[1] - 2:
@@ -159,7 +159,7 @@ def smoothed(values, use, j, i):
     return total / 9.0
 
 
-@inner_kernel
+@lean_kernel
 def valley(patch, a, b):
     """Return the lowest smoothed value on the straight line between two peaks (x, y, height)."""
     x0, y0 = patch.box[0], patch.box[2]
@@ -220,7 +220,7 @@ def find_peaks(patch, level, noise, peaks):
     return count
 
 
-@inner_kernel
+@lean_kernel
 def principal(xx, xy, yy):
     """Return the larger and the smaller second moment, and the angle of the larger."""
     # eigenvalues and direction of [[xx, xy], [xy, yy]]
@@ -229,7 +229,7 @@ def principal(xx, xy, yy):
     return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
 
 
-@inner_kernel
+@lean_kernel
 def make_patch(picture, comps, state, i, hot, subtract, patch):
     """Fill the patch of component i: pixels of hot pixels and of neighbours left out (all, or those not subtracted)."""
     fill_patch(picture, patch)
@@ -248,7 +248,7 @@ def make_patch(picture, comps, state, i, hot, subtract, patch):
             exclude_other_area(comps[i], comps[j], patch)
 
 
-@inner_kernel
+@lean_kernel
 def residual_autocorrelation(residuals):
     """Return the sum of products of neighbouring residuals, and that over its own standard deviation
     (round_gaussian.residual_sums)."""
@@ -265,7 +265,7 @@ def residual_autocorrelation(residuals):
     return products, products / sqrt(spread) if spread > 0.0 else 0.0
 
 
-@inner_kernel
+@lean_kernel
 def antisymmetric_part(residuals, use, u, v, antisymmetric):
     """Fill antisymmetric with the part of the residuals that changes sign under reflection at (u, v), times root 2.
 

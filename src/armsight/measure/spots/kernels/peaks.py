@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import kernel, lean_kernel
 
 STRETCH = 64
 """Pixels that are passed over together where none of them is a peak."""
 
 
-@inner_kernel
+@lean_kernel
 def count_peaks(step, highest, least, at, n):
     """Return how many of n pixels from `at` (unsigned, for vector code) are peaks: see add_peaks."""
     count = np.uint8(0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from armsight._numba import inner_kernel
+from armsight._numba import lean_kernel
 
 
 class Picture(NamedTuple):
@@ -24,14 +24,14 @@ class Picture(NamedTuple):
     mask: Any
 
 
-@inner_kernel
+@lean_kernel
 def copy_to(a, b):
     """Copy a (n,) to the first n entries of b."""
     for i in range(a.shape[0]):
         b[i] = a[i]
 
 
-@inner_kernel
+@lean_kernel
 def insertion_sort(a, n):
     """Sort the first n entries of a in place (short lists only)."""
     for i in range(1, n):

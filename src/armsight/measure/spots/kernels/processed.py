@@ -16,15 +16,16 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
 from armsight.measure.spots.kernels.leastsquares import evaluate_patch, gram, unused
-from armsight.measure.spots.kernels.light_models import JOINT, add_scaled, prior_weight
+from armsight.measure.spots.kernels.light_models import JOINT, add_scaled
 from armsight.measure.spots.kernels.patch import antisymmetric_part, used
 from armsight.measure.spots.kernels.picture import insertion_sort
+from armsight.measure.spots.kernels.priors import prior_weight
 
 OFF_CENTROID_PX = 0.3
 OFF_CENTROID_SHARE = 0.35
@@ -64,7 +65,7 @@ def centre_influence(kind, n, p, J, use, influence):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def sandwich(antisymmetric, influence, out):
     """Write into out (3,) the sums over the pixels of influence influence' antisymmetric^2: uu, uv, vv."""
     for k in range(3):
@@ -78,7 +79,7 @@ def sandwich(antisymmetric, influence, out):
             out[2] += b * b
 
 
-@inner_kernel
+@lean_kernel
 def centroid_distance2(comp, row):
     """Return the squared distance (px^2) of a spot's centre from the centroid of its area."""
     dx = row[col.S_U] - comp[col.SUM_X] / comp[col.WEIGHT]
@@ -86,7 +87,7 @@ def centroid_distance2(comp, row):
     return dx * dx + dy * dy
 
 
-@inner_kernel
+@lean_kernel
 def is_off_centroid(comp, row):
     """Tell whether a fit has followed something else than its area."""
     return not centroid_distance2(comp, row) < (OFF_CENTROID_PX + OFF_CENTROID_SHARE * sqrt(comp[col.AREA] / pi)) ** 2
@@ -148,7 +149,7 @@ HALF_SHARE = 0.6
 """Radius at half height over that above the threshold, of round lights of ordinary height."""
 
 
-@inner_kernel
+@lean_kernel
 def background_variance(residuals, use, u, v, radius, noise):
     """Return the variance of boxes of 3 x 3 round a light at (u, v) of the patch, noise taken off."""
     total = 0.0

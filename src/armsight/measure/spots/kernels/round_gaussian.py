@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import inner_kernel, inner_sum_kernel
+from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
 from armsight.measure.spots.kernels.leastsquares import remaining_square, uncertainty, variance_inflation
@@ -87,7 +87,7 @@ def new_work():
     )
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def project(image, flip, x0, y0, nx, ny, fx, fy, d):
     """Fill d (6,) with the sums over the window of v X'Y, v X Y', v X Y, v (X" Y + X Y"), v and v^2."""
     d0 = 0.0
@@ -121,7 +121,7 @@ def project(image, flip, x0, y0, nx, ny, fx, fy, d):
     d[5] = square
 
 
-@inner_kernel
+@lean_kernel
 def pixel_jacobian(fx, fy, i, j, a, J):
     """Fill J (5,) at the window's pixel (i, j) and return the light's part of the model there."""
     x = fx[0, i]
@@ -134,7 +134,7 @@ def pixel_jacobian(fx, fy, i, j, a, J):
     return a * x * y
 
 
-@inner_kernel
+@lean_kernel
 def exclude_pixels(image, flip, n, full, w):
     """Subtract the n dropped pixels from H and g; with full also from G and tilt, with their light into w.light.
 
@@ -172,7 +172,7 @@ def exclude_pixels(image, flip, n, full, w):
     return squares
 
 
-@inner_kernel
+@lean_kernel
 def collect_dropped(picture, hot, box, dropped):
     """Fill dropped with the pixels of box (x0, x1, y0, y1) that are clipped, masked out or hot; return how many."""
     image, flip, saturation, mask = picture
@@ -197,7 +197,7 @@ def collect_dropped(picture, hot, box, dropped):
     return n
 
 
-@inner_kernel
+@lean_kernel
 def set_box(u, v, q, h, w, box):
     """Fill box (x0, x1, y0, y1) with the fit's window, cut at the image; False where it is too large."""
     r = int(REACH * sqrt(q) + 1.5)
@@ -212,7 +212,7 @@ def set_box(u, v, q, h, w, box):
     return True
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def residual_sums(image, flip, n_dropped, w, out):
     """Write into out what the residuals r say: FOURTH (sum of r^2 m), RUN, and TILT (of r dx, r dy).
 
@@ -265,7 +265,7 @@ def residual_sums(image, flip, n_dropped, w, out):
     out[TILT_Y] = tilt_y
 
 
-@inner_kernel
+@lean_kernel
 def step_length(step, p):
     """Return the factor 0..1 that keeps a step's width change within a factor 1.6 and its shift within a sigma."""
     s = 1.0 / sqrt(p[3])
@@ -278,7 +278,7 @@ def step_length(step, p):
     return length
 
 
-@inner_kernel
+@lean_kernel
 def normal_equations(image, flip, n_dropped, w):
     """Fill w.H and the gradient w.g at w.p over the window w.box; return the sum of squared residuals."""
     p = w.p
@@ -308,7 +308,7 @@ def normal_equations(image, flip, n_dropped, w):
     return rss
 
 
-@inner_kernel
+@lean_kernel
 def fit_round(picture, hot, clipped, start, prior, w, out):
     """Fit one round Gaussian from start (u, v, A, q, b) into out (RESULT,); False where it does not converge.
 
@@ -348,7 +348,7 @@ def fit_round(picture, hot, clipped, start, prior, w, out):
     return False
 
 
-@inner_kernel
+@lean_kernel
 def finish(image, flip, n_dropped, dof, rss, prior, w, out):
     """Write the result into out: w.p plus the last, small w.step, the sums being those at w.p.
 

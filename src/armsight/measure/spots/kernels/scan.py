@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, inner_sum_kernel
+from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.picture import insertion_sort
 
@@ -33,7 +33,7 @@ GROUPS = 4
 """Parts of a line; the second-darkest part gives the tile's level, so that a spot on the line does not count."""
 
 
-@inner_sum_kernel
+@lean_sum_kernel
 def sample_line(image, flip, y, x, n, parts):
     """Return level and noise variance of n pixels from (x, y), and the sums of products of their steps.
 
@@ -61,7 +61,7 @@ def sample_line(image, flip, y, x, n, parts):
     return parts[1], 0.5 * steps / max(m * GROUPS - 2, 1), steps, products
 
 
-@inner_kernel
+@lean_kernel
 def count_masked(mask, y, x, n):
     """Return how many of the line's pixels are masked out."""
     count = 0
@@ -127,7 +127,7 @@ def histogram_median(image, flip, mask):
     return 0.0
 
 
-@inner_kernel
+@lean_kernel
 def level_at(levels, i, j):
     """Return the level of a tile, of one row or column beyond the image by linear continuation; -1 where unknown."""
     if i < 0 or i >= col.GRID:
@@ -138,7 +138,7 @@ def level_at(levels, i, j):
     return level_at_column(levels, i, j)
 
 
-@inner_kernel
+@lean_kernel
 def level_at_column(levels, i, j):
     """As level_at, for a row within the image."""
     if j < 0 or j >= col.GRID:
@@ -194,7 +194,7 @@ def threshold_map(levels, margin, thresholds):
     return lowest, highest
 
 
-@inner_kernel
+@lean_kernel
 def brightest(flat, flip, start, n):
     """Return the highest grey of n pixels from start (unsigned: the test for negative indices forbids vector code)."""
     at = np.uint64(start)
@@ -205,7 +205,7 @@ def brightest(flat, flip, start, n):
     return top
 
 
-@inner_kernel
+@lean_kernel
 def bright_blocks(flat, flip, threshold, hits):
     """Fill hits with the numbers of the 64-pixel blocks of flat that hold a pixel above threshold; return how many."""
     t = np.uint8(threshold)
@@ -225,7 +225,7 @@ def bright_blocks(flat, flip, threshold, hits):
     return n
 
 
-@inner_kernel
+@lean_kernel
 def block_threshold(thresholds, i, h, w):
     """Return the higher one of the thresholds at the first and the last pixel of the block from flat index i."""
     j = min(i + BLOCK - 1, h * w - 1)
@@ -234,7 +234,7 @@ def block_threshold(thresholds, i, h, w):
     return max(a, thresholds[(j // w) * col.GRID // h, (j % w) * col.GRID // w])
 
 
-@inner_kernel
+@lean_kernel
 def lowest_threshold(thresholds, i, j):
     """Return the lowest threshold of the rows of tiles i to j."""
     least = 255.0
@@ -244,7 +244,7 @@ def lowest_threshold(thresholds, i, j):
     return np.uint8(least)
 
 
-@inner_kernel
+@lean_kernel
 def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
     """As bright_blocks, the threshold being block_threshold's.
 
@@ -273,7 +273,7 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
     return n
 
 
-@inner_kernel
+@lean_kernel
 def find_root(parent, i):
     """Return the root of run i, shortening the path."""
     while parent[i] != i:
@@ -283,7 +283,7 @@ def find_root(parent, i):
     return i
 
 
-@inner_kernel
+@lean_kernel
 def add_run(picture, y, start, stop, level, k, table):
     """Write the sums of the run of row y, columns start..stop-1, into row k of table; weights are above level."""
     image, flip, saturation, _ = picture
@@ -311,7 +311,7 @@ def add_run(picture, y, start, stop, level, k, table):
     table[k, col.SLOPE] = -1.0
 
 
-@inner_kernel
+@lean_kernel
 def join_touching_runs(runs, parent, first, last, k):
     """Join run k with the runs first..last-1 of the row above that touch it (diagonals count)."""
     q = first
@@ -330,7 +330,7 @@ def join_touching_runs(runs, parent, first, last, k):
     return first
 
 
-@inner_kernel
+@lean_kernel
 def merge_runs(parent, n, table):
     """Add the runs' sums into their roots and move the roots to the front of table; return how many components."""
     count = 0
@@ -354,7 +354,7 @@ def merge_runs(parent, n, table):
     return count
 
 
-@inner_kernel
+@lean_kernel
 def connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, parent, table):
     """Fill table (.., COLUMNS) with the connected bright areas of the given blocks; -1 where the runs do not fit.
 
@@ -407,7 +407,7 @@ def connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, pa
     return merge_runs(parent, n, table)
 
 
-@inner_kernel
+@lean_kernel
 def connected_components_in_window(picture, level, box, runs, parent, table):
     """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import kernel, lean_kernel
 
 COLUMNS = 7  # of a shape: pixels, sum of u, sum of v, sum of u^2 + v^2, brightest, cut by the border, too large
 
 
-@inner_kernel
+@lean_kernel
 def is_light(image, mask, threshold, inverted, r, c):
     """Whether a pixel belongs to a shape: brighter than the threshold, inverted where asked, inside the mask."""
     grey = 255 - image[r, c] if inverted else image[r, c]
     return grey > threshold and (mask.size == 0 or mask[r, c] != 0)
 
 
-@inner_kernel
+@lean_kernel
 def is_seed(image, mask, threshold, inverted, r, c, arm):
     """Whether all pixels of the cross about (r, c) are light, arm to either side; the cross lies inside the image."""
     for k in range(-arm, arm + 1):
@@ -27,7 +27,7 @@ def is_seed(image, mask, threshold, inverted, r, c, arm):
     return True
 
 
-@inner_kernel
+@lean_kernel
 def propagate(image, mask, threshold, inverted, r, c, taken, stack, most, out):
     """Fill out (COLUMNS,) with the sums of the shape that (r, c) belongs to; mark its pixels as taken."""
     h, w = image.shape
