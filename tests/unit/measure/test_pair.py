@@ -315,11 +315,11 @@ def test_a_board_that_is_not_there_is_lost_with_the_detectors_reason(
     pace: Pace, searched: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def nothing(image: object, board: object, *, source: str, detector: str) -> BoardView:
-        raise BadImage(f"{source}: no board found by {detector}")
+        raise BadImage(f"{source}: looked {detector}")
 
     monkeypatch.setattr(boardpair, "find_board", nothing)
     measured = measure_pair(replace(BOARD_SETUP, pace=pace), *frames(np.array([[9.0, 9.0, 10.0]]), 0))
-    assert measured.pose.status is PoseStatus.LOST and f"no board found by {searched}" in measured.pose.why
+    assert measured.pose.status is PoseStatus.LOST and searched in measured.pose.why.replace(".", " ").split()
 
 
 def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() -> None:
