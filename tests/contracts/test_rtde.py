@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import socket
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -112,6 +114,25 @@ SLOW = {"max_speed_rad_s": 0.1, **PATIENT}
 """A cycle's way is 0.2 mrad: cycles that pass while a test goes on stay within the contract's tolerance."""
 
 
+def again_where_ur_rtde_ended(test: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Run a test anew, twice at the most, where the library's process was gone: on a busy machine it ends now and then.
+
+    The driver tells that as a lost link, which a test of its own shows; here it would say nothing of the driver.
+    """
+
+    @functools.wraps(test)
+    def run(self: Any) -> None:
+        for _ in range(2):
+            try:
+                return test(self)
+            except DeviceLost as error:
+                if "ended" not in error.cause:
+                    raise
+        return test(self)
+
+    return run
+
+
 class TestRtde(RobotContract):
     @pytest.fixture(autouse=True)
     def with_twin(self, twin: Twin) -> None:
@@ -134,6 +155,11 @@ class TestRtde(RobotContract):
             until(lambda: robot._stamp_s >= end_s or robot.state is RobotState.LOST)
 
         return RobotCase(robot=robot, advance=advance, lose_link=cut, tolerance=1e-3)
+
+
+for name, contract in vars(RobotContract).items():
+    if name.startswith("test_"):
+        setattr(TestRtde, name, again_where_ur_rtde_ended(contract))
 
 
 def test_it_moves_as_it_says_and_holds_when_the_caller_is_late(twin: Twin) -> None:

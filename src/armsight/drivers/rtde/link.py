@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import math
 import os
+import signal
 import socket
 import struct
 import subprocess
@@ -120,7 +121,7 @@ class Worker:
             while _goes_on(data) and STATE.unpack(self._link.recv(STATE.size, socket.MSG_PEEK))[0] >= 0.0:
                 data = self._link.recv(STATE.size)
         if len(data) < STATE.size:
-            raise DeviceLost("ur-rtde has ended")
+            raise DeviceLost(f"ur-rtde has ended{self._how()}")
         stamp_s, *q, runtime, safety = STATE.unpack(data)
         n = len(q) // 2
         if math.isnan(stamp_s):
@@ -128,6 +129,12 @@ class Worker:
             text = self._link.recv(LONGEST_TEXT).decode("utf-8", "replace")
             raise DeviceLost(f"ur-rtde says: {text}")
         return ControllerState(stamp_s=stamp_s, q=tuple(q[:n]), q_planned=tuple(q[n:]), runtime=runtime, safety=safety)
+
+    def _how(self) -> str:
+        """Return by what signal ur-rtde's process was ended, in brackets; empty where by none."""
+        with contextlib.suppress(subprocess.TimeoutExpired, ValueError):
+            return f" ({signal.Signals(-self._process.wait(END_S)).name})"
+        return ""
 
     def send(self, q: Sequence[float]) -> None:
         """Send a goal (6,) in rad."""
