@@ -13,6 +13,7 @@ import gc
 import os
 import runpy
 import select
+import shutil
 import signal
 import socket
 import subprocess
@@ -48,6 +49,7 @@ def begin() -> None:
     """Choose the server's folder for this run of tests, before workers begin: they inherit it."""
     if FOLDER not in os.environ:
         os.environ[TESTS], os.environ[FOLDER] = str(os.getpid()), tempfile.mkdtemp(prefix="warm")
+        atexit.register(shutil.rmtree, os.environ[FOLDER], ignore_errors=True)
 
 
 def commands() -> Path:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,13 +24,7 @@ PLANTED = {
 
 @pytest.fixture(scope="module")
 def structure() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("structure", ROOT / "tools" / "structure.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return module_of(ROOT / "tools" / "structure.py")
 
 
 def over(structure: ModuleType, root: Path, exceptions: dict[str, dict[str, str]]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -15,14 +14,12 @@ import pytest
 
 from armsight.server.auth import Authenticator
 from armsight.store.tokens import add_token, read_tokens
+from loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WAIT_S = 20.0
 
-_spec = importlib.util.spec_from_file_location("server_fixtures", ROOT / "tests/unit/server/conftest.py")
-assert _spec is not None and _spec.loader is not None
-_server = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_server)
+_server = module_of(ROOT / "tests/unit/server/conftest.py")
 certificate, host, log, service = _server.certificate, _server.host, _server.log, _server.service
 
 

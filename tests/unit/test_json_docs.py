@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +11,7 @@ import pytest
 
 from armsight.records.output import keys
 from armsight.store.codec import outputs_in
+from loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,11 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def tool() -> ModuleType:
     """tools/json_schemas.py"""
-    spec = importlib.util.spec_from_file_location("json_schemas", ROOT / "tools" / "json_schemas.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return module_of(ROOT / "tools" / "json_schemas.py")
 
 
 def test_page_and_schemas_are_up_to_date(tool: Any) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 POSES = "src/armsight/geometry/poses.py"
@@ -17,15 +16,8 @@ TEST = "import planted\n\n\ndef test_one():\n    assert planted.one() == 1\n"
 
 
 @pytest.fixture(scope="module")
-def tool() -> Iterator[ModuleType]:
-    spec = importlib.util.spec_from_file_location("mutants", ROOT / "tools" / "mutants.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+def tool() -> ModuleType:
+    return module_of(ROOT / "tools" / "mutants.py")
 
 
 def test_every_fault_can_be_planted(tool: ModuleType) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -22,17 +21,13 @@ from armsight.records import JointReading
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import CellFile
 from armsight.store.sweeps import read_sweeps
+from loading import module_of
 from refusals import names_it, refuses
 
 
 def of_live_tests() -> Any:
     """The simulated cell of the tests of live identification, which stand beside this file."""
-    file = Path(__file__).with_name("test_identify_live.py")
-    spec = importlib.util.spec_from_file_location("cell_of_live_tests", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return module_of(Path(__file__).with_name("test_identify_live.py"))
 
 
 def true_place(q1: float, q2: float, q3: float) -> np.ndarray:
