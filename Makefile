@@ -6,7 +6,9 @@ RUNS := .venv/.runs
 # where it is set, each process compiles all Python that it imports anew: a command takes twice as long to start
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check guides docs install lock clean
+VERSIONS := 3.11 3.12 3.13
+
+.PHONY: demo test check guides docs install lock packages test-all $(VERSIONS:%=test-%) clean
 
 demo: $(RUNS)
 	$(BIN)/armsight demo -o demo
@@ -14,6 +16,15 @@ demo: $(RUNS)
 test: install
 	$(BIN)/pytest -n 2 --dist worksteal -m "not alone"
 	$(BIN)/pytest -m alone
+
+# the same tests under every Python that armsight is for: each of them has to be on the machine
+test-all: $(VERSIONS:%=test-%)
+
+$(VERSIONS:%=test-%): test-%: install
+	$$($(BIN)/python -m uv python find $*) tools/make_environment.py .venv-$* requirements.lock
+	.venv-$*/bin/python -m armsight.app.compilation
+	.venv-$*/bin/pytest -n 2 --dist worksteal -m "not alone"
+	.venv-$*/bin/pytest -m alone
 
 check: install
 	$(BIN)/ruff format --check src sim tests benchmarks tools examples
@@ -38,6 +49,13 @@ $(RUNS): pyproject.toml sim/pyproject.toml requirements-run.lock tools/make_envi
 	$(BIN)/python -m armsight.app.compilation demo
 	@touch $@
 
+# wheels and sources of both distributions, in dist/
+packages: install
+	rm -rf dist
+	$(BIN)/python -m uv build --quiet --no-build-isolation --out-dir dist .
+	$(BIN)/python -m uv build --quiet --no-build-isolation --out-dir dist sim
+	$(BIN)/python tools/licences.py --out dist/licences.md
+
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "Open site/index.html"
@@ -48,6 +66,7 @@ LOCKED = $(BIN)/python -m uv pip compile --quiet --universal --python-version 3.
 lock:
 	$(LOCKED) --extra dev -o requirements.lock
 	$(LOCKED) --constraint requirements.lock -o requirements-run.lock
+	$(LOCKED) --extra batch --constraint requirements.lock -o requirements-worker.lock
 
 clean:
-	rm -rf .venv demo dist sim/dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-3.* demo dist sim/dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
