@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import ceil, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -311,21 +311,59 @@ def is_peak(image, flip, x, y, grey):
     return True
 
 
+@lean_kernel
+def darkest_of_every_other(image, flip, box):
+    """Return the lowest grey level of every other row and column of box: enough where no light lifts it everywhere."""
+    left = np.uint64(box[0])
+    least = np.uint8(255)
+    for y in range(box[2], box[3], 2):
+        row = np.uint64(y)
+        for i in range((box[1] - box[0] + 1) // 2):
+            least = min(least, np.uint8(image[row, left + np.uint64(2 * i)] ^ flip))
+    return int(least)
+
+
+@lean_kernel
+def mark_tops(image, flip, y, first, least, marks):
+    """Fill marks (n,) with 1 where a pixel of row y, from column first on, may be a peak of `least` or more (is_peak).
+
+    Its neighbours along the row and the column are looked at, in vector code; at the image's edge nothing is told.
+    """
+    h, w = image.shape
+    n = marks.shape[0]
+    row, above, below = np.uint64(y), np.uint64(max(y - 1, 0)), np.uint64(min(y + 1, h - 1))
+    inner = np.int64(first == 0)
+    last = n - np.int64(first + n == w)
+    marks[0] = marks[n - 1] = 1
+    at = np.uint64(first)
+    for i in range(inner, last):
+        x = at + np.uint64(i)
+        grey = np.uint8(image[row, x] ^ flip)
+        up = np.uint8(image[above, x] ^ flip)
+        down = np.uint8(image[below, x] ^ flip)
+        before = np.uint8(image[row, x - np.uint64(1)] ^ flip)
+        after = np.uint8(image[row, x + np.uint64(1)] ^ flip)
+        marks[i] = (grey >= least) & (grey >= up) & (grey >= down) & (grey > before) & (grey >= after)
+
+
 @inner_kernel
 def nearest_peaks(picture, u, v, box, contrast, at):
     """Fill at (MOST_PEAKS, 2) with the peaks x, y in box (x0, x1, y0, y1), nearest to (u, v) first; return how many."""
     image, flip = picture.grey, picture.flip
     away = np.empty(MOST_PEAKS)
+    marks = np.empty(box[1] - box[0], np.uint8)
     n = np.int64(0)
-    background = 255
-    # every other pixel is enough for a level that no light lifts everywhere
-    for y in range(box[2], box[3], 2):
-        for x in range(box[0], box[1], 2):
-            background = min(background, int(np.uint8(image[y, x] ^ flip)))
+    least = ceil(darkest_of_every_other(image, flip, box) + contrast)
+    if least > 255:
+        return n
     for y in range(box[2], box[3]):
-        for x in range(box[0], box[1]):
+        mark_tops(image, flip, y, box[0], np.uint8(least), marks)
+        for i in range(marks.shape[0]):
+            if marks[i] == 0:
+                continue
+            x = box[0] + i
             grey = np.uint8(image[y, x] ^ flip)
-            if grey < background + contrast or not is_peak(image, flip, x, y, grey):
+            if grey < least or not is_peak(image, flip, x, y, grey):
                 continue
             d = (x - u) ** 2 + (y - v) ** 2
             k = int(n) if n < MOST_PEAKS else MOST_PEAKS - 1
