@@ -296,8 +296,7 @@ def locate_near(image, mask, options, predicted, half):
     thresholds = np.empty((col.GRID, col.GRID))
     margin, _, _ = survey_image(image, flip, mask, survey, thresholds)
     most = predicted.shape[0]
-    seen = np.empty((MOST_SEEN * most, col.COLUMNS))
-    owner = np.empty(MOST_SEEN * most, np.int64)
+    seen, owner = np.empty((MOST_SEEN * most, col.COLUMNS)), np.empty(MOST_SEEN * most, np.int64)
     n = np.int64(0)
     table = np.empty((FEW_RUNS, col.COLUMNS))
     runs = np.empty((FEW_RUNS, 3), np.int32)
