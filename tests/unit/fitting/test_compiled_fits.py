@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from armsight.fitting import Evaluation, Fit, Problem, solve
+from armsight.fitting.kernels import diagonalise
 from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
@@ -82,6 +83,20 @@ def test_a_triangulated_point_is_the_engines() -> None:
         d = fast.xyz_m[0] - slow.shared
         assert d @ np.linalg.solve(C, d) < 1e-6
         np.testing.assert_allclose(fast.covariance_m2[0], C, rtol=1e-3, atol=1e-4 * np.abs(C).max())
+
+
+def test_eigenvalues_and_their_vectors_are_lapacks() -> None:
+    rng = np.random.default_rng(5)
+    cases = [rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-9.0, 9.0) for n in (1, 2, 3, 4, 5) for _ in range(40)]
+    cases += [np.zeros((4, 4)), np.eye(4), np.diag([3.0, -5.0, 3.0, 1.0]), np.outer(np.arange(4.0), np.arange(4.0))]
+    for half in cases:
+        S = half + half.T
+        D, V = S.copy(), np.empty_like(S)
+        diagonalise(D, V)
+        size = max(np.abs(S).max(), 1e-300)
+        np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, S, atol=1e-14 * size)
+        np.testing.assert_allclose(V.T @ V, np.eye(len(S)), atol=1e-14)
+        np.testing.assert_allclose(np.sort(np.diag(D)), np.linalg.eigvalsh(S), atol=2e-14 * size)
 
 
 def test_the_pose_of_a_target_is_the_engines() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
-from types import ModuleType
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from armsight.measure.motion.kernels import levels
 from armsight.measure.pace import BATCH, LIVE_S, Pace
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
-from armsight.measure.poses.kernels import correspondence, pose_ambiguity
+from armsight.measure.poses.kernels import correspondence
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
@@ -259,14 +258,9 @@ def views(seed: int, keep: list[np.ndarray] | None = None) -> list[BoardView]:
     return out
 
 
-@pytest.mark.parametrize(
-    "name, kernels", [("fold", pose_ambiguity), ("one_astray", pose_ambiguity), ("neg2_log_likelihood", correspondence)]
-)
-def test_warm_up_runs_what_only_a_doubtful_frame_needs(
-    name: str, kernels: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kernel, calls = getattr(kernels, name), []
-    monkeypatch.setattr(kernels, name, lambda *given: calls.append(name) or kernel(*given))
+def test_warm_up_runs_what_only_a_doubtful_frame_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel, calls = correspondence.neg2_log_likelihood, []
+    monkeypatch.setattr(correspondence, "neg2_log_likelihood", lambda *given: calls.append(given) or kernel(*given))
     warm_up()
     assert calls
 

@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from armsight.measure.poses.kernels.correspondence import Best, _keep
 from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.peaks import MOST_PEAKS, PEAK_PX, nearest_peaks
 from armsight.measure.spots.kernels.picture import Picture
 from armsight.measure.spots.kernels.round_gaussian import MOST, REACH, set_box
 from armsight.measure.spots.kernels.scan import (
@@ -73,8 +74,43 @@ def test_areas_are_those_of_scipys_labels(number: int) -> None:
     n = connected_components(picture, level, False, hits, blocks, runs, parent, table)
     assert found(table, n) == expected(image)
     whole = np.array([0, w, 0, h])
-    n = connected_components_in_window(picture, LEVEL, whole, runs, parent, table)
+    n = connected_components_in_window(picture, LEVEL, whole, False, runs, parent, table, np.empty(w, np.uint8))
     assert found(table, n) == expected(image)
+
+
+def test_a_window_with_a_bright_run_from_edge_to_edge_is_given_up_where_asked() -> None:
+    image = np.zeros((20, 30), np.uint8)
+    image[5, 3:20], image[9, 4:24] = 200, 200
+    room = np.empty((40, 3), np.int32), np.empty(40, np.int32), np.empty((40, col.COLUMNS)), np.empty(30, np.uint8)
+    picture = Picture(image, np.uint8(0), 255, NO_MASK)
+    for right, wanted in ((25, 2), (24, -1)):
+        assert connected_components_in_window(picture, LEVEL, np.array([4, right, 0, 20]), True, *room) == wanted
+    mask = np.ones_like(image)
+    mask[9, 10] = 0
+    masked = Picture(image, np.uint8(0), 255, mask)
+    assert connected_components_in_window(masked, LEVEL, np.array([4, 24, 0, 20]), True, *room) == 3
+
+
+@pytest.mark.parametrize("levels", [4, 60, 256])
+def test_peaks_of_a_window_are_those_of_looking_at_every_pixel(levels: int) -> None:
+    rng = np.random.default_rng(levels)
+    for _ in range(40):
+        h, w = rng.integers(3, 24, 2)
+        image = rng.integers(0, levels, (h, w)).astype(np.uint8) * np.uint8(255 // (levels - 1))
+        x0, y0 = rng.integers(0, w), rng.integers(0, h)
+        box = np.array([x0, rng.integers(x0, w) + 1, y0, rng.integers(y0, h) + 1])
+        u, v = rng.uniform(0.0, w), rng.uniform(0.0, h)
+        least = int(image[box[2] : box[3] : 2, box[0] : box[1] : 2].min()) + 24.0
+        peaks = []
+        for y in range(box[2], box[3]):
+            for x in range(box[0], box[1]):
+                near = image[max(y - PEAK_PX, 0) : y + PEAK_PX + 1, max(x - PEAK_PX, 0) : x + PEAK_PX + 1]
+                first = np.argwhere(near == near.max())[0] + [max(y - PEAK_PX, 0), max(x - PEAK_PX, 0)]
+                if image[y, x] >= least and first.tolist() == [y, x]:
+                    peaks.append(((x - u) ** 2 + (y - v) ** 2, x, y))
+        at = np.empty((MOST_PEAKS, 2), np.int64)
+        n = nearest_peaks(Picture(image, np.uint8(0), 255, NO_MASK), u, v, box, 24.0, at)
+        assert at[:n].tolist() == [[x, y] for _, x, y in sorted(peaks)[:MOST_PEAKS]]
 
 
 @pytest.mark.parametrize("size", [1, BLOCK - 1, BLOCK, BLOCK + 1, SUPER - 1, SUPER, SUPER + 1, 3 * SUPER + BLOCK + 5])

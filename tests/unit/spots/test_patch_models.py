@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from armsight.measure.spots.kernels import light_models
-from armsight.measure.spots.kernels.gaussian_axes import normal
+from armsight.measure.spots.kernels.gaussian_axes import gaussian_line, normal
 from armsight.measure.spots.kernels.light_models import ELLIPSE, JOINT, STREAK, grid_of
 
 Array = NDArray[np.float64]
@@ -28,6 +28,17 @@ def light(kind: int, p: Array) -> tuple[Array, Array]:
     light_models.light(kind, p, len(p), grid, J, m)
     light_models.slopes(kind, p, len(p), grid, J)
     return m + p[0], J
+
+
+@pytest.mark.parametrize("centre", [103.3, 100.0, 99.2, 60.0, -1e200, 117.5, 131.0, 400.0, 1e200])
+@pytest.mark.parametrize("w", [0.002, 0.3, 25.0])
+def test_a_line_of_a_gaussian_is_as_exact_as_its_exponentials(centre: float, w: float) -> None:
+    e = np.full(19, 7.0)
+    gaussian_line(100.0, 18, centre, w, e)
+    with np.errstate(over="ignore"):
+        wanted = np.exp(-0.5 * w * (100.0 + np.arange(18) - centre) ** 2)
+    np.testing.assert_allclose(e[:18], wanted, rtol=1e-11, atol=1e-300)
+    assert e[18] == 7.0
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.kernels import pose_ambiguity, rig_covariance
+from armsight.measure.poses.kernels import rig_covariance, whole_pose
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
@@ -20,22 +19,8 @@ Array = NDArray[np.float64]
 
 PARENT = "rig"
 
-MAX_ROTATION_SIGMA = 0.3
-"""A rotation less certain than this (rad; 17 degrees) is none: its covariance, taken to first order, means nothing."""
-
-MAX_DOUBTFUL_SIGMA = 0.07
-"""The same (4 degrees) where another tilt fits as well, or a spot is of something else: the truth then lies in one of
-several places, not about one."""
-
-FOLDED = 1.05
-"""Squared Mahalanobis distance of another tilt over what its residuals allow, from which that is the case."""
-
-MISFIT_SIGMA = 2.326
-"""Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a
-factor of two in variance, so that a frame alone proves little."""
-
 BEYOND_CLAIMS = 9.0
-"""... and from this factor (residuals of three times what noise may do, which is no noise model's slip: VERY_NOISY of
+"""From this factor of misfit (residuals of three times what noise may do, which is no noise model's slip: VERY_NOISY of
 consistency) the pose is doubtful, widened as it is."""
 
 _WHY = {
@@ -51,6 +36,11 @@ _CAUSE = {
 }
 _MISFIT = "one of the spots is off, and it is not clear which: only the position is known"
 _FOLDED = "the spots fit tilts to either side of the line of sight: only the position is known"
+_DOUBT = {
+    whole_pose.NO_DOUBT: (_WHY[kernels.OPEN], Unseen.ROTATION_OPEN),
+    whole_pose.ONE_OFF: (_MISFIT, Unseen.ONE_OFF),
+    whole_pose.FOLDED: (_FOLDED, Unseen.ROTATION_OPEN),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,6 +90,40 @@ class NamedSpots(NamedTuple):
     normal: Array
 
 
+class Fit(NamedTuple):
+    """What solve_whole made of n spots: state, factor of misfit, doubt, then the arrays that it filled."""
+
+    state: int
+    factor: float
+    doubt: int
+    P: Array
+    S: Array
+    T: Array
+    C: Array
+    residual: Array
+    systematic: Array
+
+
+def fit_pose(packed: PackedRig, spots: NamedSpots, limit: float, slack_px: float, covariance: Array) -> Fit:
+    """Return the pose of greatest likelihood as numbers; arguments as solve_pose takes them."""
+    _, xyz_m, uv_px, cov_px2, radius_m, normal = spots
+    n, xyz_m = len(xyz_m), xyz_m[:]
+    xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
+    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
+    T, C, systematic = np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6))
+    state, factor, doubt = whole_pose.solve_whole(
+        packed.arrays,
+        (uv_px, cov_px2),
+        (slack_px**2, limit),
+        (xyz_m, radius_m, normal),
+        covariance,
+        (P, S),
+        (T, C, systematic),
+        residual,
+    )
+    return Fit(state, factor, doubt, P, S, T, C, residual, systematic)
+
+
 def solve_pose(
     packed: PackedRig,
     t_s: float,
@@ -117,35 +141,21 @@ def solve_pose(
     the rotation open. Covariances hold the spots' noise, widened where the residuals are larger (misfit_factor), and
     what rig and target bring, which is the same in every frame: systematic_covariance.
     """
-    names, xyz_m, uv_px, cov_px2, radius_m, normal = spots
-    n, xyz_m = len(names), xyz_m[:]
-    xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
-    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
-    T, C = np.empty((4, 4)), np.empty((6, 6))
-    state, wide, chi2 = kernels.solve_named(
-        packed.arrays, (uv_px, cov_px2), slack_px**2, (xyz_m, radius_m, normal), P, S, T, C, residual
-    )
+    carried = packed.covariance if covariance is None else covariance
+    fit = fit_pose(packed, spots, limit, slack_px, carried)
+    state, factor, doubt, P, S, T, C, residual, systematic = fit
+    if state == whole_pose.UNLIKE:
+        return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
+    if state == whole_pose.UNCERTAIN:
+        seen, (why, cause) = _placed(packed, spots.names, P, S, spots.cov_px2, residual), _DOUBT[doubt]
+        return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if state != kernels.SOLVED:
         return _unsolved(state, packed, t_s, spots, P, S, residual)
-    if not wide <= limit:
-        return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
-    carried = packed.covariance if covariance is None else covariance
-    systematic = None
-    if carried.size:
-        systematic = np.empty((6, 6))
-        chi2 = rig_covariance.carry_to_pose(packed.arrays, cov_px2, xyz_m, T, carried, C, residual, systematic)
-    in_doubt, factor = _widen(packed, spots, xyz_m, pose_ambiguity.depth_chi2(P, S), T, chi2, C)
-    if systematic is not None:
-        C += systematic
-    if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
-        seen, why = _placed(packed, names, P, S, cov_px2, residual), in_doubt or _WHY[kernels.OPEN]
-        cause = Unseen.ONE_OFF if in_doubt == _MISFIT else Unseen.ROTATION_OPEN
-        return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if packed.covariance.size:
-        A = _slopes(packed, cov_px2, P, S)
+        A = _slopes(packed, spots.cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
-    points = trusted(Points, names=names, xyz_m=P, covariance_m2=S)
-    return _whole(t_s, points, T, C, residual, systematic, factor)
+    points = trusted(Points, names=spots.names, xyz_m=P, covariance_m2=S)
+    return _whole(t_s, points, T, C, residual, systematic if carried.size else None, factor)
 
 
 def _unsolved(
@@ -167,25 +177,6 @@ def _not_the_target(residual: Array) -> str:
     )
 
 
-def _widen(
-    packed: PackedRig, spots: NamedSpots, xyz_m: Array, depth_chi2: float, T: Array, chi2: float, C: Array
-) -> tuple[str, float]:
-    """Widen the covariance C (6, 6) of a pose T (4, 4), in place, for large residuals, and for tilts that fit as well.
-
-    xyz_m: of the spots, not writeable. depth_chi2: how surely the points by themselves tell the tilt. Returns what is
-    in doubt, or nothing, and the factor of the residuals.
-    """
-    lights, views = (xyz_m, spots.radius_m, spots.normal), (spots.uv_px, spots.cov_px2)
-    factor = misfit_factor(chi2, len(xyz_m))
-    C *= factor
-    if factor > 1.0:
-        pose_ambiguity.one_astray(packed.arrays, lights, views, T, chi2, C)
-    folded = 1.0
-    if depth_chi2 < pose_ambiguity.PLAIN * factor:
-        folded = pose_ambiguity.fold(packed.arrays, lights, views, T, factor, C)
-    return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else "", factor
-
-
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
     """Return the frame of three lights A, B, C nobody has measured (Pachidis 2005, eqs. 7-8), with its covariance.
 
@@ -195,7 +186,10 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     if isinstance(seen, NotSeen):
         return _lost(t_s, seen.why, seen.cause)
     T, C = np.eye(4), np.empty((6, 6))
-    if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C, MAX_ROTATION_SIGMA):
+    if (
+        not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C)
+        or not max(C[3, 3], C[4, 4], C[5, 5]) <= whole_pose.MAX_ROTATION_SIGMA**2
+    ):
         pose = position_only(t_s, seen, "the three lights lie on one line")
         return Solved(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)
     systematic = None
@@ -265,23 +259,6 @@ def _whole(
     return Solved(pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER)
 
 
-def misfit_factor(chi2: float, n_spots: int) -> float:
-    """Return the factor on a pose's variance for residuals of n spots with this chi-square: 1 where they can be noise.
-
-    From the point that one frame in a hundred passes by noise alone it grows with chi-square (4 n - 6 degrees of
-    freedom; Wilson-Hilferty).
-    """
-    dof = max(4 * n_spots - 6, 1)
-    spread = 2.0 / (9.0 * dof)
-    usual = dof * (1.0 - spread + MISFIT_SIGMA * sqrt(spread)) ** 3
-    return max(1.0, chi2 / usual)
-
-
-def _certain(C: Array, most: float) -> bool:
-    """Whether the rotation of a covariance (6, 6) is known well enough to be one."""
-    return bool(max(C[3, 3], C[4, 4], C[5, 5]) <= most**2)
-
-
 def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:
     """Return the points with their joint covariance: independent spots, one common calibration."""
     n = len(names)
@@ -302,6 +279,12 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
     A = np.empty((len(P), 3, rig_covariance.PARAMETERS))
     rig_covariance.point_slopes(packed.arrays, cov_px2, P, S, A)
     return A
+
+
+def with_covariance(solved: Solved, C: Array) -> Solved:
+    """Return a solved pose with another covariance (6, 6), which is used by nobody else."""
+    fields = {name: getattr(solved.pose, name) for name in TargetPose.__slots__}
+    return replace(solved, pose=trusted(TargetPose, **(fields | {"covariance": C})))
 
 
 def lost(t_s: float, why: str) -> TargetPose:

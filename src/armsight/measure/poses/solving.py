@@ -5,7 +5,6 @@ Lights that are covered are told by their outlines, and taken with more doubt or
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,18 +15,20 @@ from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.kernels.whole_pose import MAX_DOUBTFUL_SIGMA
 from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
 from armsight.measure.poses.pose import (
-    MAX_DOUBTFUL_SIGMA,
     NamedSpots,
     Solved,
+    fit_pose,
     lost,
     no_points,
     position_only,
     solve_frame,
     solve_points,
     solve_pose,
+    with_covariance,
 )
 from armsight.measure.poses.setup import Setup
 from armsight.optics import PackedRig
@@ -73,7 +74,7 @@ def _views(setup: Setup, left: Spots, right: Spots) -> Views:
 
 def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views) -> Solved:
     model, packed = setup.model, setup.packed
-    uv, cov, radius = views
+    uv, cov, _ = views
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
         if isinstance(seen, NotSeen):
@@ -87,15 +88,29 @@ def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views)
         )
     if not setup.target.model_known:
         return solve_frame(packed, t_s, names, uv, cov)
+    limit, slack_px, covariance = _rules(setup, names)
+    spots = _named_spots(setup, names, views)
+    return solve_pose(packed, t_s, spots, limit=limit, slack_px=slack_px, covariance=covariance)
+
+
+def _named_spots(setup: Setup, names: tuple[str, ...], views: Views) -> NamedSpots:
+    """Return the spots with where their lights are on the target."""
+    model = setup.model
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
-    return solve_pose(
-        packed,
-        t_s,
-        NamedSpots(names, rows, uv, cov, radius, model.normal),
-        limit=float(model.limits[len(names)]),
-        slack_px=setup.slack_px,
-        covariance=setup.covariance_of(names),
-    )
+    return NamedSpots(names, rows, *views, model.normal)
+
+
+def _rules(setup: Setup, names: tuple[str, ...]) -> tuple[float, float, Array]:
+    """Return the limit, the slack and the covariance by which solve_pose judges these lights."""
+    return float(setup.model.limits[len(names)]), setup.slack_px, setup.covariance_of(names)
+
+
+def _matrix_of(setup: Setup, names: tuple[str, ...], views: Views) -> Array | None:
+    """Return the pose (4, 4) of _solve_views alone; None where it is not whole."""
+    if len(names) < 3 or not setup.target.model_known:
+        return _solve_views(setup, 0.0, names, views).T
+    fit = fit_pose(setup.packed, _named_spots(setup, names, views), *_rules(setup, names))
+    return fit.T if fit.state == kernels.SOLVED else None
 
 
 def _radii(radius_m: float, left: Spots, right: Spots) -> Array:
@@ -271,18 +286,20 @@ def widen(
         placed = _solve_views(setup, t_s, names, views)
         return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
-    for side in range(2):
-        for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):
-            if not uu + vv > 0.0:
-                continue
-            variances, ways = np.linalg.eigh(np.array([[uu, uv], [uv, vv]]))
-            for step in (np.sqrt(np.maximum(variances, 0.0)) * ways).T:
-                possible = _moves(setup, names, views, T, (i, side), step)
-                C += sum((np.outer(d, d) for d in possible), np.zeros((6, 6))) / max(len(possible), 1)
-    before = float(np.diag(own)[3:].max())
+    sides, lights = np.nonzero(found[:, :, outlines.UU] + found[:, :, outlines.VV] > 0.0)
+    hidden = found[sides, lights][:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
+    variances, ways = np.linalg.eigh(hidden)
+    steps = np.sqrt(np.maximum(variances, 0.0))[:, None, :] * ways
+    for i, side, step in zip(lights.tolist(), sides.tolist(), steps, strict=True):
+        for way in step.T:
+            possible = _moves(setup, names, views, T, (i, side), way)
+            if possible:
+                moved = np.array(possible)
+                C += moved.T @ moved / len(possible)
+    before = float(max(own[3, 3], own[4, 4], own[5, 5]))
     if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
         return None
-    return replace(solved, pose=replace(solved.pose, covariance=C))
+    return with_covariance(solved, C)
 
 
 def _moves(
@@ -308,7 +325,7 @@ def _moved_by(
     """Return the way (6,) from the pose T to that with one spot moved by step_px (2,); None where that fits no pose."""
     uv = views.uv_px.copy()
     uv[at] += step_px
-    other = _solve_views(setup, 0.0, names, views._replace(uv_px=uv)).T
+    other = _matrix_of(setup, names, views._replace(uv_px=uv))
     return None if other is None else np.concatenate([other[:3, 3] - T[:3, 3], rotvec(other[:3, :3] @ T[:3, :3].T)])
 
 

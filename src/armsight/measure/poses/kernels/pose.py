@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel, lean_kernel
-from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.fitting.kernels import diagonalise, invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, copy_3, cross, dot, rotate_left, sandwich
 from armsight.optics.kernels.camera import CameraK, RigK, see_point
 from armsight.optics.kernels.light_image import see_light
@@ -90,8 +90,13 @@ def kabsch(X, P, R, t):
     for a in range(4):
         for b in range(a):
             N[a, b] = N[b, a]
-    _, vectors = np.linalg.eigh(N)
-    w, x, y, z = vectors[0, 3], vectors[1, 3], vectors[2, 3], vectors[3, 3]
+    V = np.empty((4, 4))
+    diagonalise(N, V)
+    k = 0
+    for a in range(1, 4):
+        if N[a, a] > N[k, k]:
+            k = a
+    w, x, y, z = V[0, k], V[1, k], V[2, k], V[3, k]
     R[0, 0] = 1.0 - 2.0 * (y * y + z * z)
     R[0, 1] = 2.0 * (x * y - w * z)
     R[0, 2] = 2.0 * (x * z + w * y)
@@ -273,7 +278,7 @@ def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
                 cov[i, 1, a, b] = cov_right[i, a, b]
 
 
-@kernel
+@inner_kernel
 def solve_named(rig, views, slack2, lights, P, S, T, C, residual):
     """Pose of a target from its n named spots: a RigK, uv (n, 2, 2) and cov (n, 2, 2, 2), a slack in px^2, and Lights.
 

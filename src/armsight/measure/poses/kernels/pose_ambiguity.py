@@ -11,7 +11,7 @@ from math import acos, exp, log, pi, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel, lean_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot, rotate_left
 from armsight.measure.poses.kernels.pose import (
@@ -239,7 +239,7 @@ def looks(rig, Rp, centre, plane, C):
     return turns, shares
 
 
-@kernel
+@inner_kernel
 def depth_chi2(P, S):
     """Return the rise of chi-square that the depths of the points P (n, 3), S (n, 3, 3) set against the mirrored tilt.
 
@@ -260,7 +260,7 @@ def depth_chi2(P, S):
     return chi2
 
 
-@kernel
+@inner_kernel
 def fold(rig, lights, views, T, factor, C):
     """Widen C (6, 6) of the pose T (4, 4) for tilts that first order takes as too unlikely; return by how much.
 
@@ -313,7 +313,7 @@ def fold(rig, lights, views, T, factor, C):
     return most
 
 
-@kernel
+@inner_kernel
 def one_astray(rig, lights, views, T, chi2, C):
     """Widen C (6, 6) of the pose T (4, 4) for one spot that is of something else, whichever that may be.
 

@@ -9,13 +9,11 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.peaks import MOST_PEAKS, nearest_peaks
 from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
 
 RING = 4.5
 """Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""
-PEAK_PX = 2
-MOST_PEAKS = 24
-"""Peaks looked at in a window, the nearest to the prediction first."""
 TINY = 0.25
 """Share of its height at which a blob of fewer pixels than wanted is cut instead."""
 REACH = 1.25
@@ -296,51 +294,6 @@ def grow_blobs(picture, peaks, limits, table, work):
         if same < 0:
             n += 1
     return n, looked, spent
-
-
-@lean_kernel
-def is_peak(image, flip, x, y, grey):
-    """Tell whether no pixel within two of (x, y) is brighter, nor as bright and earlier in reading order."""
-    h, w = image.shape
-    for b in range(max(y - PEAK_PX, 0), min(y + PEAK_PX + 1, h)):
-        for a in range(max(x - PEAK_PX, 0), min(x + PEAK_PX + 1, w)):
-            other = np.uint8(image[b, a] ^ flip)
-            # of equal ones the first in reading order alone is a peak
-            if other > grey or (other == grey and (b < y or (b == y and a < x))):
-                return False
-    return True
-
-
-@inner_kernel
-def nearest_peaks(picture, u, v, box, contrast, at):
-    """Fill at (MOST_PEAKS, 2) with the peaks x, y in box (x0, x1, y0, y1), nearest to (u, v) first; return how many."""
-    image, flip = picture.grey, picture.flip
-    away = np.empty(MOST_PEAKS)
-    n = np.int64(0)
-    background = 255
-    # every other pixel is enough for a level that no light lifts everywhere
-    for y in range(box[2], box[3], 2):
-        for x in range(box[0], box[1], 2):
-            background = min(background, int(np.uint8(image[y, x] ^ flip)))
-    for y in range(box[2], box[3]):
-        for x in range(box[0], box[1]):
-            grey = np.uint8(image[y, x] ^ flip)
-            if grey < background + contrast or not is_peak(image, flip, x, y, grey):
-                continue
-            d = (x - u) ** 2 + (y - v) ** 2
-            k = int(n) if n < MOST_PEAKS else MOST_PEAKS - 1
-            if n == MOST_PEAKS and d >= away[k]:
-                continue
-            while k > 0 and away[k - 1] > d:
-                away[k] = away[k - 1]
-                at[k, 0] = at[k - 1, 0]
-                at[k, 1] = at[k - 1, 1]
-                k -= 1
-            away[k] = d
-            at[k, 0] = x
-            at[k, 1] = y
-            n = n + 1 if n < MOST_PEAKS else n
-    return n
 
 
 @inner_kernel

@@ -61,6 +61,30 @@ def profile(centre, q, start, n, f):
 
 
 @lean_kernel
+def gaussian_line(first, n, centre, w, e):
+    """Fill e (n,) with exp(-w (x - centre)^2 / 2) at x = first, first + 1, ...
+
+    From the pixel nearest to the centre outwards, each from the one before by two products: four exponentials for n.
+    """
+    near = min(max(int(min(max(centre - first + 0.5, 0.0), n - 1.0)), 0), n - 1)
+    d = first + near - centre
+    e[near] = exp(-0.5 * w * d * d)
+    shrink = exp(-w)
+    here = e[near]
+    ratio = exp(-w * (d + 0.5))
+    for i in range(near + 1, n):
+        here *= ratio
+        ratio *= shrink
+        e[i] = here
+    here = e[near]
+    ratio = exp(w * (d - 0.5))
+    for i in range(near - 1, -1, -1):
+        here *= ratio
+        ratio *= shrink
+        e[i] = here
+
+
+@lean_kernel
 def gram(f, n, power, g):
     """Fill g (4, 4) with the sums of products of 1, f0, f1, f2 over n pixels, each times f0**power.
 

@@ -100,6 +100,17 @@ def differentiate(kind, p, n, special, grid, J, m, r):
 
 
 @lean_sum_kernel
+def two_dots(a0, a1, b):
+    """Return the sums of the products of a0 and b, a1 and b."""
+    t0 = 0.0
+    t1 = 0.0
+    for i in range(b.shape[0]):
+        t0 += a0[i] * b[i]
+        t1 += a1[i] * b[i]
+    return t0, t1
+
+
+@lean_sum_kernel
 def four_dots(a0, a1, b0, b1):
     """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
     t00 = 0.0
@@ -130,17 +141,23 @@ def gram(J, n, H):
                 H[a, b + 1] = t01
                 H[b + 1, a] = t01
     if n % 2 == 1:
-        for b in range(n):
-            H[n - 1, b] = dot(J[n - 1], J[b])
+        for b in range(0, n - 1, 2):
+            H[n - 1, b], H[n - 1, b + 1] = two_dots(J[b], J[b + 1], J[n - 1])
             H[b, n - 1] = H[n - 1, b]
+            H[b + 1, n - 1] = H[n - 1, b + 1]
+        H[n - 1, n - 1] = dot(J[n - 1], J[n - 1])
 
 
 @lean_kernel
 def normal_equations(J, r, n, H, g):
     """Fill H (n, n), g (n,) of a patch that was differentiated."""
     gram(J, n, H)
-    for a in range(n):
-        g[a] = -dot(J[a], r)
+    for a in range(0, n - 1, 2):
+        t0, t1 = two_dots(J[a], J[a + 1], r)
+        g[a] = -t0
+        g[a + 1] = -t1
+    if n % 2 == 1:
+        g[n - 1] = -dot(J[n - 1], r)
 
 
 @inner_kernel

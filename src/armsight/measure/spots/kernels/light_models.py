@@ -13,13 +13,13 @@ at alone: each model's slopes go on from what its light has left in the grid's w
 
 from __future__ import annotations
 
-from math import cos, exp, pi, sin, sqrt
+from math import cos, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
-from armsight.measure.spots.kernels.gaussian_axes import normal
+from armsight.measure.spots.kernels.gaussian_axes import gaussian_line, normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
 FAR = 5.0
@@ -103,14 +103,12 @@ def joint_light(p, n, grid, J, m):
     for i in range(m.shape[0]):
         m[i] = 0.0
     w = p[1]
-    # separable: nx + ny exponentials in place of nx ny
+    # separable: nx + ny values of the Gaussian in place of nx ny
     ex = grid.work[0]
     ey = grid.work[1]
     for k in range(2, n, 3):
-        for i in range(grid.nx):
-            ex[i] = exp(-0.5 * w * (grid.x0 + i - p[k]) ** 2)
-        for j in range(grid.ny):
-            ey[j] = exp(-0.5 * w * (grid.y0 + j - p[k + 1]) ** 2)
+        gaussian_line(grid.x0, grid.nx, p[k], w, ex)
+        gaussian_line(grid.y0, grid.ny, p[k + 1], w, ey)
         outer(ex, ey, grid.nx, grid.ny, J[k + 2])
         add_scaled(J[k + 2], m, p[k + 2])
 
@@ -134,13 +132,13 @@ def streak_axes(grid, p, c, s_, across, a, b):
 
     c, s_: cosine and sine of its angle.
     """
-    x, y, u, v, s, h = grid.x, grid.y, p[1], p[2], p[4], p[6]
+    x, y, u, v, by_s, h = grid.x, grid.y, p[1], p[2], 1.0 / p[4], p[6]
     for i in range(x.shape[0]):
         dx = x[i] - u
         dy = y[i] - v
-        across[i] = (dy * c - dx * s_) / s
-        a[i] = (dx * c + dy * s_ + h) / s
-        b[i] = a[i] - 2.0 * h / s
+        across[i] = (dy * c - dx * s_) * by_s
+        a[i] = (dx * c + dy * s_ + h) * by_s
+        b[i] = a[i] - 2.0 * h * by_s
 
 
 @lean_sum_kernel
@@ -158,8 +156,9 @@ def streak_ends(fa, to_a, fb, to_b, a, b, scale):
 @lean_sum_kernel
 def streak_moved(across, z, along, ends, height, s, c, s_, by_u):
     """Fill the derivative by a coordinate of the centre, of which c and s_ are the direction along and across."""
+    factor = height / s
     for i in range(z.shape[0]):
-        by_u[i] = height * across[i] / s * (z[i] * along[i] * s_ - ends[i] * c)
+        by_u[i] = factor * across[i] * (z[i] * along[i] * s_ - ends[i] * c)
 
 
 @lean_sum_kernel
@@ -173,15 +172,17 @@ def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
 @lean_sum_kernel
 def streak_wider(across, z, along, moments, height, s, by_s):
     """Fill the derivative by the width."""
+    factor = height / s
     for i in range(z.shape[0]):
-        by_s[i] = height * across[i] / s * (z[i] * z[i] * along[i] + along[i] - moments[i])
+        by_s[i] = factor * across[i] * (z[i] * z[i] * along[i] + along[i] - moments[i])
 
 
 @lean_sum_kernel
 def streak_longer(across, along, both, height, s, h, by_h):
     """Fill the derivative by half the length."""
+    for_ends, for_whole = height / s, height / h
     for i in range(along.shape[0]):
-        by_h[i] = height * across[i] * (both[i] / s - along[i] / h)
+        by_h[i] = across[i] * (both[i] * for_ends - along[i] * for_whole)
 
 
 @lean_kernel
@@ -219,8 +220,11 @@ def streak_slopes(p, grid, J):
 
 
 @lean_sum_kernel
-def edge_form(x, y, u, v, m0, m1, m2, Q, G):
-    """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
+def edge_form(x, y, u, v, m0, m1, m2, Q, by_Q, G):
+    """Fill Q = S + CORE_VARIANCE tr M, its inverse, and G = g^2 of an ellipse; see ellipse_light.
+
+    Divisions and roots are what an ellipse's pixel costs: none is done twice.
+    """
     k = CORE_VARIANCE
     # entries of M^2: g^2 = x'M^2x / x'Mx is the squared slope of sqrt(S)
     n0 = m0 * m0 + m1 * m1
@@ -231,16 +235,18 @@ def edge_form(x, y, u, v, m0, m1, m2, Q, G):
         dy = y[i] - v
         q = m0 * dx * dx + 2.0 * m1 * dx * dy + m2 * dy * dy + k * (m0 + m2)
         Q[i] = q
-        G[i] = (n0 * dx * dx + 2.0 * n1 * dx * dy + n2 * dy * dy + k * (n0 + n2)) / q
+        by_Q[i] = 1.0 / q
+        G[i] = (n0 * dx * dx + 2.0 * n1 * dx * dy + n2 * dy * dy + k * (n0 + n2)) * by_Q[i]
 
 
 @lean_sum_kernel
-def edge_distance(Q, G, core, s, d, h):
-    """Fill the distance d to the edge, and h = sqrt(S + s^2 g^2)."""
+def edge_distance(Q, G, core, s, d, h, by_gh):
+    """Fill the distance d to the edge, h = sqrt(S + s^2 g^2), and the inverse of g (1 + h)."""
     for i in range(Q.shape[0]):
         S = Q[i] - core
         h[i] = np.sqrt(max(S, 0.0) + s * s * G[i])
-        d[i] = (1.0 - S) / (np.sqrt(G[i]) * (1.0 + h[i]))
+        by_gh[i] = 1.0 / (np.sqrt(G[i]) * (1.0 + h[i]))
+        d[i] = (1.0 - S) * by_gh[i]
 
 
 @lean_sum_kernel
@@ -253,19 +259,22 @@ def edge_cut(d, s, height, share, slope):
 
 
 @lean_sum_kernel
-def edge_blur(slope, d, h, G, s, by_s):
-    """Fill the derivative by the blur s."""
+def edge_blur(slope, d, h, G, s, by_hh, by_s):
+    """Fill the derivative by the blur s, and the inverse of h (1 + h)."""
+    inverse = 1.0 / s
     for i in range(d.shape[0]):
-        by_s[i] = -slope[i] * d[i] * (1.0 / s + s * G[i] / (h[i] * (1.0 + h[i])))
+        by_hh[i] = 1.0 / (h[i] * (1.0 + h[i]))
+        by_s[i] = -slope[i] * d[i] * (inverse + s * G[i] * by_hh[i])
 
 
 @lean_sum_kernel
-def edge_factors(slope, Q, G, s, d, h):
+def edge_factors(slope, by_Q, by_gh, by_hh, s, d, h):
     """Replace h and d by a and b: the light's change is -a dS - b (dP - G dQ), P = x'M^2x + CORE_VARIANCE tr M^2."""
     for i in range(d.shape[0]):
-        inner = 0.5 * d[i] / (h[i] * (1.0 + h[i]))
-        a = slope[i] * (1.0 / (np.sqrt(G[i]) * (1.0 + h[i])) + inner)
-        d[i] = slope[i] * (0.5 * d[i] / G[i] + s * s * inner) / Q[i]
+        inner = 0.5 * d[i] * by_hh[i]
+        a = slope[i] * (by_gh[i] + inner)
+        by_g = by_gh[i] * (1.0 + h[i])
+        d[i] = slope[i] * (0.5 * d[i] * by_g * by_g + s * s * inner) * by_Q[i]
         h[i] = a
 
 
@@ -315,9 +324,9 @@ def ellipse_light(p, grid, J, m):
     (r + sqrt(R^2 + s^2)), within 0.15 % of the true convolution for r >= 1.5 px and s from 0.5 to 2 px.
     """
     w = grid.work
-    Q, G, d, h, slope, z = w[0], w[1], w[2], w[3], w[4], w[5]
-    edge_form(grid.x, grid.y, p[1], p[2], p[5], p[6], p[7], Q, G)
-    edge_distance(Q, G, CORE_VARIANCE * (p[5] + p[7]), p[4], d, h)
+    Q, G, d, h, slope, z, by_Q, by_gh = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]
+    edge_form(grid.x, grid.y, p[1], p[2], p[5], p[6], p[7], Q, by_Q, G)
+    edge_distance(Q, G, CORE_VARIANCE * (p[5] + p[7]), p[4], d, h, by_gh)
     scaled(d, 1.0 / p[4], z)
     normal(z, slope, J[3])
     edge_cut(d, p[4], p[3], J[3], slope)
@@ -329,9 +338,9 @@ def ellipse_slopes(p, grid, J):
     """Fill the rest of J (8, pixels)."""
     u, v, m0, m1, m2 = p[1], p[2], p[5], p[6], p[7]
     w = grid.work
-    Q, G, d, h, slope = w[0], w[1], w[2], w[3], w[4]
-    edge_blur(slope, d, h, G, p[4], J[4])
-    edge_factors(slope, Q, G, p[4], d, h)
+    G, d, h, slope, by_hh, by_Q, by_gh = w[1], w[2], w[3], w[4], w[5], w[6], w[7]
+    edge_blur(slope, d, h, G, p[4], by_hh, J[4])
+    edge_factors(slope, by_Q, by_gh, by_hh, p[4], d, h)
     n1 = m1 * (m0 + m2)
     edge_moved(grid, p, h, d, G, (m0, m1), (m0 * m0 + m1 * m1, n1), J[1])
     edge_moved(grid, p, h, d, G, (m1, m2), (n1, m1 * m1 + m2 * m2), J[2])

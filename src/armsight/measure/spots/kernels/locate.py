@@ -296,12 +296,13 @@ def locate_near(image, mask, options, predicted, half):
     thresholds = np.empty((col.GRID, col.GRID))
     margin, _, _ = survey_image(image, flip, mask, survey, thresholds)
     most = predicted.shape[0]
-    seen = np.empty((MOST_SEEN * most, col.COLUMNS))
-    owner = np.empty(MOST_SEEN * most, np.int64)
+    seen, owner = np.empty((MOST_SEEN * most, col.COLUMNS)), np.empty(MOST_SEEN * most, np.int64)
     n = np.int64(0)
     table = np.empty((FEW_RUNS, col.COLUMNS))
     runs = np.empty((FEW_RUNS, 3), np.int32)
     parent = np.empty(FEW_RUNS, np.int32)
+    marks = np.empty(2 * half + 1, np.uint8)
+    automatic = options[col.O_THRESHOLD] < 0.0
     box = np.empty(4, np.int64)
     cut = np.empty((most, 3))
     n_cut = 0
@@ -316,10 +317,10 @@ def locate_near(image, mask, options, predicted, half):
             level = thresholds[int(v + 0.5) * col.GRID // h, int(u + 0.5) * col.GRID // w]
         count = 0
         if level < min(picture.saturation, 255):
-            count = connected_components_in_window(picture, int(level), box, runs, parent, table)
+            count = connected_components_in_window(picture, int(level), box, automatic, runs, parent, table, marks)
         i = nearest(table, count, u, v, box, options, w, h, margin)
         # a threshold tells a light from its background, not from a bright room: there it is grown from its peak
-        if options[col.O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
+        if automatic and crowded_window(table, count, box):
             if blob_near(picture, u, v, box, limits, seen[n]):
                 if classify(seen[n], w, h, box, limits.min_pixels, limits.max_radius, margin) == BEYOND:
                     write_cut(seen[n], cut[n_cut])

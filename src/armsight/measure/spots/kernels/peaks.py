@@ -1,10 +1,12 @@
-"""Peaks of a pyramid's levels, from which blobs are grown, in the order of their strength."""
+"""Peaks from which blobs are grown: of a pyramid's levels, in the order of their strength, and of a window."""
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 
-from armsight._numba import kernel, lean_kernel
+from armsight._numba import inner_kernel, kernel, lean_kernel
 
 STRETCH = 64
 """Pixels that are passed over together where none of them is a peak."""
@@ -63,3 +65,91 @@ def strongest_first(found):
         for c in range(3):
             out[place, c] = found[k, c]
     return out
+
+
+PEAK_PX = 2
+MOST_PEAKS = 24
+"""Peaks looked at in a window, the nearest to the prediction first."""
+
+
+@lean_kernel
+def is_peak(image, flip, x, y, grey):
+    """Tell whether no pixel within two of (x, y) is brighter, nor as bright and earlier in reading order."""
+    h, w = image.shape
+    for b in range(max(y - PEAK_PX, 0), min(y + PEAK_PX + 1, h)):
+        for a in range(max(x - PEAK_PX, 0), min(x + PEAK_PX + 1, w)):
+            other = np.uint8(image[b, a] ^ flip)
+            # of equal ones the first in reading order alone is a peak
+            if other > grey or (other == grey and (b < y or (b == y and a < x))):
+                return False
+    return True
+
+
+@lean_kernel
+def darkest_of_every_other(image, flip, box):
+    """Return the lowest grey level of every other row and column of box: enough where no light lifts it everywhere."""
+    left = np.uint64(box[0])
+    least = np.uint8(255)
+    for y in range(box[2], box[3], 2):
+        row = np.uint64(y)
+        for i in range((box[1] - box[0] + 1) // 2):
+            least = min(least, np.uint8(image[row, left + np.uint64(2 * i)] ^ flip))
+    return int(least)
+
+
+@lean_kernel
+def mark_tops(image, flip, y, first, least, marks):
+    """Fill marks (n,) with 1 where a pixel of row y, from column first on, may be a peak of `least` or more (is_peak).
+
+    Its neighbours along the row and the column are looked at, in vector code; at the image's edge nothing is told.
+    """
+    h, w = image.shape
+    n = marks.shape[0]
+    row, above, below = np.uint64(y), np.uint64(max(y - 1, 0)), np.uint64(min(y + 1, h - 1))
+    inner = np.int64(first == 0)
+    last = n - np.int64(first + n == w)
+    marks[0] = marks[n - 1] = 1
+    at = np.uint64(first)
+    for i in range(inner, last):
+        x = at + np.uint64(i)
+        grey = np.uint8(image[row, x] ^ flip)
+        up = np.uint8(image[above, x] ^ flip)
+        down = np.uint8(image[below, x] ^ flip)
+        before = np.uint8(image[row, x - np.uint64(1)] ^ flip)
+        after = np.uint8(image[row, x + np.uint64(1)] ^ flip)
+        marks[i] = (grey >= least) & (grey >= up) & (grey >= down) & (grey > before) & (grey >= after)
+
+
+@inner_kernel
+def nearest_peaks(picture, u, v, box, contrast, at):
+    """Fill at (MOST_PEAKS, 2) with the peaks x, y in box (x0, x1, y0, y1), nearest to (u, v) first; return how many."""
+    image, flip = picture.grey, picture.flip
+    away = np.empty(MOST_PEAKS)
+    marks = np.empty(box[1] - box[0], np.uint8)
+    n = np.int64(0)
+    least = ceil(darkest_of_every_other(image, flip, box) + contrast)
+    if least > 255:
+        return n
+    for y in range(box[2], box[3]):
+        mark_tops(image, flip, y, box[0], np.uint8(least), marks)
+        for i in range(marks.shape[0]):
+            if marks[i] == 0:
+                continue
+            x = box[0] + i
+            grey = np.uint8(image[y, x] ^ flip)
+            if grey < least or not is_peak(image, flip, x, y, grey):
+                continue
+            d = (x - u) ** 2 + (y - v) ** 2
+            k = int(n) if n < MOST_PEAKS else MOST_PEAKS - 1
+            if n == MOST_PEAKS and d >= away[k]:
+                continue
+            while k > 0 and away[k - 1] > d:
+                away[k] = away[k - 1]
+                at[k, 0] = at[k - 1, 0]
+                at[k, 1] = at[k - 1, 1]
+                k -= 1
+            away[k] = d
+            at[k, 0] = x
+            at[k, 1] = y
+            n = n + 1 if n < MOST_PEAKS else n
+    return n

@@ -408,34 +408,58 @@ def connected_components(picture, thresholds, mapped, blocks, n_blocks, runs, pa
 
 
 @lean_kernel
-def connected_components_in_window(picture, level, box, runs, parent, table):
-    """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
+def mark_bright(picture, level, y, first, marks):
+    """Fill marks (n,) with 1 where a pixel of row y, from column first on, is above level and not masked out, else 0.
 
-    -1 where the runs do not fit.
+    Returns how many are. Vector code, as the loop over marks that tells where a run ends is not.
     """
     image, flip, _, mask = picture
+    row, at = np.uint64(y), np.uint64(first)
+    count = np.int64(0)
+    for i in range(marks.shape[0]):
+        marks[i] = np.uint8(image[row, at + np.uint64(i)] ^ flip) > level
+    if mask.size > 0:
+        for i in range(marks.shape[0]):
+            marks[i] &= mask[row, at + np.uint64(i)] != 0
+    for i in range(marks.shape[0]):
+        count += marks[i]
+    return count
+
+
+@lean_kernel
+def connected_components_in_window(picture, level, box, give_up, runs, parent, table, marks):
+    """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
+
+    -1 where the runs do not fit, and with give_up where one goes from edge to edge: then it is no light's window.
+    marks: room for a row of the window.
+    """
     n = np.int64(0)
     first = np.int64(0)
     last = np.int64(0)
     current = np.int64(0)
+    wide = box[1] - box[0]
+    marks = marks[:wide]
     for y in range(box[2], box[3]):
         first, last = current, n
         current = n
-        x = box[0]
-        while x < box[1]:
-            if np.uint8(image[y, x] ^ flip) <= level or (mask.size > 0 and mask[y, x] == 0):
-                x += 1
-                continue
-            start = x
-            while x < box[1] and np.uint8(image[y, x] ^ flip) > level and (mask.size == 0 or mask[y, x] != 0):
-                x += 1
+        bright = mark_bright(picture, level, y, box[0], marks)
+        if give_up and bright == wide:
+            return -1
+        i = 0
+        while bright > 0:
+            while marks[i] == 0:
+                i += 1
+            start = i
+            while i < wide and marks[i] != 0:
+                i += 1
+            bright -= i - start
             if n >= parent.size:
                 return -1
             runs[n, 0] = y
-            runs[n, 1] = start
-            runs[n, 2] = x - 1
+            runs[n, 1] = box[0] + start
+            runs[n, 2] = box[0] + i - 1
             parent[n] = n
-            add_run(picture, y, start, x, level, n, table)
+            add_run(picture, y, box[0] + start, box[0] + i, level, n, table)
             first = join_touching_runs(runs, parent, first, last, n)
             n += 1
     return merge_runs(parent, n, table)
