@@ -1,0 +1,316 @@
+"""Whether a figure of a cell has changed from run to run: control charts that need no known mean or spread.
+
+The first runs of a cell are few, and what their deviations claim may be too small. Charts that take an estimated mean
+and spread for the true ones give false alarms many times as often as they say (Jensen et al., Effects of parameter
+estimation on control chart properties, J. Quality Technology 38, 2006). Here each run is held against those before it:
+
+- `scores`: the recursive residual of run i from the weighted mean of the runs before it, over what both are uncertain
+  by, is Student's t; as a normal score it is N(0, 1) and independent of those before, whatever mean and spread are
+  (Quesenberry, SPC Q charts for start-up processes, J. Quality Technology 23, 1991; Hawkins, Self-starting CUSUM charts
+  for location and scale, The Statistician 36, 1987). Runs are weighed by the deviations they tell; how much larger the
+  scatter between runs is than these, one factor, is estimated with them.
+- a jump is a score beyond a limit (Shewhart, Economic Control of Quality of Manufactured Product, 1931);
+- a drift is a sum of scores beyond another (CUSUM; Page, Continuous inspection schemes, Biometrika 41, 1954).
+
+Both limits follow from how often a false alarm may come.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from armsight.fitting.quantiles import t_ppf, t_sf
+
+Array = NDArray[np.float64]
+
+SLACK = 1.0
+"""Of the CUSUM, in deviations of one run, taken off each score: half of SMALLEST_STEP."""
+SMALLEST_STEP = 2.0 * SLACK
+"""Deviations of one run: the smallest lasting change that the CUSUM is made for. For a change of the mean by d the
+fastest CUSUM has the slack d/2 (Moustakides, Optimal stopping times for detecting changes in distributions, Annals of
+Statistics 14, 1986)."""
+TOLD_FACTOR = 1.5
+"""What told deviations are taken to be too small by until the runs themselves say more: rigs, light and temperature
+change between runs, which no single run sees."""
+TOLD_WORTH = 6.0
+"""How many runs that counts for."""
+WILD = 2.0
+"""Scores beyond it count as that much in mean and spread: one wild run must not hide the next."""
+CUT_SQUARE = float(
+    1.0 - 2.0 * WILD * np.exp(-0.5 * WILD**2) / np.sqrt(2.0 * np.pi) - 2.0 * (1.0 - WILD**2) * ndtr(-WILD)
+)
+"""Mean square of a normal score so cut: what the sum of squares is divided by (Huber, Robust Statistics, 1981, 6.7)."""
+MOST_CORRELATED = 0.8
+"""Correlation of a run's error with that of the one before, at the most."""
+OVERSHOOT = 1.166
+"""2 rho, by which a random walk of normal steps passes a limit (Siegmund, Sequential Analysis, 1985, section 2.5)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Of a chart, in deviations: a score beyond jump, a sum beyond drift."""
+
+    jump: float
+    drift: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chart:
+    """Charts of p figures over n runs, all (n, p): scores, NaN where a run has no such figure or nothing before it; the
+    sums upwards and downwards. mean, std: what the runs before each let expect of it, in the figure's unit. factor: how
+    much larger the scatter between runs is than they tell, correlation: of each with the one before, as those before
+    say.
+    """
+
+    score: Array
+    up: Array
+    down: Array
+    mean: Array
+    std: Array
+    factor: Array
+    correlation: Array
+
+    def alarms(self, limits: Limits) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where a score is beyond its limit, and where a sum is, (n, p) each."""
+        with np.errstate(invalid="ignore"):
+            return np.abs(self.score) > limits.jump, np.maximum(self.up, self.down) > limits.drift
+
+
+def limits_for(false_alarms_apart_years: float, runs_a_year: float, figures: int) -> Limits:
+    """Return the limits of a figure's two charts: all charts of so many figures together give one false alarm in so
+    many years of a cell. Each has its even share, as if none hung together (Bonferroni).
+    """
+    runs = 2.0 * figures * runs_a_year * false_alarms_apart_years
+    return Limits(jump=jump_limit(runs), drift=drift_limit(runs))
+
+
+def jump_limit(average_run_length: float) -> float:
+    """Return the limit of normal scores that chance passes, up or down, once in so many runs."""
+    return float(-ndtri(0.5 / average_run_length))
+
+
+def drift_limit(average_run_length: float, slack: float = SLACK) -> float:
+    """Return the limit of a two-sided CUSUM that chance passes once in so many runs: Siegmund's run length, solved.
+
+    One side alone then takes twice as long (both hardly ever pass in one excursion).
+    """
+    low, high = 0.0, 100.0
+    for _ in range(60):  # bisection: the run length grows with the limit
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if run_length(middle, slack) < 2.0 * average_run_length else (low, middle)
+    return high
+
+
+def run_length(limit: float, slack: float, mean: float = 0.0) -> float:
+    """Return the average run length of a one-sided CUSUM of normal scores with this mean.
+
+    Siegmund's approximation: (exp(-2 D b) + 2 D b - 1) / (2 D^2), D = mean - slack, b = limit + 1.166 (Siegmund,
+    Sequential Analysis, 1985, eq. 2.57); within 2 % of the exact one for limits from 2 on.
+    """
+    off, b = mean - slack, limit + OVERSHOOT
+    if abs(off) < 1e-9:
+        return b * b
+    return float((np.exp(-2.0 * off * b) + 2.0 * off * b - 1.0) / (2.0 * off * off))
+
+
+def charted(x: Array, told: Array, *, slack: float = SLACK) -> Chart:
+    """Return the charts of figures x (n, p) in the order of time with the deviations that they tell (n, p).
+
+    NaN in x: the run has no such figure. A column of told that is NaN throughout tells none: all runs weigh alike.
+    """
+    n, p = x.shape
+    silent = ~np.isfinite(told).any(axis=0)
+    s = np.where(silent, 1.0, told)
+    state = _State.empty(p, np.where(silent, 0.0, TOLD_WORTH))
+    out = [np.full((n, p), np.nan) for _ in range(7)]
+    score, up, down, mean, std, factor, correlation = out
+    above, below = np.zeros(p), np.zeros(p)
+    for i in range(n):
+        known = np.isfinite(x[i]) & np.isfinite(s[i]) & (s[i] > 0.0)
+        mean[i], std[i], factor[i] = state.expected(s[i])
+        score[i] = state.take(x[i], s[i], known)
+        correlation[i] = state.correlated(score[i])
+        heard = np.isfinite(score[i])
+        # the sum of an autoregressive course scatters more than one of independent steps, by this factor
+        step = np.where(heard, score[i], 0.0) * np.sqrt((1.0 - correlation[i]) / (1.0 + correlation[i]))
+        above = np.where(heard, np.maximum(0.0, above + step - slack), above)
+        below = np.where(heard, np.maximum(0.0, below - step - slack), below)
+        up[i], down[i] = above, below
+    return Chart(score=score, up=up, down=down, mean=mean, std=std, factor=factor, correlation=correlation)
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _State:
+    """What the runs so far say of p figures: sum of weights, weighted mean, sum of squares, count; worth: runs that the
+    told deviations count for. For the correlation in time: the last score, sums of products and of squares.
+    """
+
+    weight: Array
+    mean: Array
+    squares: Array
+    count: Array
+    worth: Array
+    last: Array
+    products: Array
+    powers: Array
+
+    @classmethod
+    def empty(cls, p: int, worth: Array) -> _State:
+        zero = [np.zeros(p) for _ in range(7)]
+        weight, mean, squares, count, last, products, powers = zero
+        return cls(
+            weight=weight,
+            mean=mean,
+            squares=squares,
+            count=count,
+            worth=worth,
+            last=last,
+            products=products,
+            powers=powers,
+        )
+
+    def expected(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return mean, deviation of a run that tells s, factor on told deviations (p,); NaN where nothing is known."""
+        dof = self.worth + self.count - 1.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            known = (self.count > 0.0) & (dof > 0.0)
+            factor = np.sqrt((self.worth * TOLD_FACTOR**2 + self.squares) / dof)
+            std = factor * np.sqrt(s**2 + 1.0 / self.weight)
+        return np.where(known, self.mean, np.nan), np.where(known, std, np.nan), np.where(known, factor, np.nan)
+
+    def take(self, x: Array, s: Array, known: NDArray[np.bool_]) -> Array:
+        """Return the normal scores (p,) of a run, and count it in."""
+        mean, std, _ = self.expected(s)
+        dof = self.worth + self.count - 1.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.where(known, (x - mean) / std, np.nan)
+            score = normal_score(t, dof)
+            wild = np.abs(score) > WILD
+            cut = np.sign(t) * t_ppf(np.full(len(t), ndtr(WILD)), np.maximum(dof, 1.0))
+            counted = np.where(wild, mean + cut * std, x)
+            first = self.count == 0.0
+            off = np.where(first | ~np.isfinite(mean), counted - self.mean, counted - mean)
+            gain = 1.0 / s**2
+            spread = np.where(first, 0.0, off**2 / (s**2 + 1.0 / self.weight) / CUT_SQUARE)
+        self.squares = np.where(known, self.squares + spread, self.squares)
+        self.mean = np.where(known, self.mean + off * gain / (self.weight + gain), self.mean)
+        self.weight = np.where(known, self.weight + gain, self.weight)
+        self.count = self.count + known
+        return score
+
+    def correlated(self, score: Array) -> Array:
+        """Return how far each run's error hangs on the one before, as the runs so far say; count a run's score in.
+
+        Less half of what chance makes of none, and never below 0: told too large it hides drifts, too small it
+        brings false alarms.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            r = self.products / self.powers - 0.5 / np.sqrt(np.maximum(self.count - 1.0, 1.0))
+        r = np.where(self.count > 4.0, np.clip(np.nan_to_num(r), 0.0, MOST_CORRELATED), 0.0)
+        kept = np.clip(np.nan_to_num(score), -WILD, WILD)
+        heard = np.isfinite(score)
+        self.products = np.where(heard, self.products + kept * self.last, self.products)
+        self.powers = np.where(heard, self.powers + kept**2, self.powers)
+        self.last = np.where(heard, kept, self.last)
+        return r
+
+
+def normal_score(t: Array, dof: Array) -> Array:
+    """Return the normal score of Student's t (p,): as far out in N(0, 1), NaN where dof is not positive."""
+    tail = t_sf(np.abs(t), np.maximum(dof, 1e-9))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = -ndtri(np.maximum(tail, np.finfo(float).tiny))
+    return np.where(dof > 0.0, np.sign(t) * size, np.nan)
+
+
+class Kind(StrEnum):
+    """How a figure has changed: at once with a run, or over several."""
+
+    JUMP = "jump"
+    DRIFT = "drift"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A change that was called.
+
+    noticed: the run at which a limit was passed. start: the first run that is no longer as those before it: the CUSUM's
+    last stand at zero tells it (Page 1954). size: mean of the runs from start on less that of those before; latest: the
+    last run less those before; each with its deviation, widened by the scatter between runs.
+    """
+
+    kind: Kind
+    noticed: int
+    start: int
+    size: float
+    size_std: float
+    latest: float
+    latest_std: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """The chart of one figure (n, 1), the change that was called, and runs that stand apart alone and were left out."""
+
+    chart: Chart
+    change: Change | None
+    apart: tuple[int, ...]
+
+
+def judged(x: Array, told: Array, limits: Limits) -> Judged:
+    """Return what runs (n,) with the deviations that they tell (n,) come to.
+
+    A run beyond the limit whose next is back again stands apart: a measurement gone wrong is no change of the cell.
+    """
+    kept = x.copy()
+    apart: list[int] = []
+    while True:
+        chart = charted(kept[:, None], told[:, None])
+        jumps, drifts = (each[:, 0] for each in chart.alarms(limits))
+        passed = np.flatnonzero(jumps | drifts)
+        if not len(passed):
+            return Judged(chart=chart, change=None, apart=tuple(apart))
+        noticed = int(passed[0])
+        if jumps[noticed] and _came_back(chart.score[:, 0], noticed, limits):
+            apart.append(noticed)
+            kept[noticed] = np.nan
+            continue
+        return Judged(chart=chart, change=_change(chart, kept, told, noticed, bool(jumps[noticed])), apart=tuple(apart))
+
+
+def _came_back(score: Array, at: int, limits: Limits) -> bool:
+    """Tell whether the run after one beyond the limit is on neither half of the way there; False of the last."""
+    after = score[at + 1 :]
+    after = after[np.isfinite(after)]
+    return len(after) > 0 and after[0] * np.sign(score[at]) < 0.5 * limits.jump
+
+
+def _change(chart: Chart, x: Array, told: Array, noticed: int, jumped: bool) -> Change:
+    sums = (chart.up if chart.up[noticed, 0] >= chart.down[noticed, 0] else chart.down)[:, 0]
+    start = int(np.flatnonzero(sums[:noticed] <= 0.0)[-1]) + 1
+    s = told if np.isfinite(told).any() else np.ones(len(x))
+    before, mean, weight = _mean(x[:start], s[:start])
+    _, later, later_weight = _mean(x[start:], s[start:])
+    factor = float(chart.factor[start, 0]) if before > 1 else TOLD_FACTOR
+    last = int(np.flatnonzero(np.isfinite(x) & np.isfinite(s))[-1])
+    return Change(
+        kind=Kind.JUMP if jumped and start == noticed else Kind.DRIFT,
+        noticed=noticed,
+        start=start,
+        size=later - mean,
+        size_std=factor * float(np.sqrt(1.0 / weight + 1.0 / later_weight)),
+        latest=float(x[last]) - mean,
+        latest_std=factor * float(np.sqrt(1.0 / weight + s[last] ** 2)),
+    )
+
+
+def _mean(x: Array, s: Array) -> tuple[int, float, float]:
+    """Return count, weighted mean and sum of weights of what is known."""
+    known = np.isfinite(x) & np.isfinite(s)
+    w = 1.0 / s[known] ** 2
+    return int(known.sum()), float(x[known] @ w / w.sum()), float(w.sum())
