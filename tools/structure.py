@@ -65,6 +65,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "imports by name": {
         "__init__.py": "public names are loaded when they are asked for",
+        "report/__init__.py": "pages are loaded when one of the kind is written",
+        "store/__init__.py": "files of all kinds are loaded when one of the kind is read",
         "app/requests/__init__.py": "requests are loaded when a command is called: help begins without them",
         "cli/command.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",

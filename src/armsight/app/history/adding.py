@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from sqlalchemy import Connection
 
+from armsight.app.history.arms import other_arm
 from armsight.app.history.filing import Made, entry_of_result, hash_of
 from armsight.app.history.moments import moment, utc, whole_moment
 from armsight.app.history.parameters import Parameters, of_arm, parameters_of, point_named, pose_named
@@ -98,13 +99,6 @@ def _notes(connection: Connection, entry: Entry) -> list[str]:
             )
             break
     return notes
-
-
-def other_arm(a: str, b: str) -> bool:
-    """Tell whether joints (R, P, ? each) are of two arms; '' is of none."""
-    if not a or not b:
-        return False
-    return len(a) != len(b) or any("?" not in pair and pair[0] != pair[1] for pair in zip(a, b, strict=True))
 
 
 def add(job: AddJob) -> AddedOutput:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection
 
-from armsight.app.history.adding import other_arm
+from armsight.app.history.arms import other_arm
 from armsight.app.history.figures import AXES, TURNS
 from armsight.app.history.looking import one_of, pose_change, wrapped
 from armsight.errors import Inconsistent

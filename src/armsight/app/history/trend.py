@@ -21,17 +21,16 @@ from armsight.app.history.series import (
     require_one_arm,
 )
 from armsight.app.requests.history import TrendJob
+from armsight.calibrate.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
 from armsight.errors import NotEnoughData
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.history_report import Charted, TrendPage, trend_report
-from armsight.store import write_text
-from armsight.store.atomic import write_json
+from armsight.store.atomic import write_json, write_text
 from armsight.store.history.database import reading
 from armsight.store.history.place import place_of
 from armsight.store.history.queries import Filter
 from armsight.units import DEG, MM
-from armsight.verify.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged, limits_for
 
 SUMMARY, REPORT = "trend.json", "report.html"
 YEAR_DAYS = 365.25
@@ -133,7 +132,7 @@ def trend(job: TrendJob) -> TrendOutput:
             consequence="Nothing is judged",
             cure="Name other figures with --figure (all, or as armsight history show prints them)",
         )
-    judgements = [_judged(course, len(chosen), job.false_alarms) for course in chosen]
+    judgements = _judgements(chosen, job.false_alarms)
     judgements.sort(key=lambda one: one.found.change is None)
     figures = [_figure(one) for one in judgements]
     doubted = sum(not run.trusted for run in found.runs)
@@ -164,10 +163,22 @@ def _require_runs(found: Found, cell: str) -> None:
         )
 
 
-def _judged(course: Course, figures: int, apart_years: float) -> _Judgement:
-    rate = runs_a_year(course)
-    limits = limits_for(apart_years, rate, figures)
-    return _Judgement(course=course, limits=limits, found=judged(course.values, course.std, limits), runs_a_year=rate)
+def _judgements(chosen: Sequence[Course], apart_years: float) -> list[_Judgement]:
+    """Return what the courses come to; those of the same runs are charted together."""
+    together: dict[tuple[int, ...], list[Course]] = {}
+    for course in chosen:
+        together.setdefault(course.runs, []).append(course)
+    out = []
+    for courses_ in together.values():
+        rate = runs_a_year(courses_[0])
+        limits = limits_for(apart_years, rate, len(chosen))
+        x, told = (np.stack([getattr(one, key) for one in courses_], axis=1) for key in ("values", "std"))
+        found = judged_together(x, told, limits)
+        out += [
+            _Judgement(course=course, limits=limits, found=one, runs_a_year=rate)
+            for course, one in zip(courses_, found, strict=True)
+        ]
+    return out
 
 
 def runs_a_year(course: Course) -> float:

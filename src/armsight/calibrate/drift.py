@@ -17,14 +17,14 @@ Both limits follow from how often a false alarm may come.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
-from armsight.fitting.quantiles import t_ppf, t_sf
+# not armsight.fitting.quantiles: its package takes longer to load than a history to be judged
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 Array = NDArray[np.float64]
 
@@ -45,6 +45,8 @@ CUT_SQUARE = float(
     1.0 - 2.0 * WILD * np.exp(-0.5 * WILD**2) / np.sqrt(2.0 * np.pi) - 2.0 * (1.0 - WILD**2) * ndtr(-WILD)
 )
 """Mean square of a normal score so cut: what the sum of squares is divided by (Huber, Robust Statistics, 1981, 6.7)."""
+FEWEST_OF_A_SLOPE = 4
+"""Runs since a change from which on it is told whether it goes on."""
 MOST_CORRELATED = 0.8
 """Correlation of a run's error with that of the one before, at the most."""
 OVERSHOOT = 1.166
@@ -74,6 +76,10 @@ class Chart:
     std: Array
     factor: Array
     correlation: Array
+
+    def column(self, k: int) -> Chart:
+        """Return the chart of one figure, (n, 1)."""
+        return Chart(**{one.name: getattr(self, one.name)[:, k : k + 1] for one in fields(self)})
 
     def alarms(self, limits: Limits) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return where a score is beyond its limit, and where a sum is, (n, p) each."""
@@ -110,7 +116,7 @@ def run_length(limit: float, slack: float, mean: float = 0.0) -> float:
     """Return the average run length of a one-sided CUSUM of normal scores with this mean.
 
     Siegmund's approximation: (exp(-2 D b) + 2 D b - 1) / (2 D^2), D = mean - slack, b = limit + 1.166 (Siegmund,
-    Sequential Analysis, 1985, eq. 2.57); within 2 % of the exact one for limits from 2 on.
+    Sequential Analysis, 1985, eq. 2.57); within 7 % of the exact one for slacks up to 1.
     """
     off, b = mean - slack, limit + OVERSHOOT
     if abs(off) < 1e-9:
@@ -191,7 +197,7 @@ class _State:
             t = np.where(known, (x - mean) / std, np.nan)
             score = normal_score(t, dof)
             wild = np.abs(score) > WILD
-            cut = np.sign(t) * t_ppf(np.full(len(t), ndtr(WILD)), np.maximum(dof, 1.0))
+            cut = np.sign(t) * stdtrit(np.maximum(dof, 1.0), ndtr(WILD))
             counted = np.where(wild, mean + cut * std, x)
             first = self.count == 0.0
             off = np.where(first | ~np.isfinite(mean), counted - self.mean, counted - mean)
@@ -222,7 +228,7 @@ class _State:
 
 def normal_score(t: Array, dof: Array) -> Array:
     """Return the normal score of Student's t (p,): as far out in N(0, 1), NaN where dof is not positive."""
-    tail = t_sf(np.abs(t), np.maximum(dof, 1e-9))
+    tail = stdtr(np.maximum(dof, 1e-9), -np.abs(t))
     with np.errstate(divide="ignore", invalid="ignore"):
         size = -ndtri(np.maximum(tail, np.finfo(float).tiny))
     return np.where(dof > 0.0, np.sign(t) * size, np.nan)
@@ -262,15 +268,22 @@ class Judged:
     apart: tuple[int, ...]
 
 
-def judged(x: Array, told: Array, limits: Limits) -> Judged:
+def judged_together(x: Array, told: Array, limits: Limits) -> list[Judged]:
+    """Return what runs (n, p) of figures that the same runs tell come to, each by itself as `judged` has it."""
+    chart = charted(x, told)  # all at once: a step of one figure takes as long as that of many
+    return [judged(x[:, k], told[:, k], limits, chart.column(k)) for k in range(x.shape[1])]
+
+
+def judged(x: Array, told: Array, limits: Limits, chart: Chart | None = None) -> Judged:
     """Return what runs (n,) with the deviations that they tell (n,) come to.
 
     A run beyond the limit whose next is back again stands apart: a measurement gone wrong is no change of the cell.
+    chart: of these runs, where it is known.
     """
     kept = x.copy()
     apart: list[int] = []
     while True:
-        chart = charted(kept[:, None], told[:, None])
+        chart = chart or charted(kept[:, None], told[:, None])
         jumps, drifts = (each[:, 0] for each in chart.alarms(limits))
         passed = np.flatnonzero(jumps | drifts)
         if not len(passed):
@@ -278,9 +291,10 @@ def judged(x: Array, told: Array, limits: Limits) -> Judged:
         noticed = int(passed[0])
         if jumps[noticed] and _came_back(chart.score[:, 0], noticed, limits):
             apart.append(noticed)
-            kept[noticed] = np.nan
+            kept[noticed], chart = np.nan, None
             continue
-        return Judged(chart=chart, change=_change(chart, kept, told, noticed, bool(jumps[noticed])), apart=tuple(apart))
+        change = _change(chart, kept, told, _Alarm(noticed, bool(jumps[noticed]), limits))
+        return Judged(chart=chart, change=change, apart=tuple(apart))
 
 
 def _came_back(score: Array, at: int, limits: Limits) -> bool:
@@ -290,16 +304,29 @@ def _came_back(score: Array, at: int, limits: Limits) -> bool:
     return len(after) > 0 and after[0] * np.sign(score[at]) < 0.5 * limits.jump
 
 
-def _change(chart: Chart, x: Array, told: Array, noticed: int, jumped: bool) -> Change:
+@dataclass(frozen=True, slots=True)
+class _Alarm:
+    """Which run passed a limit, whether by itself, and the limits."""
+
+    noticed: int
+    alone: bool
+    limits: Limits
+
+
+def _change(chart: Chart, x: Array, told: Array, alarm: _Alarm) -> Change:
+    noticed = alarm.noticed
     sums = (chart.up if chart.up[noticed, 0] >= chart.down[noticed, 0] else chart.down)[:, 0]
     start = int(np.flatnonzero(sums[:noticed] <= 0.0)[-1]) + 1
+    # a run far off after some that happened to lie on its side: the change began with it, not with these
+    jumped = alarm.alone and (start == noticed or sums[noticed - 1] < 0.5 * alarm.limits.drift)
+    start = noticed if jumped else start
     s = told if np.isfinite(told).any() else np.ones(len(x))
     before, mean, weight = _mean(x[:start], s[:start])
     _, later, later_weight = _mean(x[start:], s[start:])
     factor = float(chart.factor[start, 0]) if before > 1 else TOLD_FACTOR
     last = int(np.flatnonzero(np.isfinite(x) & np.isfinite(s))[-1])
     return Change(
-        kind=Kind.JUMP if jumped and start == noticed else Kind.DRIFT,
+        kind=Kind.JUMP if jumped and not _moves_on(x[start:], factor * s[start:]) else Kind.DRIFT,
         noticed=noticed,
         start=start,
         size=later - mean,
@@ -307,6 +334,16 @@ def _change(chart: Chart, x: Array, told: Array, noticed: int, jumped: bool) -> 
         latest=float(x[last]) - mean,
         latest_std=factor * float(np.sqrt(1.0 / weight + s[last] ** 2)),
     )
+
+
+def _moves_on(x: Array, s: Array) -> bool:
+    """Tell whether runs (n,) with deviations s go on in one direction, beyond three deviations of their slope."""
+    known = np.isfinite(x) & np.isfinite(s)
+    i, y, w = np.flatnonzero(known).astype(float), x[known], 1.0 / s[known] ** 2
+    if len(i) < FEWEST_OF_A_SLOPE:
+        return False
+    i = i - i @ w / w.sum()
+    return bool(abs((i * w) @ y) > 3.0 * np.sqrt((i * w) @ i))
 
 
 def _mean(x: Array, s: Array) -> tuple[int, float, float]:
