@@ -25,7 +25,7 @@ SHOWN = {"m": (MM, "mm"), "rad": (DEG, "deg")}
 
 def _name(one: Quantity | RunDifference | TrendFigure) -> str:
     """Return a number's name without its unit, which stands beside it as people read it."""
-    return one.name.removesuffix("_rad" if one.unit == "rad" else "_m" if one.unit == "m" else " ")
+    return one.name.removesuffix("_rad").removesuffix("_m") if one.unit in SHOWN else one.name
 
 
 def _unit(unit: str) -> str:
@@ -140,16 +140,16 @@ def trend(face: CommandUI, job: requests.history.TrendJob) -> None:
     from armsight.app.history.trend import trend as run
 
     done = run(job)
-    rows = []
-    alone = len({one.command for one in done.figures}) == 1
-    for one in done.figures:
-        since = "" if one.since_run is None else f"run {one.since_run}"
-        sizes = _shown(one.unit, one.run_std, one.latest, one.latest_std)
-        command = [] if alone else [one.command]
-        state = one.state.upper() if since else one.state
-        rows.append([_name(one), *command, state, str(one.n), *sizes, _unit(one.unit), since])
-    head = ["", *([] if alone else ["command"]), "state", "runs", "a run +-", "change", "+-", "unit", "since"]
-    face.table(f"Cell {done.cell}{f', {done.figures[0].command}' if alone else ''}", head, rows)
+    for command_ in dict.fromkeys(one.command for one in done.figures):
+        rows = []
+        for one in done.figures:
+            if one.command == command_:
+                since = "" if one.since_run is None else f"run {one.since_run}"
+                sizes = _shown(one.unit, one.run_std, one.latest, one.latest_std)
+                state = one.state.upper() if since else one.state
+                rows.append([_name(one), state, str(one.n), *sizes, _unit(one.unit), since])
+        head = ["", "state", "runs", "a run +-", "change", "+-", "unit", "since"]
+        face.table(f"Cell {done.cell}, {command_}", head, rows)
     for note in done.notes:
         face.say(f"- {note}")
     face.say(done.verdict)

@@ -20,6 +20,7 @@ POSES_STD: Mapping[str, str] = {
     "T_base_rig": "std",
 }
 """Poses of results by the key beside them that tells their deviations."""
+STDS = ("std", "std_target")
 AXES = ("x_m", "y_m", "z_m")
 TURNS = ("rx_rad", "ry_rad", "rz_rad")
 
@@ -47,7 +48,7 @@ def _walked(content: Content, prefix: str, above: Content) -> Iterator[Quantity]
     stds: Content = own if isinstance(own, Mapping) else {}
     for key, value in content.items():
         name = f"{prefix}{key}"
-        if key in ("std", "std_target") and isinstance(value, Mapping):
+        if key in STDS and isinstance(value, Mapping):
             yield from _left_over(content, value, name)
         elif isinstance(value, Mapping) and "quat_xyzw" in value:
             beside = content.get(POSES_STD.get(key, ""), {})
@@ -78,7 +79,8 @@ def _beside(content: Content, key: str, stds: Content) -> object:
 
 def _left_over(content: Content, stds: Content, name: str) -> Iterator[Quantity]:
     """Yield deviations of what the result holds no number of beside them, as numbers of their own."""
-    told = {key for part in (content, *(v for v in content.values() if isinstance(v, Mapping))) for key in part}
+    beside = [part for key, part in content.items() if key not in STDS and isinstance(part, Mapping)]
+    told = {key for part in (content, *beside) for key in part}
     told |= {*AXES, *TURNS}
     for key, value in stds.items():
         if key not in told and number(value) is not None:

@@ -39,6 +39,8 @@ FEW = 5
 """Runs below which nothing is called steady: so few tell neither mean nor scatter."""
 OFTEN = 24.0 * YEAR_DAYS
 """Runs a year at the most: many results of one afternoon are no reason for limits as wide as a year of such days'."""
+MOST_SAID = 3
+"""Changes that the verdict tells, the surest first."""
 SHOWN = {"m": (MM, "mm"), "rad": (DEG, "deg")}
 TO_DO = {
     "joint-zeros": "Check that joint's mastering (armsight verify --mastering); master it, or take the calibrated arm",
@@ -76,7 +78,7 @@ class TrendFigure(Output):
     ]
     jump_limit: Annotated[float, Doc("Of a single run, in its deviations (Shewhart).")]
     drift_limit: Annotated[float, Doc("Of the sum of deviations (CUSUM).")]
-    since: Annotated[str | None, Doc("When the change began, UTC: the date of since_run; null without one.")] = None
+    since: Annotated[str | None, Doc("When the change began, UTC: the date of since_run; left out where nothing changed.")] = None
     since_run: Annotated[int | None, Doc("The first run that is no longer as those before it.")] = None
     noticed_run: Annotated[int | None, Doc("The run at which it was beyond the limit.")] = None
     change: Annotated[float | None, Doc("Mean since then less that before.", unit="as unit says")] = None
@@ -244,9 +246,14 @@ def _verdict(judgements: Sequence[_Judgement], figures: Sequence[TrendFigure], r
             least = min(one.n for one in figures)
             return f"Too few runs to say ({least}, {FEW} are wanted): so far nothing has changed beyond chance."
         return f"Nothing has drifted: {steady} of {len(figures)} figures are steady over {runs} runs."
-    worst = max(changed, key=lambda one: abs(one.latest or 0.0) / (one.latest_std or 1.0))
-    more = "" if len(changed) == 1 else f" {len(changed)} of {len(figures)} figures have changed."
-    return f"{said(worst)}{more}"
+    changed.sort(key=lambda one: -abs(one.latest or 0.0) / (one.latest_std or 1.0))
+    more = f" {len(changed)} of {len(figures)} figures have changed." if len(changed) > MOST_SAID else ""
+    return " ".join(map(said, changed[:MOST_SAID])) + more
+
+
+def plain_name(name: str) -> str:
+    """Return a figure's name for people, who read its unit behind the number."""
+    return name.removesuffix("_rad").removesuffix("_m")
 
 
 def said(one: TrendFigure) -> str:
@@ -257,7 +264,7 @@ def said(one: TrendFigure) -> str:
     when = (one.since or "")[:10]
     last = " The last run alone says so: repeat it." if one.since_run == one.last_run else ""
     by = f"{size:+.3g} +- {std:.2g} {unit}"
-    return f"{one.name} ({one.command}) {verb} by {by} since run {one.since_run} ({when}).{last}"
+    return f"{plain_name(one.name)} ({one.command}) {verb} by {by} since run {one.since_run} ({when}).{last}"
 
 
 def _notes(figures: Sequence[TrendFigure], doubted: int) -> list[str]:
@@ -306,7 +313,7 @@ def _page(done: TrendOutput, judgements: Sequence[_Judgement]) -> TrendPage:
         change = one.found.change
         pictures.append(
             Charted(
-                name=row.name,
+                name=plain_name(row.name),
                 command=row.command,
                 state=row.state,
                 unit="°" if unit == "deg" else unit,
