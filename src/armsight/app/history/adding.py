@@ -131,9 +131,9 @@ def _of_file(job: AddJob, notes: list[str]) -> Entry:
     if "error" in content:
         raise BadFile(f"{job.result}: a refusal, no result", consequence="It is not filed", cure="Give a result")
     command = _command_of(content, job.result)
-    arm = None if job.arm is None else arm_from_mapping(read_yaml(job.arm), str(job.arm))
+    arm = None if job.arm_file is None else arm_from_mapping(read_yaml(job.arm_file), str(job.arm_file))
     if command == "calibrate arm" and arm is None:
-        notes.append("Joint zeros are in arm.yaml, not in this JSON: give --arm arm.yaml, or file that file.")
+        notes.append("Joint zeros are in arm.yaml, not in this JSON: give --arm-file arm.yaml, or file that file.")
     return entry_of_result(
         content,
         parameters_of(content, arm if command == "calibrate arm" else None),

@@ -78,7 +78,9 @@ class TrendFigure(Output):
     ]
     jump_limit: Annotated[float, Doc("Of a single run, in its deviations (Shewhart).")]
     drift_limit: Annotated[float, Doc("Of the sum of deviations (CUSUM).")]
-    since: Annotated[str | None, Doc("When the change began, UTC: the date of since_run; left out where nothing changed.")] = None
+    since: Annotated[
+        str | None, Doc("When the change began, UTC: the date of since_run; left out where nothing changed.")
+    ] = None
     since_run: Annotated[int | None, Doc("The first run that is no longer as those before it.")] = None
     noticed_run: Annotated[int | None, Doc("The run at which it was beyond the limit.")] = None
     change: Annotated[float | None, Doc("Mean since then less that before.", unit="as unit says")] = None

@@ -33,7 +33,7 @@ class AddJob:
         Flag(positional=True, metavar="RESULT"),
     ]
     cell: Annotated[str | None, Doc("The cell that it is of."), Flag(metavar="NAME")] = None
-    arm: Annotated[Path | None, Doc("With the JSON of calibrate arm: the arm.yaml that it wrote.")] = None
+    arm_file: Annotated[Path | None, Doc("With the JSON of calibrate arm: the arm.yaml that it wrote.")] = None
     created: Annotated[
         str | None, Doc("When the result was made. [default: as its file says]"), Flag(metavar="WHEN")
     ] = None
