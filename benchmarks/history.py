@@ -35,7 +35,8 @@ FIGURES = 16
 YEARS_APART = 100.0
 DRIFT_DEG_A_WEEK = 0.02
 WEEKS_A_YEAR = 52
-WRITERS, SECONDS = 8, 20.0
+WRITERS, SECONDS, LEAST_BYTES = 8, 20.0, 100
+"""Processes that write at once, seconds in which one after the other is killed, bytes that each has said by then."""
 
 WRITER = """
 import sys
@@ -209,12 +210,11 @@ def writers() -> None:
                 )
                 for i, log in enumerate(logs)
             ]
-            for i, one in enumerate(started):
+            while min(log.stat().st_size for log in logs) < LEAST_BYTES:
+                time.sleep(0.1)
+            for one in started:  # in the middle of whatever it does
                 time.sleep(SECONDS / WRITERS)
-                if i % 2:
-                    one.send_signal(signal.SIGKILL)
-            for one in started:
-                one.kill()
+                one.send_signal(signal.SIGKILL)
                 one.wait()
         acknowledged = [
             int(line) for log in logs for line in log.read_text().splitlines(keepends=True) if line[-1] == "\n"
