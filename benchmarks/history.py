@@ -1,6 +1,6 @@
 """The history of cells: how long `trend` takes, whether drifts are found and false alarms as rare as said, lost writes.
 
-python benchmarks/history.py [trend] [drift] [alarms] [writers]        # all without a word
+python benchmarks/history.py [trend] [drift] [steps] [alarms] [writers]        # all without a word
 """
 
 from __future__ import annotations
@@ -155,6 +155,26 @@ def drift() -> None:
     )
 
 
+def steps() -> None:
+    """A lasting change of one figure, in deviations of a run."""
+    rows = []
+    rng = np.random.default_rng(4)
+    limits = limits_for(YEARS_APART, WEEKS_A_YEAR, FIGURES)
+    for before in (12, 30, 60):
+        shares = []
+        for size in (1.5, 2.0, 2.5, 3.0, 4.0, 6.0):
+            x = rng.standard_normal((before + 20, 2000))
+            x[before:] += size
+            jumps, drifts = charted(x, np.ones_like(x)).alarms(limits)
+            shares.append(f"{100.0 * (jumps | drifts).any(axis=0).mean():.0f} %")
+        rows.append([before, *shares])
+    table(
+        f"Lasting changes found within 20 runs, a run a week, {FIGURES} figures",
+        ["runs before", *(f"{size} deviations" for size in ("1.5", "2", "2.5", "3", "4", "6"))],
+        rows,
+    )
+
+
 def alarms() -> None:
     rows = []
     for a_week, years, cells, batches, scatter, r in (
@@ -234,7 +254,7 @@ def writers() -> None:
 
 
 def main() -> None:
-    parts = {"trend": trend, "drift": drift, "alarms": alarms, "writers": writers}
+    parts = {"trend": trend, "drift": drift, "steps": steps, "alarms": alarms, "writers": writers}
     for name in sys.argv[1:] or parts:
         parts[name]()
 

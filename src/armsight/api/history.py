@@ -118,8 +118,8 @@ def trend(
 ) -> TrendOutput:
     """Return whether figures of a cell have drifted: what, since when, by how much.
 
-    figure: names or groups of figures; else joint zeros, hand-eye, rig, tool tip and world. false_alarms: one in so many
-    cell-years. out: a folder for the report. Raises UsageError, NotEnoughData, Inconsistent for two arms, BadFile,
+    figure: names or groups of figures; else joint zeros, hand-eye, rig, tool tip and world. false_alarms: one in so
+    many cell-years. out: a folder for the report. Raises UsageError, NotEnoughData, Inconsistent for two arms, BadFile,
     DeviceFailed.
     """
     if not 0.01 <= false_alarms <= 1e9:

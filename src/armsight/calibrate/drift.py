@@ -47,8 +47,18 @@ CUT_SQUARE = float(
 """Mean square of a normal score so cut: what the sum of squares is divided by (Huber, Robust Statistics, 1981, 6.7)."""
 FEWEST_OF_A_SLOPE = 4
 """Runs since a change from which on it is told whether it goes on."""
+LEAST_DOF = 6.0
+"""Degrees of freedom below which nothing is judged: of figures whose deviation nobody tells, the first runs."""
+SURE_DOF = 15.0
+"""Degrees of freedom of the scatter below which every run is learned at once: one that is guessed is not held on to."""
+FAR = 3.0
+"""Scores beyond it count as that much in the correlation."""
 MOST_CORRELATED = 0.8
 """Correlation of a run's error with that of the one before, at the most."""
+RESERVE = 4.0
+"""By how much longer the CUSUM's run length is made than that of exact scores: the scatter is estimated, and not
+learned on while a sum is above zero. With it simulated cells give fewer false alarms than said
+(benchmarks/history.py)."""
 OVERSHOOT = 1.166
 """2 rho, by which a random walk of normal steps passes a limit (Siegmund, Sequential Analysis, 1985, section 2.5)."""
 
@@ -92,7 +102,7 @@ def limits_for(false_alarms_apart_years: float, runs_a_year: float, figures: int
     many years of a cell. Each has its even share, as if none hung together (Bonferroni).
     """
     runs = 2.0 * figures * runs_a_year * false_alarms_apart_years
-    return Limits(jump=jump_limit(runs), drift=drift_limit(runs))
+    return Limits(jump=jump_limit(runs), drift=drift_limit(RESERVE * runs))
 
 
 def jump_limit(average_run_length: float) -> float:
@@ -139,91 +149,90 @@ def charted(x: Array, told: Array, *, slack: float = SLACK) -> Chart:
     for i in range(n):
         known = np.isfinite(x[i]) & np.isfinite(s[i]) & (s[i] > 0.0)
         mean[i], std[i], factor[i] = state.expected(s[i])
+        correlation[i] = state.correlation()
         score[i] = state.take(x[i], s[i], known)
-        correlation[i] = state.correlated(score[i])
         heard = np.isfinite(score[i])
         # the sum of an autoregressive course scatters more than one of independent steps, by this factor
         step = np.where(heard, score[i], 0.0) * np.sqrt((1.0 - correlation[i]) / (1.0 + correlation[i]))
         above = np.where(heard, np.maximum(0.0, above + step - slack), above)
         below = np.where(heard, np.maximum(0.0, below - step - slack), below)
         up[i], down[i] = above, below
+        state.learn((above == 0.0) & (below == 0.0))
     return Chart(score=score, up=up, down=down, mean=mean, std=std, factor=factor, correlation=correlation)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _State:
-    """What the runs so far say of p figures: sum of weights, weighted mean, sum of squares, count; worth: runs that the
-    told deviations count for. For the correlation in time: the last score, sums of products and of squares.
+    """What the runs so far say of p figures: weight, their sum of weights; mean, the weighted one; worth: runs that the
+    told deviations count for; last: the last score; steps (2, p): how many scores follow another, and their squared
+    differences.
+
+    learned (4, p): how many runs tell the scatter, their sum of squares; how many have a score, and its squares.
+    pending (4, p): the same of the runs since a sum last stood at zero. These may be those of a change, which would
+    make itself look like scatter: they are learned once both sums are at zero again.
     """
 
     weight: Array
     mean: Array
-    squares: Array
-    count: Array
     worth: Array
     last: Array
-    products: Array
-    powers: Array
+    steps: Array
+    learned: Array
+    pending: Array
 
     @classmethod
     def empty(cls, p: int, worth: Array) -> _State:
-        zero = [np.zeros(p) for _ in range(7)]
-        weight, mean, squares, count, last, products, powers = zero
-        return cls(
-            weight=weight,
-            mean=mean,
-            squares=squares,
-            count=count,
-            worth=worth,
-            last=last,
-            products=products,
-            powers=powers,
-        )
+        zero, four = np.zeros(p), np.zeros((4, p))
+        last = np.full(p, np.nan)
+        return cls(weight=zero, mean=zero, worth=worth, last=last, steps=np.zeros((2, p)), learned=four, pending=four)
+
+    @property
+    def dof(self) -> Array:
+        return self.worth + self.learned[0] - 1.0
 
     def expected(self, s: Array) -> tuple[Array, Array, Array]:
         """Return mean, deviation of a run that tells s, factor on told deviations (p,); NaN where nothing is known."""
-        dof = self.worth + self.count - 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            known = (self.count > 0.0) & (dof > 0.0)
-            factor = np.sqrt((self.worth * TOLD_FACTOR**2 + self.squares) / dof)
+            known = (self.weight > 0.0) & (self.dof >= LEAST_DOF)
+            factor = np.sqrt((self.worth * TOLD_FACTOR**2 + self.learned[1]) / self.dof)
             std = factor * np.sqrt(s**2 + 1.0 / self.weight)
         return np.where(known, self.mean, np.nan), np.where(known, std, np.nan), np.where(known, factor, np.nan)
 
     def take(self, x: Array, s: Array, known: NDArray[np.bool_]) -> Array:
         """Return the normal scores (p,) of a run, and count it in."""
         mean, std, _ = self.expected(s)
-        dof = self.worth + self.count - 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.where(known, (x - mean) / std, np.nan)
-            score = normal_score(t, dof)
-            wild = np.abs(score) > WILD
-            cut = np.sign(t) * stdtrit(np.maximum(dof, 1.0), ndtr(WILD))
-            counted = np.where(wild, mean + cut * std, x)
-            first = self.count == 0.0
-            off = np.where(first | ~np.isfinite(mean), counted - self.mean, counted - mean)
+            score = normal_score(t, self.dof)
+            cut = np.sign(t) * stdtrit(np.maximum(self.dof, 1.0), ndtr(WILD))
+            off = np.where(np.abs(score) > WILD, cut * std, x - self.mean)
             gain = 1.0 / s**2
-            spread = np.where(first, 0.0, off**2 / (s**2 + 1.0 / self.weight) / CUT_SQUARE)
-        self.squares = np.where(known, self.squares + spread, self.squares)
+            spread = np.where(self.weight > 0.0, off**2 / (s**2 + 1.0 / self.weight) / CUT_SQUARE, 0.0)
+        kept = np.clip(score, -FAR, FAR)
+        step = kept - self.last
+        self.steps = self.steps + np.stack([np.isfinite(step), np.nan_to_num(step**2)])
+        counted = np.stack([np.ones(len(x)), spread, np.isfinite(kept), np.nan_to_num(kept**2)])
+        self.pending = np.where(known, self.pending + counted, self.pending)
         self.mean = np.where(known, self.mean + off * gain / (self.weight + gain), self.mean)
         self.weight = np.where(known, self.weight + gain, self.weight)
-        self.count = self.count + known
+        self.last = np.where(np.isfinite(score), kept, self.last)
         return score
 
-    def correlated(self, score: Array) -> Array:
-        """Return how far each run's error hangs on the one before, as the runs so far say; count a run's score in.
+    def learn(self, quiet: NDArray[np.bool_]) -> None:
+        """Count the pending runs in where both sums stand at zero, or where little is known of the scatter yet."""
+        quiet = quiet | (self.dof < SURE_DOF)
+        self.learned = np.where(quiet, self.learned + self.pending, self.learned)
+        self.pending = np.where(quiet, 0.0, self.pending)
 
-        Less half of what chance makes of none, and never below 0: told too large it hides drifts, too small it
-        brings false alarms.
+    def correlation(self) -> Array:
+        """Return how far each run's error hangs on the one before, as the runs say.
+
+        From the squared steps between scores against their squares (von Neumann's ratio): a change of the mean makes
+        one such step, and does not look like correlation. Never below 0: that is chance.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
-            r = self.products / self.powers - 0.5 / np.sqrt(np.maximum(self.count - 1.0, 1.0))
-        r = np.where(self.count > 4.0, np.clip(np.nan_to_num(r), 0.0, MOST_CORRELATED), 0.0)
-        kept = np.clip(np.nan_to_num(score), -WILD, WILD)
-        heard = np.isfinite(score)
-        self.products = np.where(heard, self.products + kept * self.last, self.products)
-        self.powers = np.where(heard, self.powers + kept**2, self.powers)
-        self.last = np.where(heard, kept, self.last)
-        return r
+            r = 1.0 - 0.5 * (self.steps[1] / self.steps[0]) / (self.learned[3] / self.learned[2])
+        return np.where(self.learned[2] > FEWEST_OF_A_SLOPE, np.clip(np.nan_to_num(r), 0.0, MOST_CORRELATED), 0.0)
 
 
 def normal_score(t: Array, dof: Array) -> Array:

@@ -71,6 +71,16 @@ def test_a_drift_of_a_fiftieth_of_a_degree_a_week_is_found_within_four_weeks():
     assert not (jumps | drifts)[:before].any()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_lasting_change_that_no_run_shows_alone_is_found_by_the_sum(sign):
+    rng = np.random.default_rng(4)
+    x = rng.standard_normal((80, 200))
+    x[60:] += sign * drift.SMALLEST_STEP
+    jumps, drifts = charted(x, np.ones_like(x)).alarms(limits_for(100.0, WEEKS, 16))
+    assert drifts.any(axis=0).mean() > 0.8
+    assert drifts.any(axis=0).sum() > 2 * jumps.any(axis=0).sum()
+
+
 def test_what_changed_since_when_and_by_how_much():
     rng = np.random.default_rng(5)
     n, start, std = 40, 30, 0.01
