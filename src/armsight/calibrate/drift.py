@@ -188,7 +188,9 @@ class _State:
 
     @property
     def dof(self) -> Array:
-        return self.worth + self.learned[0] - 1.0
+        """Degrees of freedom of the scatter, (p,)."""
+        dof: Array = self.worth + self.learned[0] - 1.0
+        return dof
 
     def expected(self, s: Array) -> tuple[Array, Array, Array]:
         """Return mean, deviation of a run that tells s, factor on told deviations (p,); NaN where nothing is known."""
