@@ -63,6 +63,7 @@ def handeye_run(cell: str, xyz_m, rotation, when: datetime, std: float = 1e-4, *
         "T_flange_camera": {"xyz_m": list(xyz_m), "quat_xyzw": rotation.as_quat().tolist()},
         "std": dict.fromkeys(names, std),
         "concerns": list(concerns),
+        "residual_rms_m": 2e-4,
         "verdict": "known",
     }
     made = Made(command="calibrate handeye", cell=cell, created=utc(when), inputs=())

@@ -316,7 +316,8 @@ def test_export_as_csv_parquet_and_lines(armsight, history, tmp_path, monkeypatc
     assert [(row["kind"], row["unit"]) for row in of_pose] == [("parameter", "m")] * 2
     armsight("history", "export", "-o", tmp_path / "x.parquet")
     table = pyarrow.parquet.read_table(tmp_path / "x.parquet").to_pylist()
-    assert [one["value"] for one in table] == [float(row["value"]) for row in rows]
+    assert [one["value"] for one in table] == [float(row["value"]) if row["value"] else None for row in rows]
+    assert [row["std"] for row in rows if row["name"] == "handeye.rx_rad"] == ["0.0001"] * 2
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     done = armsight("history", "export", "-o", tmp_path / "y.parquet").json
     assert done["file"] == str(tmp_path / "y.jsonl")

@@ -171,11 +171,13 @@ def _parameters(connection: Connection, numbers: Sequence[int]) -> dict[int, lis
 
 
 def pose_numbers(pose: StoredPose) -> Iterator[Quantity]:
-    """Yield the place of a pose with deviations, its quaternion, and the deviations of its rotation."""
+    """Yield the place of a pose with deviations, its quaternion, and deviations of a small rotation, of no value."""
     for axis, value, std in zip(AXES, pose.xyz_m, pose.std, strict=False):
         yield Quantity(name=f"{pose.name}.{axis}", value=value, std=std, unit="m")
     for part, value in zip("xyzw", pose.quat_xyzw, strict=True):
         yield Quantity(name=f"{pose.name}.q{part}", value=value, std=None, unit="")
+    for axis, std in zip(TURNS, pose.std[len(AXES) :], strict=True):
+        yield Quantity(name=f"{pose.name}.{axis}", value=None, std=std, unit="rad")
 
 
 def compare_runs(job: CompareRunsJob) -> HistoryCompareOutput:
