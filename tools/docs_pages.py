@@ -102,7 +102,7 @@ HEADINGS = {
     "armsight.api.links": "Links to robots",
     "armsight.api.watch": "Robots watched",
     "armsight.api.machine": "Machine and papers",
-    "armsight.api": "Paths",
+    "armsight.api": "Paths, histories",
     "armsight.calibrate.cameras": "Options of calibrations",
     "armsight.control.guard": "Limits of the guard",
     "armsight.drivers": "Drivers",

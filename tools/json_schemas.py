@@ -26,6 +26,14 @@ from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
 from armsight.app.doctor import DoctorOutput
+from armsight.app.history.adding import AddedOutput
+from armsight.app.history.looking import (
+    HistoryCompareOutput,
+    HistoryExportOutput,
+    HistoryListOutput,
+    HistoryShowOutput,
+)
+from armsight.app.history.trend import TrendOutput
 from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
 from armsight.app.join import JoinOutput
 from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
@@ -89,6 +97,12 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "convert-table": ConvertTableOutput,
     "convert-arm": ConvertArmOutput,
     "compare": CompareOutput,
+    "history-add": AddedOutput,
+    "history-list": HistoryListOutput,
+    "history-show": HistoryShowOutput,
+    "history-compare": HistoryCompareOutput,
+    "history-trend": TrendOutput,
+    "history-export": HistoryExportOutput,
     "join": JoinOutput,
     "simulate": SimulateOutput,
     "reproduce": ReproduceOutput,

@@ -46,6 +46,9 @@ FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "kinematics formulas": ("write_formulas",),
     "kinematics show": ("show_arm",),
     "path from-picks": ("paths.from_picks",),
+    "history add": ("history.add",),
+    "history list": ("history.runs",),
+    **{f"history {name}": (f"history.{name}",) for name in ("show", "compare", "trend", "export")},
 }
 """Commands that several functions do, or others than COMMANDS names."""
 
@@ -66,6 +69,8 @@ TABLE = {
 }
 ANYWHERE: Mapping[str, str] = {
     "--json": "results are objects: `to_dict()` gives what this prints",
+    "--cell": "`history.add(result, cell)` of what is returned",
+    "--history": "`history.add(history)`",
     "--overwrite": "the folder `out` is written to as it is",
     **{flag: f"`camera_settings=CameraSettings({name}=...)`" for flag, name in CAMERA.items()},
     **{flag: f"`table=TableFormat({name}=...)`, here or in `read_table`" for flag, name in TABLE.items()},

@@ -122,6 +122,11 @@ KINDS: Mapping[str, tuple[Step, ...]] = {
     "pachidis2005": ("reproduce pachidis2005 --frames 12 -o paper",),
     "kinematics": ("kinematics show --arm ur10e -o arm.html",),
     "path": (write_path, "path check path.csv --arm irb120 --speed-m-s 0.01 -o check.html"),
+    "history": (
+        "simulate handeye -o set",
+        *("calibrate handeye --pairs set/pairs.csv -o handeye.yaml --cell a --history runs.sqlite" for _ in range(6)),
+        "history trend --cell a --history runs.sqlite -o drift",
+    ),
     "compare": (
         CELL,
         "simulate webcam-cell --frames 24 --room dark --seed 5 -o again",

@@ -18,6 +18,7 @@ from armsight._files import Files
 
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
+    from armsight.api import history as history
     from armsight.api import paths as paths
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
@@ -246,7 +247,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "simulate",
         "write_simulation",
     ),
-    "armsight.api": ("paths",),
+    "armsight.api": ("history", "paths"),
     "armsight.measure.settings": ("SpotSettings",),
     "armsight.calibrate.cameras": ("BoardOptions",),
     "armsight.control.guard": ("Limits",),

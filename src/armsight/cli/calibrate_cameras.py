@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MRAD = 1e-3
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate camera")
 def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     """Find one camera's focal lengths, centre and distortion from images of a printed board, and its noise.
 
@@ -72,7 +72,7 @@ def _require_board(job: requests.calibrate_cameras.CameraJob) -> None:
         raise UsageError("--side is of a rig.yaml, and a board's images make a camera.yaml", cure="Leave --side away")
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate stereo")
 def stereo(face: CommandUI, job: requests.calibrate_cameras.StereoJob) -> None:
     """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
     from armsight.app.calibrate.cameras import calibrate_stereo
@@ -95,7 +95,7 @@ def zoom_rig(face: CommandUI, job: requests.calibrate_cameras.ZoomRigJob) -> Non
     face.result(done)
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate mirrors")
 def mirrors(face: CommandUI, job: requests.calibrate_cameras.MirrorsJob) -> None:
     """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
     from armsight.app.calibrate.cameras import report_path

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.tooltip_result import TipCalibration
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate handeye")
 def handeye(face: CommandUI, job: requests.calibrate_robot.HandEyeJob) -> None:
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
     from armsight.app.calibrate.handeye import calibrate_handeye
@@ -30,7 +30,7 @@ def handeye(face: CommandUI, job: requests.calibrate_robot.HandEyeJob) -> None:
     face.result(done)
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate tooltip")
 def tooltip(
     face: CommandUI,
     *,
@@ -57,7 +57,7 @@ def tooltip(
     face.result(done)
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate pivot")
 def pivot(face: CommandUI, job: requests.calibrate_robot.PivotJob) -> None:
     """Find a tool's tip while you pivot it before the cameras; ends when it is known well enough."""
     from armsight.app.calibrate.pivot import run_pivot
@@ -109,7 +109,7 @@ def handeye_tables(face: CommandUI, done: HandEye, out: Path) -> None:
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate arm")
 def arm(face: CommandUI, job: requests.calibrate_robot.ArmJob, tip: Tip = None, base: Base = None) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
     from armsight.app.arm_files import arm_source
@@ -149,7 +149,7 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
-@command(calibrate)
+@command(calibrate, filed="calibrate robot-world")
 def robot_world(
     face: CommandUI,
     *,

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -23,9 +23,13 @@ from typer.main import get_command_from_info
 from typer.models import CommandInfo
 
 from armsight._files import real_path
+from armsight.app.requests.history import PLACE
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import CommandFlags
-from armsight.errors import Cancelled, UsageError
+from armsight.errors import ArmsightError, Cancelled, UsageError
+
+if TYPE_CHECKING:
+    from armsight.app.history.filing import Filing
 
 MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
 VIEWS = ("left", "right", "image")
@@ -41,6 +45,16 @@ WRITTEN = {"out", "record", "log"}
 NOT_TO_BE_TRUSTED = 3
 
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
+HISTORY = "Filing in a history"
+CELL = Annotated[
+    str | None,
+    typer.Option(
+        "--cell", metavar="NAME", rich_help_panel=HISTORY, help="File the result in the history of this cell."
+    ),
+]
+HISTORY_PLACE = Annotated[
+    str | None, typer.Option("--history", metavar="FILE_OR_URL", rich_help_panel=HISTORY, help=PLACE)
+]
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
 
 
@@ -58,7 +72,7 @@ class Command:
     json: it has a result that programs read. keeps: the results that it writes into its folder `out`. own: a result
     whose presence says that the folder is this command's own, which it may replace unasked. in_place: its result takes
     the place of an input. streamed: it writes one table and nothing else, which may go to the standard output (-o -).
-    panels: of the help, in their order.
+    panels: of the help, in their order. filed: the name under which its result may be filed in a history.
     """
 
     function: Callable[..., None]
@@ -68,6 +82,7 @@ class Command:
     in_place: bool = False
     streamed: bool = False
     panels: tuple[str, ...] = ()
+    filed: str = ""
 
     @functools.cached_property
     def flags(self) -> CommandFlags:
@@ -82,6 +97,10 @@ class Command:
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
             for name, kind in added.items()
         ]
+        every += [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+            for name, kind in ({"cell": CELL, "history": HISTORY_PLACE} if self.filed else {}).items()
+        ]
         return sorted(every, key=self._panel)
 
     def _panel(self, parameter: inspect.Parameter) -> int:
@@ -93,6 +112,9 @@ class Command:
         as_json = given.pop("json", False)
         overwrite = given.pop("overwrite", False) if self.keeps else False
         with contextlib.ExitStack() as held:
+            if self.filed:
+                with CommandUI(as_json=as_json):
+                    given["filing"] = self._filing(given)
             if WRITTEN & set(given):
                 with CommandUI(as_json=as_json):
                     held.enter_context(self._outputs(given, as_json))
@@ -106,8 +128,19 @@ class Command:
                 _replacing(out, self.keeps, overwrite, lambda: self._work(given, as_json))
 
     def _work(self, given: Mapping[str, Any], as_json: bool) -> None:
-        with CommandUI(as_json=as_json) as face:
+        with CommandUI(as_json=as_json) as face, _filed(face, given.get("filing")):
             self.function(face, **self.flags.arguments(given, face.say))
+
+    def _filing(self, given: dict[str, Any]) -> Filing | None:
+        """Return what files the result where a cell is named. Raises UsageError, before any work is done."""
+        cell, place = given.pop("cell"), given.pop("history")
+        if cell is None:
+            if place is not None:
+                raise UsageError("--history says where to file, and no cell is named", cure="Add --cell NAME")
+            return None
+        from armsight.app.history.filing import filing
+
+        return filing(self.filed, cell, place, dict(given))
 
     def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:
         """Hold what is written for this command alone. Raises UsageError for an input, and for what is no file."""
@@ -127,6 +160,27 @@ class Command:
             if not out.is_dir():
                 refuse_inputs(out.parent, (out.name,), given)
         return held_outputs(outs)
+
+
+@contextlib.contextmanager
+def _filed(face: CommandUI, filing: Filing | None) -> Iterator[None]:
+    """File the result that a command has given when it ends, also where it ends badly; nothing where filing is None.
+
+    The exit code stays that of the result: it is written, and good or not whether or not it could be filed.
+    """
+    exit_code, reason = 0, ""
+    try:
+        yield
+    except typer.Exit as ended:
+        exit_code, reason = ended.exit_code, "its results are not to be trusted" if ended.exit_code else ""
+        raise
+    except ArmsightError as error:
+        exit_code, reason = error.exit_code, str(error)
+        raise
+    finally:
+        if filing is not None and face.given is not None:
+            for line in filing.file(face.given, exit_code, reason):
+                face.say(line)
 
 
 def load_help() -> None:
@@ -241,6 +295,9 @@ calibrate = _group(
     "Calibrate cameras, hand-eye, a tool's tip, an arm (calibrate arm), where the rig stands, targets and clocks.",
 )
 convert = _group("convert", "Convert between armsight's files and those of other programs.")
+history = _group(
+    "history", "What calibrations and verifications of a cell found, run by run, and whether it has drifted."
+)
 kinematics = _group("kinematics", "Joints to poses and back, for any serial arm.")
 path = _group("path", "Change, check and export the path of a tool's tip.")
 robot = _group("robot", "Test the link to a robot, and move one of its joints.")

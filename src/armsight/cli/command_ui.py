@@ -68,6 +68,8 @@ class CommandUI:
         self.until_stopped = until_stopped
         # rich's own type of a file has more than what it calls
         self.console = Console(file=_Heard(sys.stderr), highlight=False, markup=False)  # type: ignore[arg-type]
+        self.given: Output | None = None
+        """The command's result, once it is given."""
         self._stopped = threading.Event()
         self._before: list[tuple[int, Any]] = []
         self._bar: Bar | None = None
@@ -99,6 +101,7 @@ class CommandUI:
     def result(self, result: Output) -> None:
         """Give the command's result; printed only with --json."""
         self._end_bar()
+        self.given = result
         if self._as_json:
             _print_json(result.to_json())
 

@@ -23,7 +23,7 @@ UNITS = (MM, DEG, MM, DEG)
 LIVE_ALONE = ("--propose", "--limits", "--model", "--leave-out")
 
 
-@command(app, panels=(CAMERAS, TABLES))
+@command(app, panels=(CAMERAS, TABLES), filed="identify")
 def identify(
     face: CommandUI,
     out: requests.identify.Result,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from armsight.verify.supervision import Compared, Level
 
 
-@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS))
+@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS), filed="verify")
 def verify(
     face: CommandUI,
     *,

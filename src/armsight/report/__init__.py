@@ -1,15 +1,33 @@
-"""Tables, plots, HTML."""
+"""Tables, plots and pages; what is here is loaded when it is first used."""
 
-from armsight.report.calibration import calibration_report
-from armsight.report.measure import measure_report
-from armsight.report.run import CalibrationRun, CameraFit, MeasureRun, Parameter, Sample
+from __future__ import annotations
 
-__all__ = [
-    "CalibrationRun",
-    "CameraFit",
-    "MeasureRun",
-    "Parameter",
-    "Sample",
-    "calibration_report",
-    "measure_report",
-]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from armsight.report.calibration import calibration_report as calibration_report
+    from armsight.report.measure import measure_report as measure_report
+    from armsight.report.run import CalibrationRun as CalibrationRun
+    from armsight.report.run import CameraFit as CameraFit
+    from armsight.report.run import MeasureRun as MeasureRun
+    from armsight.report.run import Parameter as Parameter
+    from armsight.report.run import Sample as Sample
+
+_PLACES = {
+    "calibration_report": "calibration",
+    "measure_report": "measure",
+    "CalibrationRun": "run",
+    "CameraFit": "run",
+    "MeasureRun": "run",
+    "Parameter": "run",
+    "Sample": "run",
+}
+
+if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
+    __all__ = sorted(_PLACES)
+
+    def __getattr__(name: str) -> Any:
+        if name not in _PLACES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

@@ -1,91 +1,112 @@
-"""Files, written so that a crash cannot eat them."""
+"""Files, written so that a crash cannot eat them.
 
-from armsight.store.atomic import json_text, sha256, write_bytes, write_json, write_text
-from armsight.store.rigs import (
-    CameraFile,
-    add_noise,
-    read_camera,
-    read_camera_file,
-    read_rig,
-    read_zoom_rig,
-    rig_from_mapping,
-    rig_mapping,
-    write_camera,
-    write_rig,
-)
-from armsight.store.spots_csv import read_spot_track
-from armsight.store.tables import Table, read_table
-from armsight.store.targets import (
-    BOARD_FORMS,
-    board_text,
-    parse_board,
-    read_target,
-    target_from_mapping,
-    target_mapping,
-    write_target,
-)
-from armsight.store.tracks import (
-    MovingPosesWriter,
-    PointsWriter,
-    PosesWriter,
-    PoseTrack,
-    SpotsWriter,
-    read_joints,
-    read_poses,
-    read_times,
-    read_tum,
-    restate_points,
-    write_joints,
-    write_poses,
-    write_tum,
-)
-from armsight.store.worlds import World, read_world, write_world
-from armsight.store.zoom import ZoomCameraFile, is_zoom_camera, read_zoom_camera, write_zoom_camera
+What is here is loaded when it is first used: a command that reads one small file need not load cameras and tables.
+"""
 
-__all__ = [
-    "BOARD_FORMS",
-    "CameraFile",
-    "MovingPosesWriter",
-    "PointsWriter",
-    "PoseTrack",
-    "PosesWriter",
-    "SpotsWriter",
-    "Table",
-    "World",
-    "ZoomCameraFile",
-    "add_noise",
-    "board_text",
-    "is_zoom_camera",
-    "json_text",
-    "parse_board",
-    "read_camera",
-    "read_camera_file",
-    "read_joints",
-    "read_poses",
-    "read_rig",
-    "read_spot_track",
-    "read_table",
-    "read_target",
-    "read_times",
-    "read_tum",
-    "read_world",
-    "read_zoom_camera",
-    "read_zoom_rig",
-    "restate_points",
-    "rig_from_mapping",
-    "rig_mapping",
-    "sha256",
-    "target_from_mapping",
-    "target_mapping",
-    "write_bytes",
-    "write_camera",
-    "write_joints",
-    "write_json",
-    "write_poses",
-    "write_rig",
-    "write_target",
-    "write_text",
-    "write_tum",
-    "write_world",
-    "write_zoom_camera",
-]
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from armsight.store.atomic import json_text as json_text
+    from armsight.store.atomic import sha256 as sha256
+    from armsight.store.atomic import write_bytes as write_bytes
+    from armsight.store.atomic import write_json as write_json
+    from armsight.store.atomic import write_text as write_text
+    from armsight.store.rigs import CameraFile as CameraFile
+    from armsight.store.rigs import add_noise as add_noise
+    from armsight.store.rigs import read_camera as read_camera
+    from armsight.store.rigs import read_camera_file as read_camera_file
+    from armsight.store.rigs import read_rig as read_rig
+    from armsight.store.rigs import read_zoom_rig as read_zoom_rig
+    from armsight.store.rigs import rig_from_mapping as rig_from_mapping
+    from armsight.store.rigs import rig_mapping as rig_mapping
+    from armsight.store.rigs import write_camera as write_camera
+    from armsight.store.rigs import write_rig as write_rig
+    from armsight.store.spots_csv import read_spot_track as read_spot_track
+    from armsight.store.tables import Table as Table
+    from armsight.store.tables import read_table as read_table
+    from armsight.store.targets import BOARD_FORMS as BOARD_FORMS
+    from armsight.store.targets import board_text as board_text
+    from armsight.store.targets import parse_board as parse_board
+    from armsight.store.targets import read_target as read_target
+    from armsight.store.targets import target_from_mapping as target_from_mapping
+    from armsight.store.targets import target_mapping as target_mapping
+    from armsight.store.targets import write_target as write_target
+    from armsight.store.tracks import MovingPosesWriter as MovingPosesWriter
+    from armsight.store.tracks import PointsWriter as PointsWriter
+    from armsight.store.tracks import PosesWriter as PosesWriter
+    from armsight.store.tracks import PoseTrack as PoseTrack
+    from armsight.store.tracks import SpotsWriter as SpotsWriter
+    from armsight.store.tracks import read_joints as read_joints
+    from armsight.store.tracks import read_poses as read_poses
+    from armsight.store.tracks import read_times as read_times
+    from armsight.store.tracks import read_tum as read_tum
+    from armsight.store.tracks import restate_points as restate_points
+    from armsight.store.tracks import write_joints as write_joints
+    from armsight.store.tracks import write_poses as write_poses
+    from armsight.store.tracks import write_tum as write_tum
+    from armsight.store.worlds import World as World
+    from armsight.store.worlds import read_world as read_world
+    from armsight.store.worlds import write_world as write_world
+    from armsight.store.zoom import ZoomCameraFile as ZoomCameraFile
+    from armsight.store.zoom import is_zoom_camera as is_zoom_camera
+    from armsight.store.zoom import read_zoom_camera as read_zoom_camera
+    from armsight.store.zoom import write_zoom_camera as write_zoom_camera
+
+_PLACES = {
+    "json_text": "atomic",
+    "sha256": "atomic",
+    "write_bytes": "atomic",
+    "write_json": "atomic",
+    "write_text": "atomic",
+    "CameraFile": "rigs",
+    "add_noise": "rigs",
+    "read_camera": "rigs",
+    "read_camera_file": "rigs",
+    "read_rig": "rigs",
+    "read_zoom_rig": "rigs",
+    "rig_from_mapping": "rigs",
+    "rig_mapping": "rigs",
+    "write_camera": "rigs",
+    "write_rig": "rigs",
+    "read_spot_track": "spots_csv",
+    "Table": "tables",
+    "read_table": "tables",
+    "BOARD_FORMS": "targets",
+    "board_text": "targets",
+    "parse_board": "targets",
+    "read_target": "targets",
+    "target_from_mapping": "targets",
+    "target_mapping": "targets",
+    "write_target": "targets",
+    "MovingPosesWriter": "tracks",
+    "PointsWriter": "tracks",
+    "PosesWriter": "tracks",
+    "PoseTrack": "tracks",
+    "SpotsWriter": "tracks",
+    "read_joints": "tracks",
+    "read_poses": "tracks",
+    "read_times": "tracks",
+    "read_tum": "tracks",
+    "restate_points": "tracks",
+    "write_joints": "tracks",
+    "write_poses": "tracks",
+    "write_tum": "tracks",
+    "World": "worlds",
+    "read_world": "worlds",
+    "write_world": "worlds",
+    "ZoomCameraFile": "zoom",
+    "is_zoom_camera": "zoom",
+    "read_zoom_camera": "zoom",
+    "write_zoom_camera": "zoom",
+}
+
+if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
+    __all__ = sorted(_PLACES)
+
+    def __getattr__(name: str) -> Any:
+        if name not in _PLACES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

@@ -333,6 +333,17 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             "export": {"out": AWAY},
         }.items()
     },
+    **{
+        f"history.{name}": (getattr(armsight.history, name), {**more, "history": "no-such-history.sqlite"})
+        for name, more in {
+            "add": {"result": "no-such-file.json", "cell": "a"},
+            "runs": {},
+            "show": {"run": 1},
+            "compare": {"a": 1, "b": 2},
+            "trend": {"cell": "a"},
+            "export": {"out": AWAY},
+        }.items()
+    },
     "paths.join": (armsight.paths.join, {"first": PATH, "second": PATH}),
     "paths.from_picks": (
         armsight.paths.from_picks,

@@ -8,13 +8,16 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
+import histories
+from armsight.app.history.adding import file_entry
 from armsight.app.print_report import BROWSERS
 from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
@@ -22,6 +25,7 @@ from armsight.cli.examples import EXAMPLES
 from armsight.kinematics import presets
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
+from armsight.store.history.place import place_of
 from armsight.store.path_file import write_path
 
 NOT_HERE = {
@@ -109,6 +113,7 @@ def given(tmp_path_factory: pytest.TempPathFactory, boards, mirror_boards) -> Pa
         make_pictures(boards.folder, mirror_boards.straight)
         make_foreign()
         make_paths()
+        make_history()
     return folder
 
 
@@ -184,9 +189,19 @@ def make_paths() -> None:
     Path("limits.yaml").write_text("format: armsight/limits\nversion: 1\nspeed_m_s: 0.2\n")
 
 
+def make_history() -> None:
+    place = place_of("history.sqlite")
+    for entry in histories.runs("weld-3", 6):
+        file_entry(place, entry)
+    for week in range(6):
+        when = histories.START + timedelta(days=7 * week, hours=1)
+        file_entry(place, histories.handeye_run("weld-3", (0.1, 0.0, 0.05), Rotation.identity(), when))
+
+
 @pytest.mark.parametrize("example", [text for texts in EXAMPLES.values() for text in texts])
 def test_an_example_runs(example: str, given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = example.removeprefix("armsight ")
+    monkeypatch.setenv("ARMSIGHT_HISTORY", "history.sqlite")
     if why := next((why for part, why in NOT_HERE.items() if f" {part}" in f" {words}"), ""):
         pytest.skip(why)
     for begin, said, stands in STAND_INS:

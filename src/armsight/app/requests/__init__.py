@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from armsight.app.requests import calibrate_cameras as calibrate_cameras
     from armsight.app.requests import calibrate_robot as calibrate_robot
     from armsight.app.requests import files as files
+    from armsight.app.requests import history as history
     from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
     from armsight.app.requests import verify as verify
 else:
-    _MODULES = ("calibrate_cameras", "calibrate_robot", "files", "identify", "measure", "motion", "verify")
+    _MODULES = ("calibrate_cameras", "calibrate_robot", "files", "history", "identify", "measure", "motion", "verify")
 
     def __getattr__(name: str) -> object:
         if name not in _MODULES:

@@ -1,0 +1,222 @@
+"""What is put into a history and asked of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from sqlalchemy import Connection, Select, Table, func, insert, select
+
+from armsight.fields import Doc
+from armsight.records.output import Output, output
+from armsight.store.history.entry import Entry, InputFile, Quantity, StoredPose
+from armsight.store.history.tables import POSE, POSE_STD, figures, inputs, parameters, poses, runs
+
+MANY = 500
+"""Runs asked for at once: databases bound the number of values in a question."""
+
+
+@output
+class Run(Output):
+    """A run in the history, without its numbers."""
+
+    id: Annotated[int, Doc("Its number.")]
+    cell: Annotated[str, Doc("The cell.")]
+    command: Annotated[str, Doc("The command.")]
+    created: Annotated[str, Doc("When the result was made, UTC.")]
+    filed: Annotated[str, Doc("When it was filed, UTC.")]
+    software: Annotated[str, Doc("What made it.")]
+    verdict: Annotated[str, Doc("What the result says of itself; may be empty.")]
+    trusted: Annotated[bool, Doc("Whether the result says that it can be trusted.")]
+    exit_code: Annotated[int, Doc("Of the command.")]
+    reason: Annotated[str, Doc("Why it is not to be trusted, or how it ended; may be empty.")]
+    arm: Annotated[str, Doc("The arm's name; may be empty.")]
+    joints: Annotated[str, Doc("Its joints from the base on: R, P, or ? where the result does not tell.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filter:
+    """Which runs: of a cell, of a command (or group of commands, as calibrate), created from since to before until."""
+
+    cell: str | None = None
+    command: str | None = None
+    since: str | None = None
+    until: str | None = None
+
+    def of(self, question: Select[Any]) -> Select[Any]:
+        """Return a question for runs that asks for these alone."""
+        if self.cell is not None:
+            question = question.where(runs.c.cell == self.cell)
+        if self.command is not None:
+            question = question.where((runs.c.command == self.command) | runs.c.command.startswith(f"{self.command} "))
+        if self.since is not None:
+            question = question.where(runs.c.created >= self.since)
+        if self.until is not None:
+            question = question.where(runs.c.created < self.until)
+        return question
+
+
+HEADER = (
+    runs.c.id,
+    runs.c.cell,
+    runs.c.command,
+    runs.c.created,
+    runs.c.filed,
+    runs.c.software,
+    runs.c.verdict,
+    runs.c.trusted,
+    runs.c.exit_code,
+    runs.c.reason,
+    runs.c.arm,
+    runs.c.joints,
+)
+
+
+def add(connection: Connection, entry: Entry, filed: str) -> tuple[int, bool]:
+    """Put a run in; return its number, and whether it is new: the same one is filed once."""
+    there = connection.execute(select(runs.c.id).where(runs.c.fingerprint == entry.fingerprint)).scalar()
+    if there is not None:
+        return int(there), False
+    row = {
+        "cell": entry.cell,
+        "command": entry.command,
+        "created": entry.created,
+        "filed": filed,
+        "software": entry.software,
+        "verdict": entry.verdict,
+        "trusted": entry.trusted,
+        "exit_code": entry.exit_code,
+        "reason": entry.reason,
+        "arm": entry.arm,
+        "joints": entry.joints,
+        "fingerprint": entry.fingerprint,
+        "result": json.dumps(entry.result, ensure_ascii=False),
+    }
+    made = connection.execute(insert(runs), row).inserted_primary_key
+    number = int(made[0]) if made else 0
+    _fill(connection, inputs, number, [one.to_dict() for one in entry.inputs])
+    _fill(connection, figures, number, [one.to_dict() for one in entry.figures])
+    _fill(connection, parameters, number, [one.to_dict() for one in entry.parameters])
+    _fill(connection, poses, number, [_pose_row(one) for one in entry.poses])
+    return number, True
+
+
+def _fill(connection: Connection, table: Table, number: int, rows: Sequence[Mapping[str, Any]]) -> None:
+    if rows:
+        connection.execute(insert(table), [{"run_id": number, **row} for row in rows])
+
+
+def _pose_row(pose: StoredPose) -> dict[str, Any]:
+    values = zip((*POSE, *POSE_STD), (*pose.xyz_m, *pose.quat_xyzw, *pose.std), strict=True)
+    return {"name": pose.name, **dict(values)}
+
+
+def count(connection: Connection, wanted: Filter) -> int:
+    """Return how many runs there are."""
+    return int(connection.execute(wanted.of(select(func.count()).select_from(runs))).scalar() or 0)
+
+
+def newest(connection: Connection, wanted: Filter, most: int | None = None) -> list[Run]:
+    """Return runs, the newest first."""
+    question = wanted.of(select(*HEADER)).order_by(runs.c.created.desc(), runs.c.id.desc()).limit(most)
+    return [_run(row._mapping) for row in connection.execute(question)]
+
+
+def one(connection: Connection, number: int) -> Run | None:
+    """Return a run by its number."""
+    row = connection.execute(select(*HEADER).where(runs.c.id == number)).first()
+    return None if row is None else _run(row._mapping)
+
+
+def _run(row: Mapping[Any, Any]) -> Run:
+    return Run(**row)
+
+
+def cells(connection: Connection) -> list[str]:
+    """Return the names of all cells."""
+    return [str(row[0]) for row in connection.execute(select(runs.c.cell).distinct().order_by(runs.c.cell))]
+
+
+def commands(connection: Connection, cell: str | None = None) -> list[str]:
+    """Return the commands of which there are runs."""
+    question = Filter(cell=cell).of(select(runs.c.command).distinct()).order_by(runs.c.command)
+    return [str(row[0]) for row in connection.execute(question)]
+
+
+def numbers(connection: Connection) -> tuple[int, int] | None:
+    """Return the first and the last number of a run, None where there is none."""
+    first, last = connection.execute(select(func.min(runs.c.id), func.max(runs.c.id))).one()
+    return None if first is None else (int(first), int(last))
+
+
+def result_of(connection: Connection, number: int) -> dict[str, Any]:
+    """Return the whole JSON object of a run's result."""
+    found: dict[str, Any] = json.loads(
+        connection.execute(select(runs.c.result).where(runs.c.id == number)).scalar_one()
+    )
+    return found
+
+
+def inputs_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[InputFile]]:
+    """Return the inputs of runs by their numbers."""
+    return _by_run(connection, inputs, numbers, lambda row: InputFile(flag=row.flag, path=row.path, sha256=row.sha256))
+
+
+def figures_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[Quantity]]:
+    """Return all numbers of the results of runs."""
+    return _by_run(connection, figures, numbers, _quantity)
+
+
+def parameters_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[Quantity]]:
+    """Return what was calibrated in runs."""
+    return _by_run(connection, parameters, numbers, _quantity)
+
+
+def poses_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[StoredPose]]:
+    """Return the poses that were calibrated in runs."""
+    return _by_run(connection, poses, numbers, _stored)
+
+
+def _quantity(row: Any) -> Quantity:
+    return Quantity(name=row.name, value=row.value, std=row.std, unit=row.unit)
+
+
+def _stored(row: Any) -> StoredPose:
+    return StoredPose(
+        name=row.name,
+        xyz_m=(row.x_m, row.y_m, row.z_m),
+        quat_xyzw=(row.qx, row.qy, row.qz, row.qw),
+        std=tuple(getattr(row, name) for name in POSE_STD),
+    )
+
+
+def _by_run(connection: Connection, table: Table, numbers: Sequence[int], made: Any) -> dict[int, list[Any]]:
+    found: dict[int, list[Any]] = {}
+    for part in _parts(numbers):
+        for row in connection.execute(
+            select(table).where(table.c.run_id.in_(part)).order_by(*table.primary_key.columns)
+        ):
+            found.setdefault(row.run_id, []).append(made(row))
+    return found
+
+
+def _parts(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
+    for start in range(0, len(numbers), MANY):
+        yield numbers[start : start + MANY]
+
+
+def figure_names(connection: Connection, cell: str) -> list[str]:
+    """Return the names of all numbers in the results of a cell."""
+    question = select(figures.c.name).distinct().join(runs, runs.c.id == figures.c.run_id).where(runs.c.cell == cell)
+    return sorted(str(row[0]) for row in connection.execute(question))
+
+
+def kinds_of_joints(connection: Connection, cell: str) -> list[Run]:
+    """Return the first run of each kind of arm in a cell."""
+    first = select(func.min(runs.c.id)).where(runs.c.cell == cell, runs.c.joints != "").group_by(runs.c.joints)
+    return [
+        _run(row._mapping)
+        for row in connection.execute(select(*HEADER).where(runs.c.id.in_(first)).order_by(runs.c.id))
+    ]

@@ -1,0 +1,396 @@
+"""armsight history, and --cell of the commands whose results are filed."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import sqlite3
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from typer.testing import CliRunner
+
+import histories
+from armsight.app.history.adding import file_entry
+from armsight.app.history.figures import figures_of
+from armsight.app.history.filing import Made, entry_of_result
+from armsight.app.history.parameters import parameters_of
+from armsight.app.simulate.run import simulate
+from armsight.cli.commands import app
+from armsight.store.history.entry import Entry
+from armsight.store.history.place import place_of
+
+Run = Callable[..., object]
+WEEK = timedelta(days=7)
+
+
+@pytest.fixture
+def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the history is, as the environment says; nothing is there yet."""
+    path = tmp_path / "history.sqlite"
+    monkeypatch.setenv("ARMSIGHT_HISTORY", str(path))
+    return path
+
+
+@pytest.fixture(scope="session")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pose pairs of a simulated hand-eye calibration."""
+    folder = tmp_path_factory.mktemp("pairs")
+    rng = np.random.default_rng(0)
+    T_flange_camera = RigidTransform.from_components([0.03, 0.01, 0.08], Rotation.from_rotvec([0.1, -0.2, 1.5]))
+    T_base_target = RigidTransform.from_components([0.6, 0.1, 0.0], Rotation.from_rotvec([0.0, 3.0, 0.3]))
+    rows = []
+    for _ in range(16):
+        T_base_flange = RigidTransform.from_components(
+            rng.uniform([0.3, -0.2, 0.3], [0.7, 0.2, 0.7]), Rotation.random(rng=rng)
+        )
+        seen = T_flange_camera.inv() * T_base_flange.inv() * T_base_target
+        noisy = seen.translation + rng.normal(0.0, 2e-4, 3)
+        quat = (Rotation.from_rotvec(rng.normal(0.0, 2e-4, 3)) * seen.rotation).as_quat()
+        rows.append([*T_base_flange.translation, *T_base_flange.rotation.as_quat(), *noisy, *quat])
+    names = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+    with (folder / "pairs.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{who}_{name}" for who in ("base_flange", "camera_target") for name in names])
+        writer.writerows(rows)
+    return folder / "pairs.csv"
+
+
+def fill(path: Path, entries: list[Entry]) -> None:
+    for entry in entries:
+        file_entry(place_of(str(path)), entry)
+
+
+def handeyes(cell: str, moved: np.ndarray, turned: np.ndarray | None = None) -> list[Entry]:
+    """Calibrations of a hand-eye, weekly; moved (n, 3), m; turned (n, 3), rotation vectors in the parent's axes."""
+    rng = np.random.default_rng(3)
+    first = Rotation.from_euler("xyz", [10, 20, 179.99], degrees=True)
+    turned = np.zeros_like(moved) if turned is None else turned
+    return [
+        histories.handeye_run(
+            cell,
+            rng.normal([0.1, 0.02, 0.05], 1e-4) + shift,
+            Rotation.from_rotvec(turn + rng.normal(0.0, 1e-4, 3)) * first,
+            histories.START + i * WEEK,
+        )
+        for i, (shift, turn) in enumerate(zip(moved, turned, strict=True))
+    ]
+
+
+def test_a_calibration_is_filed_with_inputs_numbers_and_deviations(armsight, history, pairs, tmp_path):
+    done = armsight("calibrate", "handeye", "--pairs", pairs, "-o", tmp_path / "handeye.yaml", "--cell", "weld 3")
+    assert done.code == 0
+    assert "run 1" in done.text
+    shown = armsight("history", "show", 1).json
+    assert shown["run"]["command"] == "calibrate handeye"
+    assert shown["run"]["trusted"] is (done.json["concerns"] == [])
+    assert shown["inputs"][0]["path"] == str(pairs)
+    assert len(shown["inputs"][0]["sha256"]) == 64
+    figures = {one["name"]: one for one in shown["figures"]}
+    for key in ("x_m", "y_m", "z_m"):
+        assert figures[f"T_flange_camera.{key}"]["std"] == done.json["std"][key]
+        assert figures[f"T_base_target.{key}"]["std"] == done.json["std_target"][key]
+    assert figures["residual_rms_m"]["value"] == done.json["residual_rms_m"]
+    assert [one["name"] for one in shown["parameters"]][:3] == ["handeye.x_m", "handeye.y_m", "handeye.z_m"]
+    # the file of the calibration says the same
+    again = armsight("history", "add", tmp_path / "handeye.yaml", "--cell", "weld 3")
+    assert (again.code, again.json["run"], again.json["command"]) == (0, 2, "calibrate handeye")
+    compared = armsight("history", "compare", 1, 2).json
+    assert [one["name"] for one in compared["parameters"]][3:] == ["handeye.rx_rad", "handeye.ry_rad", "handeye.rz_rad"]
+    for one in compared["parameters"]:
+        assert abs(one["difference"]) < 1e-9
+        assert one["std"] == pytest.approx(
+            np.sqrt(2.0) * done.json["std"][one["name"].removeprefix("handeye.")], rel=1e-6
+        )
+        assert one["exceeds"] is False
+
+
+def test_the_json_that_a_command_printed_is_filed_too(armsight, history, pairs, tmp_path):
+    done = armsight("calibrate", "handeye", "--pairs", pairs, "-o", tmp_path / "handeye.yaml")
+    (tmp_path / "done.json").write_text(json.dumps(done.json))
+    words = ["history", "add", tmp_path / "done.json", "--cell", "a", "--created", "2026-03-01"]
+    added = armsight(*words)
+    assert (added.json["command"], added.json["created"][:10], added.json["new"]) == (
+        "calibrate handeye",
+        "2026-03-01",
+        True,
+    )
+    again = armsight(*words)
+    assert (again.json["run"], again.json["new"]) == (added.json["run"], False)
+    (tmp_path / "other.json").write_text('{"n": 1}')
+    refused = armsight("history", "add", tmp_path / "other.json", "--cell", "a")
+    assert refused.code == 3
+    assert "calibrate handeye" in refused.json["error"]["cure"]
+
+
+def test_a_history_that_fails_loses_neither_result_nor_run(armsight, history, pairs, tmp_path):
+    """The result is there with its own exit code, the run is kept beside it, and filed later."""
+    history.mkdir()
+    out = tmp_path / "handeye.yaml"
+    done = armsight("calibrate", "handeye", "--pairs", pairs, "-o", out, "--cell", "a")
+    assert done.code == 0
+    assert done.json["n_used"] > 0
+    assert out.exists()
+    assert "NOT FILED" in done.text
+    assert "folder" in done.text
+    kept = tmp_path / "handeye.unfiled.json"
+    assert str(kept) in done.text
+    history.rmdir()
+    added = armsight("history", "add", kept)
+    assert (added.code, added.json["cell"]) == (0, "a")
+    assert armsight("history", "show", 1).json["inputs"][0]["flag"] == "pairs"
+
+
+def test_what_cannot_be_filed_is_refused_before_the_work(armsight, history, pairs, tmp_path):
+    out = tmp_path / "handeye.yaml"
+    for words, name in (
+        (["--cell", "a\nb"], "a\\nb"),
+        (["--history", "x.sqlite"], "--cell"),
+        (["--cell", "a", "--history", "mysql://u:hunter2@h/d"], "mysql"),
+    ):
+        refused = armsight("calibrate", "handeye", "--pairs", pairs, "-o", out, *words)
+        assert refused.code == 2
+        assert name in refused.json["error"]["cause"] + refused.json["error"]["cure"]
+        assert "hunter2" not in refused.text
+        assert not out.exists()
+
+
+def test_an_arms_calibration_files_its_table_and_verify_its_zeros(armsight, history, tmp_path):
+    simulate("arm-points", tmp_path / "set", seed=1)
+    words = ["--model", tmp_path / "set/arm.yaml", "--points", tmp_path / "set/holdout.csv"]
+    done = armsight("calibrate", "arm", *words, "-o", tmp_path / "arm.yaml", "--cell", "a", "--no-scale")
+    assert done.code == 0
+    shown = armsight("history", "show", 1).json
+    assert shown["run"]["joints"] == "RRRRRR"
+    parameters = {one["name"]: one for one in shown["parameters"]}
+    zeros = [name for name in done.json["free"] if name.endswith("theta_rad")]
+    assert zeros
+    for name in zeros:
+        assert parameters[f"joint{name[1]}.theta_rad"]["std"] == pytest.approx(done.json["std"][name])
+    figures = {one["name"]: one for one in shown["figures"]}
+    assert all(figures[f"corrections.{name}"]["std"] == done.json["std"][name] for name in done.json["free"])
+    listed = armsight("history", "list", "--command", "calibrate").json
+    assert [one["id"] for one in listed["runs"]] == [1]
+
+
+def test_a_plan_is_not_filed_and_a_refusal_neither(armsight, history, tmp_path):
+    planned = armsight("verify", "--plan", "--arm", "ur10e", "-o", tmp_path / "plan", "--cell", "a")
+    assert planned.code == 0
+    assert "Not filed" in planned.text
+    missing = tmp_path / "none.csv"
+    assert armsight("calibrate", "handeye", "--pairs", missing, "-o", tmp_path / "h.yaml", "--cell", "a").code == 3
+    assert not history.exists()
+
+
+def test_trend_finds_what_drifted_and_leaves_the_rest(armsight, history, tmp_path):
+    n, start = 40, 32
+    ramp = np.maximum(np.arange(n) - start + 1, 0) * 0.02 * histories.DEG
+    fill(history, list(histories.runs("weld-3", n, drift={3: ramp}, seed=2)))
+    fill(history, list(histories.runs("other", 3)))
+    done = armsight("history", "trend", "--cell", "weld-3", "-o", tmp_path / "drift")
+    assert done.code == 0
+    assert done.json["changed"] is True
+    first, *others = done.json["figures"]
+    assert (first["name"], first["state"]) == ("joint3.theta_rad", "drift")
+    assert start <= first["since_run"] <= start + 3
+    assert first["noticed_run"] <= start + 4
+    assert first["latest"] == pytest.approx(ramp[-1], abs=4.0 * first["latest_std"])
+    assert "mastering" in first["to_do"]
+    assert [one["state"] for one in others] == ["steady"] * 5
+    assert first["runs_a_year"] == pytest.approx(365.25 / 7.0)
+    assert json.loads((tmp_path / "drift/trend.json").read_text())["figures"][0] == first
+    page = (tmp_path / "drift/report.html").read_text()
+    assert "joint3.theta" in page
+    assert "1 in 100" in page
+
+
+def test_trend_holds_turns_against_the_first_pose(armsight, history, tmp_path):
+    """A turn of the camera about the parent's y, where its rotation vector passes half a turn: no other axis moves."""
+    n = 30
+    turned = np.zeros((n, 3))
+    turned[20:, 1] = 0.003
+    fill(history, handeyes("a", np.zeros((n, 3)), turned))
+    found = armsight("history", "trend", "--cell", "a", "-o", tmp_path / "t", "--figure", "hand-eye").json["figures"]
+    changed = {one["name"]: one for one in found if "since_run" in one}
+    assert list(changed) == ["handeye.ry_rad"]
+    assert changed["handeye.ry_rad"]["change"] == pytest.approx(0.003, abs=4e-4)
+    assert (changed["handeye.ry_rad"]["since_run"], changed["handeye.ry_rad"]["state"]) == (21, "jump")
+
+
+def test_trend_since_leaves_a_repair_behind_and_rare_alarms_want_more(armsight, history, tmp_path):
+    moved = np.zeros((30, 3))
+    moved[20:, 2] = 0.0015
+    fill(history, handeyes("a", moved))
+    words = ["history", "trend", "--cell", "a", "-o", tmp_path / "t"]
+    assert armsight(*words).json["changed"] is True
+    since = (histories.START + 20 * WEEK - timedelta(hours=1)).isoformat()
+    assert armsight(*words, "--since", since).json["changed"] is False
+    often, rare = (armsight(*words, "--false-alarms", years).json["figures"][0] for years in (1, 10_000))
+    assert often["jump_limit"] < rare["jump_limit"]
+    assert often["drift_limit"] < rare["drift_limit"]
+
+
+def test_few_runs_one_run_and_none(armsight, history, tmp_path):
+    fill(history, list(histories.runs("one", 1)) + list(histories.runs("four", 4, seed=1)))
+    for cell in ("one", "four"):
+        done = armsight("history", "trend", "--cell", cell, "-o", tmp_path / cell)
+        assert done.code == 0
+        assert {one["state"] for one in done.json["figures"]} == {"few"}
+        assert "Too few" in done.json["verdict"]
+    none = armsight("history", "trend", "--cell", "one", "--since", "2030-01-01", "-o", tmp_path / "none")
+    assert (none.code, none.json["error"]["kind"]) == (3, "NotEnoughData")
+
+
+def test_names_that_are_not_there_are_answered_with_the_nearest(armsight, history, tmp_path):
+    fill(history, list(histories.runs("weld-3", 2)))
+    for words, name in (
+        (["trend", "--cell", "wedl-3", "-o", tmp_path / "t"], "'weld-3'"),
+        (["trend", "--cell", "weld-3", "--figure", "joint-zero", "-o", tmp_path / "t"], "'joint-zeros'"),
+        (["trend", "--cell", "weld-3", "--figure", "after.rms", "-o", tmp_path / "t"], "'after.rms_m'"),
+        (["list", "--command", "calibrat"], "'calibrate'"),
+        (["list", "--cell", "weld"], "'weld-3'"),
+        (["show", "7"], "1 to 2"),
+        (["compare", "1", "9"], "1 to 2"),
+        (["list", "--since", "yesterday"], "2026-11-26"),
+        (["export", "-o", tmp_path / "x.xlsx"], ".parquet"),
+    ):
+        refused = armsight("history", *words)
+        assert refused.code == 2, words
+        assert name in json.dumps(refused.json, ensure_ascii=False)
+
+
+def test_two_arms_in_one_cell_are_told_and_not_held_against_each_other(armsight, history, tmp_path):
+    from armsight.kinematics import preset
+
+    fill(history, list(histories.runs("a", 3)))
+    arm = preset("ur10")
+    shorter = dataclasses.replace(arm, joints=arm.joints[:5])
+    other = histories.arm_run(shorter, "a", np.zeros(5), histories.START + 9 * WEEK)
+    notes = file_entry(place_of(str(history)), other).notes
+    assert any("run 1" in note and "5 joints" in note for note in notes)
+    refused = armsight("history", "trend", "--cell", "a", "-o", tmp_path / "t")
+    assert (refused.code, refused.json["error"]["kind"]) == (3, "Inconsistent")
+    assert "run 4" in refused.json["error"]["cause"]
+    since = refused.json["error"]["cure"].rpartition("--since ")[2]
+    assert armsight("history", "trend", "--cell", "a", "--since", since, "-o", tmp_path / "t").json["n_runs"] == 1
+
+
+def test_runs_that_doubt_themselves_wrong_clocks_and_numbers_that_are_none(armsight, history, tmp_path):
+    entries = handeyes("a", np.zeros((12, 3)))
+    first = entries[0]
+    place = place_of(str(history))
+    for entry in entries[1:]:
+        file_entry(place, entry)
+    bad = histories.handeye_run(
+        "a", [9.0, 9.0, 9.0], Rotation.identity(), histories.START + 20 * WEEK, concerns=["two axes of turning"]
+    )
+    file_entry(place, bad)
+    late = histories.handeye_run("a", [0.1, 0.02, 0.05], Rotation.identity(), histories.START + 3000 * WEEK)
+    file_entry(place, late)
+    assert any("clock" in note for note in file_entry(place, first).notes)
+    with sqlite3.connect(history) as held:  # a number of a result that was none
+        held.execute("UPDATE figures SET value = NULL WHERE run_id = 3")
+        held.execute("DELETE FROM runs WHERE created LIKE '208%'")
+    words = ["history", "trend", "--cell", "a", "-o", tmp_path / "t", "--overwrite"]
+    done = armsight(*words).json
+    assert (done["n_doubted"], done["changed"]) == (1, False)
+    figure = armsight(*words, "--figure", "T_flange_camera.x_m").json["figures"][0]
+    assert (figure["n"], figure["silent"]) == (11, 1)
+    shown = armsight("history", "show", 12).json["run"]
+    assert (shown["trusted"], shown["reason"]) == (False, "two axes of turning")
+
+
+def test_export_as_csv_parquet_and_lines(armsight, history, tmp_path, monkeypatch):
+    import pyarrow.parquet
+
+    fill(history, handeyes("a", np.zeros((2, 3))))
+    done = armsight("history", "export", "-o", tmp_path / "x.csv").json
+    rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
+    assert (len(rows), done["n_runs"]) == (done["n_rows"], 2)
+    of_pose = [row for row in rows if row["name"] == "handeye.x_m"]
+    assert [(row["kind"], row["unit"]) for row in of_pose] == [("parameter", "m")] * 2
+    armsight("history", "export", "-o", tmp_path / "x.parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "x.parquet").to_pylist()
+    assert [one["value"] for one in table] == [float(row["value"]) if row["value"] else None for row in rows]
+    assert [row["std"] for row in rows if row["name"] == "handeye.rx_rad"] == ["0.0001"] * 2
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    done = armsight("history", "export", "-o", tmp_path / "y.parquet").json
+    assert done["file"] == str(tmp_path / "y.jsonl")
+    assert "armsight[batch]" in done["notes"][0]
+    lines = [json.loads(line) for line in (tmp_path / "y.jsonl").read_text().splitlines()]
+    assert [one["value"] for one in lines] == [one["value"] for one in table]
+
+
+def test_numbers_find_their_deviations_wherever_a_result_tells_them():
+    found = {
+        one.name: one
+        for one in figures_of(
+            {
+                "time": {"offset_s": 0.2, "std_s": 0.01},
+                "time_offset_s": 0.3,
+                "time_offset_std_s": 0.02,
+                "target_scale": {"factor": 1.001, "std": 0.002, "p": 0.5},
+                "tip_m": [0.1, 0.2, 0.3],
+                "std": {"x_m": 1.0, "y_m": 2.0, "z_m": 3.0, "base.x_m": 4.0},
+                "joints": [{"index": 1, "a_m": 0.5, "std": {"a_m": 0.1}, "offset_rad": 0.01, "std_rad": 0.002}],
+                "alignment": {"plate": {"seen_thickness_m": 0.003, "seen_thickness_std_m": 1e-5}},
+                "gain": True,
+                "nothing": None,
+                "rejected": [{"row": 1}] * 65,
+            }
+        )
+    }
+    told = {name: one.std for name, one in found.items() if one.std is not None}
+    assert told == {
+        "time.offset_s": 0.01,
+        "time_offset_s": 0.02,
+        "target_scale.factor": 0.002,
+        "tip_m.1": 1.0,
+        "tip_m.2": 2.0,
+        "tip_m.3": 3.0,
+        "joints.1.a_m": 0.1,
+        "joints.1.offset_rad": 0.002,
+        "alignment.plate.seen_thickness_m": 1e-5,
+    }
+    assert found["std.base.x_m"].value == 4.0
+    assert found["joints.1.offset_rad"].unit == "rad"
+    assert not {"gain", "nothing"} & set(found)
+    assert not any(name.startswith("rejected") for name in found)
+
+
+def test_what_may_drift_has_one_name_whatever_found_it():
+    verified = {"joints": [{"index": 1, "offset_rad": 0.01, "std_rad": 0.002}, {"index": 2, "offset_rad": None}]}
+    assert [(one.name, one.std) for one in parameters_of(verified, None).quantities] == [("joint1.offset_rad", 0.002)]
+    stereo = {"baseline_m": 0.12, "std": {"baseline_m": 1e-5}}
+    assert [(one.name, one.std) for one in parameters_of(stereo, None).quantities] == [("baseline_m", 1e-5)]
+    tip = {"tip_m": [0.0, 0.0, 0.1], "std": {"x_m": 1e-4, "y_m": 1e-4, "z_m": 1e-4}}
+    assert [one.name for one in parameters_of(tip, None).quantities] == ["tip.x_m", "tip.y_m", "tip.z_m"]
+    joint = {"type": "revolute", "theta_rad": 0.1, "std": {"theta_rad": 1e-4}}
+    assert parameters_of({"joints": [joint, {**joint, "type": "prismatic"}]}, None).joints == "RP"
+
+
+def test_tables_for_people(history, tmp_path):
+    moved = np.zeros((30, 3))
+    moved[20:, 2] = 0.0015
+    fill(history, handeyes("a", moved))
+    for words, texts in (
+        (["list"], ["Runs in", "calibrate handeye", "30 runs"]),
+        (["show", "1"], ["Run 1 of cell 'a'", "handeye.x", "mm"]),
+        (["compare", "1", "30"], ["BEYOND", "1 of 6"]),
+        (["trend", "--cell", "a", "-o", str(tmp_path / "t")], ["JUMP", "run 21", "To do", "100 cell-years"]),
+        (["export", "-o", str(tmp_path / "x.csv")], ["of 30 runs"]),
+    ):
+        done = CliRunner().invoke(app, ["history", *words])
+        assert done.exit_code == 0, done.stderr
+        assert done.stdout == ""
+        for text in texts:
+            assert text in done.stderr
+    entry = entry_of_result(
+        {}, parameters_of({}, None), Made(command="verify", cell="a", created="2026-01-01", inputs=())
+    )
+    assert (entry.trusted, entry.figures) == (True, ())
