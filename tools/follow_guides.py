@@ -37,7 +37,7 @@ COMMAND = re.compile(rf"(?:\$ )?(\(?(?:{WORDS}) .*)")
 HEREDOC = re.compile(r"<<-?\s*['\"]?(\w+)")
 PYTHON_BEGINS = re.compile(r"(?:import|from) \w")
 
-SERVERS = re.compile(r"armsight (?:twin|console|serve)\b(?!.*--add-token)")
+SERVERS = re.compile(r"armsight (?:twin|console|serve)\b(?!.*--(?:add-token|make-certificate))")
 LIVE = re.compile(r"armsight (?:measure|record|teach|verify)\b(?!.*--(?:frames|seconds)\b).*camera:", re.DOTALL)
 """Measures or records until Ctrl-C."""
 LIVE_S = 40.0
@@ -87,6 +87,7 @@ NOT_HERE: Mapping[str, str] = {
     "camera:aravis:192.168": "two GigE cameras that share a trigger; the emulated one answers as one",
     "--white-balance": "a camera that takes exposure, gain, focus and white balance; simulated ones take none",
     "--with gamepad": "a gamepad",
+    "broker.example": "a broker of the plant",
 }
 """Part of a command -> what it needs that is not here."""
 

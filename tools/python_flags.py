@@ -172,6 +172,13 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
     ("path from-picks", "--far"): "bounds of the search: as the rig sees them",
     ("path from-picks", "--patch-px"): "the patch is as the command has it",
     ("path from-picks", "--pick-std-px"): "the picks' deviation is as the command has it",
+    **{
+        ("verify", flag): "for the plant's systems, which want a process that stays: run the command"
+        for flag in (
+            *("--opcua", "--opcua-certificate", "--opcua-key", "--opcua-trusted", "--opcua-users", "--opcua-anonymous"),
+            *("--mqtt", "--mqtt-ca", "--mqtt-user", "--mqtt-password-file", "--foxglove", "--stale-after"),
+        )
+    },
     ("robot jog", "--with"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
     ("robot jog", "--frame"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
 }

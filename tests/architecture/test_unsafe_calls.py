@@ -23,6 +23,7 @@ UNSAFE = re.compile(
 ALLOWED = {
     "app/robot/hosting.py": {"pickle.loads"},  # memory shared with the loop, its own child process, alone
     "control/session/loop_side.py": {"pickle.loads"},  # ... and the child's side of it
+    "publish/process.py": {"pickle.loads"},  # memory shared with the publishers, its own child process
     "armsight_sim/twins/urscript.py": {
         "exec"
     },  # an emulated controller's program, of listed kinds of nodes, without builtins

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from armsight.app.requests.plant import PLANT, PlantFlags
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, SRC
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
@@ -21,14 +22,15 @@ if TYPE_CHECKING:
     from armsight.server.web_server import ServeOptions
 
 Bind: TypeAlias = Annotated[str, Doc("Address to listen at; any but this machine's needs TLS and tokens.")]
-Tokens: TypeAlias = Annotated[Path | None, Doc("tokens.yaml: who may watch and who may drive.")]
+Tokens: TypeAlias = Annotated[Path | None, Doc("tokens.yaml: who may watch, acknowledge alarms, and drive.")]
 Certificate: TypeAlias = Annotated[Path | None, Doc("The server's certificate, PEM.")]
 Key: TypeAlias = Annotated[Path | None, Doc("The certificate's key, PEM.")]
 
 
-@command(app, json=False)
+@command(app, json=False, panels=(PLANT,))
 def serve(
     face: CommandUI,
+    plant: PlantFlags,
     robot: Annotated[
         str | None,
         Doc("The robot: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT, alter:PORT."),
@@ -59,24 +61,36 @@ def serve(
         Doc("Serve the operator's pages as well, of the cell in FOLDER; its arm and limits count."),
         Flag(metavar="FOLDER"),
     ] = None,
+    make_certificate: Annotated[
+        Path | None,
+        Doc("Make a self-signed certificate and its key for OPC UA in FOLDER, and end."),
+        Flag(metavar="FOLDER", panel=PLANT),
+    ] = None,
     add_token: Annotated[
         str | None,
-        Doc("Add a token for watch or drive to --tokens, print it once, and end."),
+        Doc("Add a token for watch, acknowledge or drive to --tokens, print it once, and end."),
         Flag(metavar="NAME:ROLE"),
     ] = None,
 ) -> None:
     """Serve a robot: this program alone talks to its controller and guards it; others watch, stop and drive it."""
     face.until_stopped = True
     from armsight.app.robot.recorder import default_log
-    from armsight.server.serving import serve_robot
+    from armsight.server.serving import Terminal, serve_robot
     from armsight.server.web_server import ServeOptions
 
     if add_token is not None:
         _add_token(face, tokens, add_token)
         return
+    if make_certificate is not None:
+        from armsight.publish.certificates import make_pair
+
+        face.say(f"{' and '.join(str(one) for one in make_pair(make_certificate))}: the certificate goes to clients")
+        return
     if robot is None:
         raise UsageError("no robot is named", consequence="Nothing is served", cure="Give --robot DRIVER:DEVICE")
-    options = ServeOptions(bind=bind, port=port, stop_port=stop_port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)
+    told = plant.made(face.say, tokens)
+    at = {"bind": bind, "port": port, "stop_port": stop_port}
+    options = ServeOptions(**at, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key, plant=told)  # type: ignore[arg-type]
     if console is not None:
         _with_pages(face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log})
         return
@@ -97,12 +111,17 @@ def serve(
         kept,
         limits=limits,
         rsi_config=rsi_config,
-        ready=ready,
-        cancelled=face.progress("starting").cancelled,
+        terminal=Terminal(ready=ready, tell=face.say, cancelled=face.progress("starting").cancelled),
     )
 
 
-def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions, own: dict[str, object]) -> None:
+def _with_pages(
+    face: CommandUI,
+    robot: str,
+    folder: Path,
+    options: ServeOptions,
+    own: dict[str, object],
+) -> None:
     """Serve programs and the operator's pages with one loop, one right to drive, and the same tokens."""
     from armsight.console import texts
     from armsight.server.waiting import waiting_page
@@ -214,7 +233,12 @@ def _without_robot(
 
 
 def serve_cell(
-    face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions, page: WaitingPage
+    face: CommandUI,
+    robot: str,
+    folder: Path,
+    changed: dict[str, Any],
+    options: ServeOptions,
+    page: WaitingPage,
 ) -> None:
     """Serve a robot with its pages, and with the interface for programs beside them, until Ctrl-C.
 
@@ -227,7 +251,7 @@ def serve_cell(
     from armsight.console.state import Console
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
-    from armsight.server.serving import serve_pages
+    from armsight.server.serving import serve_pages, told_to_plant
 
     cancelled = face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
@@ -249,7 +273,8 @@ def serve_cell(
             server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)
             ready = partial(_say, face, page=page)
-            serve_pages(server, options, page.listener, ready=ready, service=cell.service)
+            with told_to_plant(cell.service, options.plant, face.say, made.seen):
+                serve_pages(server, options, page.listener, ready=ready, service=cell.service)
         finally:
             made.close()
 

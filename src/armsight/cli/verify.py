@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from armsight.app import requests
+from armsight.app.requests.plant import PLANT
 from armsight.app.requests.shared import CAMERAS, LIVE, MASTERING, TABLES, Base, CameraFlags, OutFolder, TableFlags, Tip
 from armsight.cli.command import VERIFIED, app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from armsight.verify.supervision import Compared, Level
 
 
-@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS), filed="verify")
+@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS, PLANT), filed="verify")
 def verify(
     face: CommandUI,
     *,
@@ -206,7 +207,7 @@ def _supervise(
     check_options("--live", asked.missing, foreign)
     job = asked.made(camera_settings=cameras.made().made(face.say))
     line = LiveLine(face)
-    done = run_verify_live(job, line.show, face.progress("supervising"))
+    done = run_verify_live(job, line.show, face.progress("supervising"), tell=face.say)
     live_tables(face, done, job.out)
     face.result(done)
 

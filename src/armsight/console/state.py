@@ -34,6 +34,7 @@ from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
+from armsight.publish.state import Seen
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
 
@@ -90,6 +91,11 @@ class Console:
                 raise
             self.refusal = str(error)
         return self.refusal
+
+    def seen(self) -> Seen | None:
+        """Return what a supervision that goes on measured last, for the plant's systems; any thread may call this."""
+        supervisor = self.supervisor
+        return None if supervisor is None else supervisor.seen
 
     def apply(self, cell: CellFile) -> None:
         """Check what a cell names, keep it in cell.yaml, and measure with it. Raises UsageError, DataRefused."""

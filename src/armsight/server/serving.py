@@ -6,7 +6,9 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
@@ -25,6 +27,10 @@ from armsight.server.stop_line import stop_line
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, check_options, web_server
 from armsight.store.limits_file import read_limits
+
+if TYPE_CHECKING:
+    from armsight.publish.options import PlantOptions
+    from armsight.publish.state import Seen
 
 
 def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], None]) -> None:
@@ -95,6 +101,39 @@ def _url(options: ServeOptions, listener: socket.socket) -> str:
     return f"{options.scheme}://{host}:{listener.getsockname()[1]}"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terminal:
+    """Who started a server. ready: called once all is there with the address, and which limits the arm stands outside
+    of, in words, nothing within; tell: takes what they should hear; cancelled: whether they want it ended."""
+
+    ready: Callable[[str, str], None]
+    tell: Callable[[str], None]
+    cancelled: Callable[[], bool] = lambda: False
+
+
+@contextlib.contextmanager
+def told_to_plant(
+    service: Service,
+    plant: PlantOptions | None,
+    tell: Callable[[str], None],
+    seen: Callable[[], Seen | None] = lambda: None,
+) -> Iterator[None]:
+    """Publish a robot for the plant's systems while the block runs; None: nothing. tell: the addresses, and failures.
+
+    seen: what a supervision measured last. Raises as publish.feed.published.
+    """
+    if plant is None:
+        yield
+        return
+    from armsight.app.robot.plant_source import log_of, source_of
+    from armsight.publish.feed import addresses, published
+
+    with published(plant, source_of(service, seen), log_of(service, tell)) as ports:
+        for text in addresses(plant, ports):
+            tell(text)
+        yield
+
+
 def serve_robot(
     robot: str,
     arm: str | None,
@@ -103,15 +142,12 @@ def serve_robot(
     *,
     limits: Path | None = None,
     rsi_config: Path | None = None,
-    ready: Callable[[str, str], None],
-    cancelled: Callable[[], bool] = lambda: False,
+    terminal: Terminal,
 ) -> None:
-    """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called once all is there.
-
-    It is told the address, and which limits the arm stands outside of, in words; nothing within.
+    """Serve DRIVER:DEVICE until SIGINT or SIGTERM.
 
     arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what
-    check_options, arm_model, the driver and the disk refuse.
+    check_options, arm_model, the driver, the disk and the plant's addresses refuse.
     """
     check_options(options)
     model = arm_model(robot, arm)
@@ -122,11 +158,12 @@ def serve_robot(
         settings=driver_settings(robot, arm=model, rsi_config=rsi_config),
     )
     with RecordingLog(log) as kept, ProcessHost(spec) as host:
-        if cancelled():
+        if terminal.cancelled():
             raise Cancelled("stopped before the robot was served")
         service = Service(host, kept)
         service.authority.note("info", f"{robot} is served")
         service.pump()  # what the loop told as it took the arm over
-        serve(service, options, ready=lambda url: ready(url, service.outside))
+        with told_to_plant(service, options.plant, terminal.tell):
+            serve(service, options, ready=lambda url: terminal.ready(url, service.outside))
         service.authority.note("info", "the server ends")
         service.pump()

@@ -8,6 +8,7 @@ import socket
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -18,6 +19,9 @@ from armsight.server.auth import is_loopback
 from armsight.server.connections import HEAD_BYTES, Connections, Door
 from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
+
+if TYPE_CHECKING:
+    from armsight.publish.options import PlantOptions
 
 LOOPBACK = "127.0.0.1"
 PORT = 8765
@@ -30,7 +34,8 @@ PING_S = 5.0
 class ServeOptions:
     """Where a server listens, who may come in, and its certificate.
 
-    stop_port: of the line for stops; None: the one after port, or any that is free.
+    stop_port: of the line for stops; None: the one after port, or any that is free. plant: what the plant's systems are
+    told besides.
     """
 
     bind: str = LOOPBACK
@@ -39,6 +44,7 @@ class ServeOptions:
     tokens: Path | None = None
     tls_cert: Path | None = None
     tls_key: Path | None = None
+    plant: PlantOptions | None = None
 
     @property
     def scheme(self) -> str:

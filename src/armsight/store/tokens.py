@@ -1,4 +1,4 @@
-"""tokens.yaml: who may watch and who may drive a robot server. It holds hashes, never a token."""
+"""tokens.yaml: who may watch, acknowledge alarms, and drive a robot server. It holds hashes, never a token."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ TOKEN_BYTES = 32
 
 PRIVATE_MODE = 0o600
 
-Role = Literal["watch", "drive"]
+Role = Literal["watch", "acknowledge", "drive"]
+"""Each may what those before it may; acknowledge: alarms, over OPC UA."""
 ROLES: tuple[str, ...] = get_args(Role)
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}$")]
 

@@ -36,6 +36,8 @@ WINDOW_S = 0.5
 """Poses further apart in time do not belong together."""
 CALM = 15
 """Poses in a row below a level before a warning ends."""
+COVERAGE = 2.0
+"""Standard deviations by which an error must stay below a level to be called within it (ISO 14253-1)."""
 
 
 class Level(IntEnum):
@@ -248,6 +250,17 @@ class Watch:
                 if size - BEYOND * std > limit:
                     return level, _exceedance_text(level, half, size, std, limit, n)
         return Level.GOOD, ""
+
+
+def surely_within(seen: Compared, limits: Limits) -> bool:
+    """Tell whether the newest error is below every level that is set by more than its doubt.
+
+    That no level is raised says less: a measurement worth nothing raises none. Without any level: False.
+    """
+    sizes = ((seen.error_m, seen.std_m), (seen.error_rad, seen.std_rad))
+    return bool(limits.all) and all(
+        sizes[half][0] + COVERAGE * sizes[half][1] <= limit for _, half, limit in limits.all
+    )
 
 
 def _along(error: Array, covariance: Array) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.publish.options import FoxgloveOptions, PlantOptions
+from armsight.publish.state import PlantState, conditions
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
@@ -64,7 +67,7 @@ class Cell:
         content = {"format": "armsight/arm", "version": 1, **world.true.mapping(world.T_flange_tool)}
         write_arm(folder / "arm.yaml", arm_from_mapping(content, "arm"))
 
-    def run(self, **more: Any) -> dict[str, Any]:
+    def run(self, show: Any = lambda *_: None, tell: Any = lambda _: None, **more: Any) -> dict[str, Any]:
         """Supervise; return the summary."""
         job = LiveVerifyJob(
             robot="here", left="here", right="here", out=self.folder / "out", arm=str(self.folder / "arm.yaml"),
@@ -76,7 +79,7 @@ class Cell:
             origin_s=lambda: self.cell.origin_s,
             on_step=self.clock.calls.append,
         )
-        return run_verify_live(job, clock=self.clock, devices=devices).to_dict()
+        return run_verify_live(job, show, tell=tell, clock=self.clock, devices=devices).to_dict()
 
 
 def test_a_good_arm_raises_nothing_though_it_moves(tmp_path: Path) -> None:
@@ -154,3 +157,66 @@ def test_a_robot_by_its_own_program_takes_no_commands_until_stopped(tmp_path: Pa
         robot.reset()
         robot.step_joints(np.zeros(6))
         assert robot.state is not RobotState.STOPPED
+
+
+NOTE = "somebody was kept out"
+
+
+class Told:
+    """Stands for the publishers: looks at each pair as their thread would, and answers with a note."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.states: list[PlantState] = []
+        self.log: Callable[[str, str], None] = lambda *_: None
+        monkeypatch.setattr("armsight.publish.feed.published", self.published)
+
+    @contextmanager
+    def published(self, options: PlantOptions, source: Callable[[], PlantState], log: Any) -> Iterator[None]:
+        self.source, self.log = source, log
+        yield
+
+    def look(self, *_: Any) -> None:
+        self.states.append(self.source())
+
+
+def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, said = Told(monkeypatch), []
+    cell = Cell(tmp_path, [{"kind": "jump", "at_s": 0.3, "for_s": 9.0, "by_m": [0.005, 0.0, 0.0]}])
+    told_of = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))
+
+    def show(*_: Any) -> None:
+        told.look()
+        if len(told.states) == 3:
+            told.log("warning", NOTE)
+
+    cell.run(limits=Limits(warn_m=2e-3), limit=30, plant=told_of, show=show, tell=said.append)
+    tolerances = [one.seen.in_tolerance for one in told.states if one.seen is not None]
+    assert len(told.states) == 30 and tolerances[-1] is False
+    assert set(tolerances[: tolerances.index(False)]) <= {True, None} and True in tolerances
+    last = told.states[-1]
+    assert [one.name for one in conditions(last, stale_s=60.0)] == ["beyond-warn"]
+    assert last.seen is not None and last.seen.pose.status.value == "ok"
+    assert last.robot is not None and last.robot.reading is not None
+    assert said == [NOTE]
+    with Recording(tmp_path / "out" / "live.mcap") as recording:
+        assert NOTE in [item.message for item in recording.events()]
+
+
+def test_the_plant_is_told_nothing_of_a_robot_whose_link_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = Told(monkeypatch)
+    cell = Cell(tmp_path, [])
+
+    def show(*_: Any) -> None:
+        told.look()
+        if len(told.states) == 5:
+            cell.cell.robot.fault(RobotFault.LINK_LOST)
+
+    told_of = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))
+    cell.run(limits=Limits(warn_m=2e-3), blind_stop_s=0.2, limit=60, show=show, plant=told_of)
+    last = told.states[-1]
+    assert last.robot is None and last.why
+    assert "robot" in [one.name for one in conditions(last)]

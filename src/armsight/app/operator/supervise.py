@@ -20,6 +20,7 @@ from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.control.session.operator_session import Person
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
+from armsight.publish.state import Seen
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
@@ -75,6 +76,8 @@ class StationSupervisor:
         self._log = LiveLog(limits=limits)
         self._last: tuple[Compared | None, str] = (None, "")
         self._why = ""
+        self.seen: Seen | None = None
+        self._compared_s = time.monotonic()
         self.curve: deque[tuple[float, float, float]] = deque(maxlen=SHOWN)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supervising", daemon=True)
@@ -147,6 +150,17 @@ class StationSupervisor:
         if self._watch.level is Level.GOOD:
             self._why = ""
         self._last = (compared, lost)
+        self._compared_s = self._compared_s if compared is None else time.monotonic()
+        self.seen = Seen(
+            pose=pose,
+            compared=compared,
+            level=self._watch.level,
+            why=self._why,
+            limits=self._log.limits,
+            lost=lost,
+            at_s=pose.t_s,
+            blind=time.monotonic() - self._compared_s > BLIND_S,
+        )
         if compared is not None:
             self.curve.append((compared.t_s, compared.error_m / MM, compared.error_rad / DEG))
         self._log.add(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
+from armsight.app.requests.plant import PlantFlags
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, LIVE, MASTERING, OutFolder, automatic, ours
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
 from armsight.units import DEG, MM
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from armsight.drivers import CameraSettings
+    from armsight.publish.options import PlantOptions
     from armsight.store.interpret import TableFormat
     from armsight.verify.supervision import Limits
 
@@ -136,6 +138,7 @@ class LiveVerifyJob:
     limit: Annotated[int | None, Doc("End after so many pairs."), Bounds(least=1), Flag("--frames", panel=LIVE)] = None
     frames: Annotated[bool, Doc("Keep the images in the recording too."), Flag("--keep-frames", panel=LIVE)] = False
     play: Annotated[bool, Doc("A simulated robot goes its scenario's way by itself."), Flag(panel=LIVE)] = False
+    plant: Annotated[PlantOptions | None, Flags(PlantFlags)] = None
     camera_settings: CameraSettings = field(default_factory=automatic)
 
 

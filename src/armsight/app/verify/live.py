@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing
 
 import numpy as np
@@ -39,14 +39,15 @@ def run_verify_live(
     show: Show = lambda *_: None,
     progress: Progress | None = None,
     *,
+    tell: Callable[[str], None] = lambda _: None,
     clock: Clock | None = None,
     devices: Supervised | None = None,
 ) -> VerifyLiveOutput:
     """Supervise until the person stops, the limit is reached or a stop was raised; write the files of job.out.
 
-    The robot is told nothing but to stop. Closing its link stops it too where the link commands it. clock, devices: in
-    place of the machine's and of those named. Raises UsageError, DataRefused, DeviceFailed; what was seen until a
-    failure is in the files.
+    The robot is told nothing but to stop. Closing its link stops it too where the link commands it. tell: takes what a
+    person should hear of the plant's systems. clock, devices: in place of the machine's and of those named. Raises
+    UsageError, DataRefused, DeviceFailed; what was seen until a failure is in the files.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     rig, target, arm, world = read_rig(job.rig), target_of(job.target), load_arm(job.arm), read_world(job.world)
@@ -64,7 +65,7 @@ def run_verify_live(
     prepare(progress)
     log, failure = LiveLog(limits=job.limits), None
     try:
-        _supervise(Supervision(job, setup, expectation, devices, clock, log, show), progress)
+        _supervise(Supervision(job, setup, expectation, devices, clock, log, show, tell), progress)
     except ArmsightError as error:
         failure = error
     if failure is not None and not log.rows:
@@ -87,6 +88,10 @@ def _supervise(run: Supervision, progress: Progress) -> None:
         robot = stack.enter_context(run.devices.robot)
         stack.enter_context(run.devices.pairs)
         run.open(stack)
+        if run.job.plant is not None:
+            from armsight.publish.feed import published
+
+            stack.enter_context(published(run.job.plant, run.plant, run.note))
         try:
             with closing(_generator(run)) as pairs:
                 for pair in pairs:

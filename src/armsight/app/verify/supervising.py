@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -14,12 +15,14 @@ import numpy as np
 
 from armsight.app.record.recorder import Recorder
 from armsight.app.requests.verify import LiveVerifyJob
+from armsight.app.robot.plant_source import monotonic_s
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker
+from armsight.publish.state import PlantState, RobotSeen, Seen
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
@@ -28,6 +31,9 @@ from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Wat
 RECORDING = "live.mcap"
 BLIND_S = 0.5
 """Nothing compared for so long is told as such."""
+SOURCE, PLANT = "armsight verify --live", "plant"
+NOTES = 100
+"""Notes of the plant's systems that wait for the next pair; the oldest are left out."""
 AFTER_STOP_S = 1.0
 """Supervision goes on so long after a stop: the recording shows how the arm came to rest."""
 
@@ -62,6 +68,7 @@ class Supervision:
         clock: Clock,
         log: LiveLog,
         show: Show,
+        tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.job = job
         self.devices = devices
@@ -69,7 +76,7 @@ class Supervision:
         self._setup = setup
         self._expectation = expectation
         self._clock = clock
-        self._show = show
+        self._show, self._tell = show, tell
         self._watch = Watch(job.limits)
         self._reader = JointReader(devices.robot, clock)
         self._recorder: Recorder | None = None
@@ -78,6 +85,10 @@ class Supervision:
         self._seen_s: float | None = None
         self._blind = False
         self._stopped_s: float | None = None
+        self._why = ""
+        self.seen: Seen | None = None
+        """The newest pair, for the plant's systems."""
+        self._notes: deque[tuple[str, str]] = deque(maxlen=NOTES)
 
     def open(self, stack: ExitStack) -> None:
         """Begin the recording and to read the joints; all ends with the stack."""
@@ -110,6 +121,18 @@ class Supervision:
         self.log.add(pair[0].sequence, pose, compared, self._watch.level, lost, ms)
         if raised is not None:
             self.log.raised(raised)
+        if raised is not None and raised.level is not Level.GOOD:
+            self._why = raised.why
+        self.seen = Seen(
+            pose=pose,
+            compared=compared,
+            level=self._watch.level,
+            why=self._why,
+            limits=self.job.limits,
+            lost=lost,
+            at_s=monotonic_s(self._clock.now_s(), pose.t_s + zero_s),
+            blind=self._blind,
+        )
         self._record(pair, measured, raised, zero_s)
         self._show(pose, compared, self._watch.level, lost)
 
@@ -158,15 +181,45 @@ class Supervision:
             recorder.put(*pair)
         pose = measured.pose
         readings = self._reader.take()
+        notes = [self._notes.popleft() for _ in range(len(self._notes))]
+        for level, message in notes:
+            if level != "info":
+                self._tell(message)
 
         def write(writer: RecordingWriter) -> None:
             for reading in readings:
                 writer.joints(replace(reading, t_s=reading.t_s - zero_s))
             writer.pose(pose)
+            for level, message in notes:
+                writer.event(pose.t_s, message, level=level, name=PLANT)
             if raised is not None:
                 writer.event(raised.t_s, raised.why, level="error" if raised.level is Level.STOP else "warning")
 
         recorder.add(write)
+
+    def plant(self) -> PlantState:
+        """Return all of the newest moment, for the plant's systems; any thread may call this."""
+        reading, why = self._reader.newest, self._reader.why
+        robot = RobotSeen(
+            name=self.devices.robot.name,
+            status=None,
+            reading=reading,
+            at_s=float("nan") if reading is None else monotonic_s(self._clock.now_s(), reading.t_s),
+            T_base_flange=None,
+        )
+        return PlantState(
+            source=SOURCE,
+            made_s=time.monotonic(),
+            made_unix_s=time.time(),
+            robot=None if why else robot,
+            why=why,
+            seen=self.seen,
+            measures=True,
+        )
+
+    def note(self, level: str, message: str) -> None:
+        """Keep something from the plant's systems, which is recorded and told with the next pair; any thread."""
+        self._notes.append((level, message))
 
 
 JOIN_S = 2.0
@@ -184,6 +237,7 @@ class JointReader:
         self._clock = clock
         self.history = JointHistory(robot.cycle_s)
         self.why = ""
+        self.newest: JointReading | None = None
         self._new: list[JointReading] = []
         self._lock = threading.Lock()
         self._ending = threading.Event()
@@ -196,7 +250,7 @@ class JointReader:
         except DeviceFailed as error:
             self.why = error.cause
             return
-        self.why = ""
+        self.why, self.newest = "", reading
         if self.history.add(reading):
             with self._lock:
                 self._new.append(reading)

@@ -113,6 +113,11 @@ class Service:
         self._note_dropped_at, self._noted_failed = 1, False
         self.authority = ControlAuthority(host, self, instance=secrets.token_hex(8), lock=self.lock)
 
+    @property
+    def recording_failed(self) -> str:
+        """Why nothing is recorded any more; empty while it is."""
+        return self._log.failed
+
     @contextmanager
     def events(self) -> Iterator[Subscription]:
         """Subscribe to events."""

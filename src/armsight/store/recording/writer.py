@@ -14,9 +14,17 @@ from armsight._version import __version__
 from armsight.clock import Clock
 from armsight.geometry import xyz_quat
 from armsight.optics import SIDES, LensKind, Rig
-from armsight.records import Frame, JointReading, Points, PoseStatus, Spots, TargetPose
+from armsight.records import Frame, JointReading, Points, Spots, TargetPose
 from armsight.store.atomic import json_text
 from armsight.store.recording import schemas
+from armsight.store.recording.contents import (
+    EVENTS,
+    JOINTS,
+    SCHEMA_OF,
+    event_content,
+    joints_content,
+    pose_contents,
+)
 from armsight.store.recording.images import Encoded, image_message
 from armsight.store.recording.mcapfile import CHUNK_BYTES, CHUNK_S, McapFile
 from armsight.store.recording.protobuf import NS
@@ -31,8 +39,6 @@ POINTS_MARK = 1
 """foxglove.ImageAnnotations: a set of points."""
 
 MARK_COLOUR = {"r": 1.0, "g": 0.2, "b": 0.2, "a": 1.0}
-LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
-"""foxglove.Log's levels in the order of their numbers."""
 
 
 class RecordingWriter:
@@ -137,31 +143,13 @@ class RecordingWriter:
 
     def pose(self, pose: TargetPose) -> None:
         """Add the target's pose with all that is known of it; a whole one also in Foxglove's form."""
-        xyz, quat = xyz_quat(pose.pose) if pose.pose is not None else (np.empty(0), np.empty(0))
-        content = {
-            "t_s": pose.t_s,
-            "status": pose.status.value,
-            "parent": pose.parent,
-            "spots": list(pose.spots),
-            "xyz_m": xyz,
-            "quat_xyzw": quat,
-            "covariance": pose.covariance if pose.covariance is not None else [],
-            "systematic_covariance": pose.systematic_covariance if pose.systematic_covariance is not None else [],
-            "origin_known": pose.origin_known,
-            "residual_px": pose.residual_px,
-            "why": pose.why,
-        }
-        self._json("/target/measured", schemas.TARGET_POSE, pose.t_s, content)
-        if pose.status is PoseStatus.OK:
-            shown = {"position": vector_json(xyz.tolist()), "orientation": vector_json(quat.tolist())}
-            stamped = {"timestamp": time_json(self._ns(pose.t_s)), "frame_id": pose.parent, "pose": shown}
-            self._json("/target/pose", schemas.POSE, pose.t_s, stamped)
+        for topic, content in pose_contents(pose, self._ns(pose.t_s)).items():
+            self._json(topic, SCHEMA_OF[topic], pose.t_s, content)
         self.tick()
 
     def joints(self, reading: JointReading) -> None:
         """Add what the robot says its joints are."""
-        content = {"t_s": reading.t_s, "sequence": reading.sequence, "source": reading.source, "q": reading.q}
-        self._json("/robot/joints", schemas.JOINTS, reading.t_s, content, reading.sequence)
+        self._json(JOINTS, SCHEMA_OF[JOINTS], reading.t_s, joints_content(reading), reading.sequence)
         self.tick()
 
     def command(self, t_s: float, kind: str, values: Mapping[str, Any]) -> None:
@@ -171,15 +159,7 @@ class RecordingWriter:
 
     def event(self, t_s: float, message: str, *, level: str = "info", name: str = "armsight") -> None:
         """Add something that happened; level: one of LEVELS."""
-        content = {
-            "timestamp": time_json(self._ns(t_s)),
-            "level": LEVELS.index(level),
-            "message": message,
-            "name": name,
-            "file": "",
-            "line": 0,
-        }
-        self._json("/events", schemas.LOG, t_s, content)
+        self._json(EVENTS, SCHEMA_OF[EVENTS], t_s, event_content(self._ns(t_s), message, level, name))
         self.tick()
 
     def rig(self, t_s: float, rig: Rig) -> None:

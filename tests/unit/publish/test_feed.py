@@ -1,0 +1,100 @@
+"""From what runs to the publishers' process, and back: alarms that are kept, what is acknowledged, starts that fail."""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from armsight.control.guard import GuardState
+from armsight.errors import DeviceFailed
+from armsight.publish.feed import Feed, addresses, published
+from armsight.publish.options import FoxgloveOptions, MqttOptions, OpcUaOptions, PlantOptions
+from armsight.publish.process import STATE_BYTES, PlantProcess
+from armsight.publish.requests import LONGEST, Acknowledge, Note, decode, encode
+from loading import module_of
+
+states = module_of(Path(__file__).with_name("plant_states.py"))
+state, robot = states.state, states.robot
+STOPPED = {"robot": robot(guard=GuardState.STOPPED, why="by anna")}
+
+
+class Log:
+    def __init__(self):
+        self.said = []
+
+    def __call__(self, level, message):
+        self.said.append((level, message))
+
+
+def test_what_is_acknowledged_is_logged_with_who_and_from_where():
+    log = Log()
+    feed = Feed(log, 1.0)
+    (alarm,) = feed.with_alarms(state(**STOPPED)).alarms
+    feed.take(Acknowledge(id=alarm.id, who="plc", address="10.0.0.7"))
+    (seen,) = feed.with_alarms(state(**STOPPED)).alarms
+    assert (seen.active, seen.acknowledged_by) == (True, "plc")
+    assert log.said[-1] == ("info", f"alarm {alarm.id} was acknowledged by plc at 10.0.0.7")
+    assert feed.with_alarms(state()).alarms == ()
+
+
+def test_an_alarm_that_is_not_there_is_not_acknowledged():
+    log = Log()
+    Feed(log, 1.0).take(Acknowledge(id="stopped-1", who="plc", address="10.0.0.7"))
+    assert log.said == [("warning", "plc at 10.0.0.7: there is no alarm 'stopped-1'")]
+
+
+def test_requests_come_through_as_they_were_and_not_too_long():
+    for one in (Note(level="error", message="a"), Acknowledge(id="i", who="w", address="a")):
+        assert decode(encode(one)) == one
+    assert len(decode(encode(Note(level="info", message="\u00e9" * 10_000))).message) == LONGEST
+
+
+def test_a_state_fits_into_its_memory():
+    assert len(pickle.dumps(Feed(Log(), 1.0).with_alarms(state(**STOPPED)), protocol=5)) < STATE_BYTES / 8
+
+
+def test_what_does_not_run_is_refused_before_anything_is_published():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        options = PlantOptions(opcua=OpcUaOptions(host="127.0.0.1", port=port, anonymous=True))
+        with pytest.raises(DeviceFailed, match=f"port {port}"), published(options, state, Log()):
+            pass
+
+
+def test_a_publisher_that_never_reads_keeps_nothing_waiting():
+    process = PlantProcess(PlantOptions())  # never started: nobody takes what is shown
+    now = state()
+    for _ in range(1000):
+        process.show(now)
+    assert process.requests() == []
+
+
+def test_a_process_that_ended_is_started_anew(monkeypatch):
+    log = Log()
+    options = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))
+    begun = []
+    monkeypatch.setattr("armsight.publish.feed.AGAIN_S", 0.0)
+    monkeypatch.setattr(PlantProcess, "restart", lambda self: begun.append(True))
+    with published(options, lambda: replace(state(time.monotonic()), made_unix_s=time.time()), log) as ports:
+        assert addresses(options, ports) == [f"Foxglove: ws://127.0.0.1:{ports['foxglove']}"]
+        import multiprocessing
+
+        (child,) = [one for one in multiprocessing.active_children() if one.name == "armsight-plant"]
+        child.kill()
+        child.join()
+        until_s = time.monotonic() + 30
+        while not begun and time.monotonic() < until_s:
+            pass
+    assert begun and ("error", "nothing is published: that process has ended; it is started anew in 0 s") in log.said
+
+
+def test_addresses_are_told_as_they_are_typed():
+    options = PlantOptions(
+        opcua=OpcUaOptions(host="::1", port=4840), mqtt=MqttOptions(host="b", port=1, prefix="a/b", tls=True)
+    )
+    assert addresses(options, {"opcua": 4840}) == ["OPC UA: opc.tcp://[::1]:4840", "MQTT: a/b/state at b:1"]

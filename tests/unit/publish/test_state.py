@@ -1,0 +1,152 @@
+"""How far a state may be trusted as time goes on, what is wrong in it, and that old data never say yes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armsight.control.guard import GuardState
+from armsight.drivers import RobotState
+from armsight.publish.alarms import NAMES
+from armsight.publish.mqtt import state_json
+from armsight.publish.state import Quality, conditions, trust
+from armsight.publish.values import IN_TOLERANCE, VALUES, told
+from armsight.verify.supervision import Level, Limits
+from loading import module_of
+
+states = module_of(Path(__file__).with_name("plant_states.py"))
+UNIX_S, robot, seen, state = states.UNIX_S, states.robot, states.seen, states.state
+STALE_S = 1.0
+
+
+def tolerance(of, now_s=100.0):
+    one = told(of, now_s, STALE_S)[IN_TOLERANCE]
+    return one.value, one.quality
+
+
+def test_an_arm_within_its_level_by_more_than_the_doubt_is_in_tolerance():
+    assert tolerance(state()) == (True, Quality.GOOD)
+
+
+@pytest.mark.parametrize("level", [Level.WARN, Level.STOP])
+def test_a_level_that_is_raised_is_beyond_tolerance(level):
+    assert tolerance(state(seen=seen(level=level))) == (False, Quality.GOOD)
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        seen(error_m=0.001, std_m=0.0011),  # 1 mm and twice its doubt reach over 3 mm
+        seen(std_m=0.1),  # a measurement worth nothing raises no level, and says nothing
+        seen(limits=Limits()),
+        seen(lost="the target is not seen"),
+    ],
+)
+def test_what_cannot_be_said_is_neither(of):
+    assert tolerance(state(seen=of)) == (None, Quality.UNDECIDED)
+
+
+def test_a_pair_that_cannot_be_compared_is_not_called_good():
+    told_of = [told(state(seen=seen(lost="dark", level=level)), 100.0, STALE_S) for level in (Level.GOOD, Level.STOP)]
+    assert [one["verdict.level"].value for one in told_of] == [None, "stop"]
+    assert told_of[0]["verdict.level"].quality is Quality.UNDECIDED
+    assert {told_of[0][name].quality for name in ("verdict.error_m", "pose.xyz_m")} == {Quality.WAITING}
+
+
+def test_what_was_never_there_is_not_the_last_one():
+    lost = told(state(at_s=101.5, seen=seen(at_s=100.0, lost="dark")), 101.6, STALE_S)
+    assert (lost["pose.xyz_m"].value, lost["pose.xyz_m"].quality) == (None, Quality.WAITING)
+
+
+def test_a_rotation_without_a_level_is_not_asked_for():
+    turned = replace(seen().compared, error=np.array([0.001, 0, 0, 0.5, 0, 0]))
+    assert tolerance(state(seen=replace(seen(), compared=turned)))[0] is True
+    narrow = replace(seen(), compared=turned, limits=Limits(warn_m=0.003, warn_rad=0.4))
+    assert tolerance(state(seen=narrow))[0] is None
+
+
+def test_a_measurement_that_stops_is_stale_and_says_nothing_of_tolerance():
+    going = replace(state(at_s=101.5), seen=seen(at_s=100.0), robot=robot(101.5))
+    values = told(going, 101.6, STALE_S)
+    assert tolerance(going, 101.6) == (None, Quality.STALE)
+    assert values["pose.xyz_m"].quality is Quality.STALE and values["pose.xyz_m"].value == pytest.approx(
+        [0.1, 0.2, 0.9]
+    )
+    assert values["robot.joints"].quality is Quality.GOOD
+    assert (values["verdict.level"].value, values["verdict.error_m"].value) == (None, pytest.approx(0.001))
+    assert values["pose.xyz_m"].at_s == UNIX_S + 100.0
+
+
+@pytest.mark.parametrize("now_s", [101.1, 99.0])
+def test_a_source_that_is_silent_or_of_another_time_says_nothing_at_all(now_s):
+    assert {one.quality for one in told(state(), now_s, STALE_S).values()} == {Quality.SILENT}
+    assert {one.value for one in told(state(), now_s, STALE_S).values()} == {None}
+    assert trust(None, now_s).source is Quality.SILENT
+
+
+def test_a_source_that_does_not_measure_waits():
+    assert tolerance(state(seen=None)) == (None, Quality.WAITING)
+    assert told(state(robot=None, why="gone"), 100.0, STALE_S)["robot.joints"].quality is Quality.SILENT
+
+
+def test_names_of_values_are_unique_and_have_a_known_part():
+    assert len({one.name for one in VALUES}) == len(VALUES)
+    assert {one.part for one in VALUES} == {"source", "robot", "seen"}
+
+
+@pytest.mark.parametrize(
+    ("parts", "name"),
+    [
+        ({"robot": None, "why": "the loop hangs"}, "robot"),
+        ({"robot": robot(link=RobotState.LOST)}, "link"),
+        ({"robot": robot(guard=GuardState.STOPPED, why="stopped by anna")}, "stopped"),
+        ({"robot": robot(guard=GuardState.HOLDING, why="a cycle began late")}, "holding"),
+        ({"recording": "the disk is full"}, "recording"),
+        ({"seen": seen(level=Level.WARN)}, "beyond-warn"),
+        ({"seen": seen(level=Level.STOP)}, "beyond-stop"),
+        ({"seen": seen(lost="dark", blind=True)}, "blind"),
+        ({"seen": seen(at_s=90.0)}, "blind"),
+        ({"seen": None}, "blind"),
+    ],
+)
+def test_what_is_wrong_has_a_name(parts, name):
+    assert [one.name for one in conditions(state(**parts))] == [name]
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {},
+        {"robot": robot(guard=GuardState.DISABLED, why="no enable", enabled=False)},
+        {"seen": seen(lost="dark for one picture")},
+        {"seen": None, "measures": False},
+    ],
+)
+def test_what_is_usual_raises_nothing(parts):
+    assert conditions(state(**parts)) == []
+
+
+def test_the_words_of_a_condition_do_not_change_from_cycle_to_cycle():
+    one, two = (
+        conditions(state(robot=robot(guard=GuardState.STOPPED, why=f"no new reading from the robot for {ms} ms")))
+        for ms in (120, 130)
+    )
+    assert one == two
+
+
+def test_json_says_what_is_stale():
+    good = state_json(state(), 100.0, STALE_S)
+    assert (good["in_tolerance"], good["stale"], good["online"]) == (True, False, True)
+    assert good["robot"]["joints"] == [0.1, 0.2] and good["robot"]["quality"] == "good"
+    old = state_json(state(), 101.5, STALE_S)
+    assert (old["in_tolerance"], old["stale"], old["verdict"]["quality"]) == (None, True, "silent")
+    assert state_json(None, 0.0, STALE_S)["stale"] is True
+
+
+def test_the_guide_names_every_value_and_alarm():
+    guide = (Path(__file__).resolve().parents[3] / "docs" / "guide" / "plant.md").read_text()
+    lacking = [name for name in (*(one.name for one in VALUES), *NAMES) if f"| `{name}` |" not in guide]
+    assert not lacking

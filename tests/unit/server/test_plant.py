@@ -1,0 +1,61 @@
+"""What a served robot is, as the plant's systems are told it."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import pytest
+
+from armsight.app.robot.plant_source import log_of, source_of
+from armsight.control.guard import GuardState
+from armsight.publish.options import FoxgloveOptions, PlantOptions
+from armsight.publish.state import conditions
+from armsight.publish.values import told
+from armsight.server.serving import told_to_plant
+
+FOXGLOVE = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=8767))
+
+
+def test_state_and_joints_of_a_robot_are_told_with_their_age(service, host):
+    host.guard = "running"
+    state = source_of(service)()
+    assert state.robot.status.guard is GuardState.RUNNING and state.robot.name == "fake"
+    assert state.made_s - state.robot.at_s == pytest.approx(0.01, abs=1e-3)
+    assert told(state, state.made_s, 1.0)["robot.joints"].value == [0.0, 0.0]
+    assert conditions(state) == []
+
+
+def test_a_loop_that_ended_is_an_alarm(service, host):
+    host.ended = True
+    state = source_of(service)()
+    assert state.robot is None and state.why
+    assert [one.name for one in conditions(state)] == ["robot"]
+
+
+def test_a_disk_that_failed_is_an_alarm(service, log):
+    log.failed = "the disk is full"
+    assert [(one.name, one.why) for one in conditions(source_of(service)())] == [("recording", "the disk is full")]
+
+
+def test_notes_are_logged_and_failures_told(service, log):
+    said = []
+    keep = log_of(service, said.append)
+    keep("warning", "somebody was kept out")
+    keep("error", "a failure")
+    assert log.events[-2:] == [("warning", "somebody was kept out"), ("error", "a failure")]
+    assert said == ["a failure"]
+
+
+def test_a_server_tells_where_it_publishes_and_nothing_where_it_does_not(service, monkeypatch):
+    begun, said = [], []
+
+    @contextmanager
+    def published(options, source, log):
+        begun.append(source().source)
+        yield {"foxglove": 8767}
+
+    monkeypatch.setattr("armsight.publish.feed.published", published)
+    with told_to_plant(service, None, said.append):
+        assert begun == said == []
+    with told_to_plant(service, FOXGLOVE, said.append):
+        assert begun == ["armsight serve"] and said == ["Foxglove: ws://127.0.0.1:8767"]
