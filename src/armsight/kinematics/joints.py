@@ -26,6 +26,10 @@ GAIN_RANGE = (0.5, 2.0)
 """The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
 
 
+AT_FRAME = (0.0, 0.0, 0.0)
+"""The centre of mass of a link that is not known to be elsewhere."""
+
+
 class JointType(StrEnum):
     """A joint turns about its z axis or slides along it."""
 
@@ -58,7 +62,7 @@ class Joint:
     stall_effort: float | None = None
     compliance: float = 0.0
     mass_kg: float = 0.0
-    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    com_m: tuple[float, float, float] = AT_FRAME
 
     def __post_init__(self) -> None:
         try:
@@ -72,6 +76,8 @@ class Joint:
         require_kind("the name of a joint", self.name, str)
         for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
             value = getattr(self, key)
+            if type(value) is float and math.isfinite(value):  # fits make arms by the thousand
+                continue
             if isinstance(value, Real) and not math.isfinite(value):
                 raise Inconsistent(f"{key} of joint {self.name} is not finite", consequence="The arm has no geometry")
             require_number(f"{key} of joint {self.name}", value)
@@ -106,6 +112,8 @@ class Joint:
                 )
         for key in ("compliance", "mass_kg"):
             value = getattr(self, key)
+            if type(value) is float and 0.0 <= value < math.inf:
+                continue
             require_kind(f"{key} of joint {self.name}", value, Real, cure="Give a number")
             if not (math.isfinite(value) and value >= 0.0):
                 raise Inconsistent(
@@ -113,8 +121,9 @@ class Joint:
                     consequence="How far it gives way under the arm's weight is not known",
                     cure="Give a number from 0 up; 0 where it is not known",
                 )
-        com_m = frozen_array(f"com_m of joint {self.name}", self.com_m, (3,))
-        object.__setattr__(self, "com_m", tuple(com_m.tolist()))
+        if self.com_m is not AT_FRAME:  # fits make arms by the thousand
+            com_m = frozen_array(f"com_m of joint {self.name}", self.com_m, (3,))
+            object.__setattr__(self, "com_m", tuple(com_m.tolist()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

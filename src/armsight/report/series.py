@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.geometry import euler_rad
@@ -212,7 +212,7 @@ def scatter_of(series: Series) -> Scatter | None:
     half = NEIGHBOURS // 2
     for start, stop in runs(np.asarray(np.isfinite(full).all(axis=1))):
         if stop - start >= NEIGHBOURS:
-            inside = correlate1d(full[start:stop], PARABOLA, axis=0)
+            inside = scipy.ndimage.correlate1d(full[start:stop], PARABOLA, axis=0)
             smooth[start + half : stop - half] = inside[half:-half]
     known = np.isfinite(smooth[:, 0])
     if not known.any():

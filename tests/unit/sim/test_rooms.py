@@ -22,7 +22,7 @@ from armsight_sim.rooms import textures as tx
 from armsight_sim.rooms.furniture import AHEAD, Furnisher
 from armsight_sim.rooms.occluders import make_occluder
 from armsight_sim.rooms.room import Layout, furnished, layout_about, upright
-from armsight_sim.rooms.scene import Panel, Scene, Texture, View
+from armsight_sim.rooms.scene import Panel, Scene, Texture, View, boxes_of
 from armsight_sim.scenario_builder import build_world
 from armsight_sim.scenario_keys import checked_room, pipeline_of
 from armsight_sim.scenario_schema import Scenario
@@ -121,6 +121,26 @@ def test_lamps_light_what_they_see_and_boxes_throw_shadows() -> None:
     first, columns, rows = scene.arrays[5][0]
     on_floor = scene.arrays[8][first : first + columns * rows, 1].reshape(rows, columns)
     assert on_floor[rows // 2, columns // 2] < 0.75 * on_floor[rows // 2, 1]
+
+
+def test_the_light_is_that_of_looking_at_every_panel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit by bit: boxes about the panels spare looks and change nothing."""
+
+    def lit() -> tuple[Scene, int]:
+        rng = np.random.default_rng(3)
+        made = Furnisher(rng)
+        made.panel((0.0, 1.0, 2.0), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), (2.0, 2.0), white())
+        made.tube((0.0, -1.0, 2.0), 0.6, 20.0)
+        for place in rng.uniform((-0.8, 0.3, 1.2), (0.8, 1.0, 2.8), (30, 3)):
+            made.any_box(tuple(place), (0.15, 0.1, 0.2), float(rng.uniform(0.0, 90.0)))
+        return Scene.lit(made.panels, rng), len(boxes_of(made.panels, range(len(made.panels)))[0])
+
+    scene, boxes = lit()
+    monkeypatch.setattr("armsight_sim.rooms.scene.BOX_PANELS", 1000)
+    monkeypatch.setattr("armsight_sim.rooms.scene.WALL_M2", np.inf)
+    one_by_one, alone = lit()
+    assert boxes > 50 and alone == 2
+    np.testing.assert_array_equal(scene.arrays[8], one_by_one.arrays[8])
 
 
 def test_a_texture_keeps_its_mean_at_every_level() -> None:

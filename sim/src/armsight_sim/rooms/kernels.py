@@ -78,6 +78,18 @@ class Candidates(NamedTuple):
     depths: Any
 
 
+class Shading(NamedTuple):
+    """Rectangles `numbers` (n,) in boxes within boxes, from the outermost on, each before those within it.
+
+    boxes (m, 6): least and greatest x, y, z. links (m, 3): first and past the last place in `numbers` of those that are
+    in no box within, and the next box that is not within this one.
+    """
+
+    boxes: Any
+    links: Any
+    numbers: Any
+
+
 class View(NamedTuple):
     """A camera in the scene: its pose R (3, 3), t (3,), and rays and origins as cast_scene takes them."""
 
@@ -106,38 +118,90 @@ def _covers(panels, k, a, b):
 
 
 @borrowing_kernel
+def _meets(panels, k, ray, along, both):
+    """Return how far along a ray meets rectangle k, and where (a, b) m, or inf where not up to `along`.
+
+    both: rectangles are met from either side.
+    """
+    geometry, size = panels.geometry, panels.size
+    # p = o + t d lies in the plane where (p - corner) . n = 0: t = (corner - o) . n / (d . n)
+    towards = ray.dx * geometry[k, 9] + ray.dy * geometry[k, 10] + ray.dz * geometry[k, 11]
+    if towards <= 1e-9 and not (both and towards < -1e-9):
+        return np.inf, 0.0, 0.0
+    px, py, pz = geometry[k, 0] - ray.ox, geometry[k, 1] - ray.oy, geometry[k, 2] - ray.oz
+    t = (px * geometry[k, 9] + py * geometry[k, 10] + pz * geometry[k, 11]) / towards
+    if t <= 1e-4 or t > along:
+        return np.inf, 0.0, 0.0
+    # coordinates on the rectangle: projections onto its axes, for these are at right angles and of unit length
+    hx, hy, hz = t * ray.dx - px, t * ray.dy - py, t * ray.dz - pz
+    a = hx * geometry[k, 3] + hy * geometry[k, 4] + hz * geometry[k, 5]
+    if a < 0.0 or a >= size[k, 0]:
+        return np.inf, 0.0, 0.0
+    b = hx * geometry[k, 6] + hy * geometry[k, 7] + hz * geometry[k, 8]
+    if b < 0.0 or b >= size[k, 1]:
+        return np.inf, 0.0, 0.0
+    if panels.look[k, 3] > 0.0 and not _covers(panels, k, a, b):
+        return np.inf, 0.0, 0.0
+    return t, a, b
+
+
+@borrowing_kernel
 def _nearest(panels, candidates, count, pace, ray, both):
     """Return the Hit of a ray among the first `count` candidates; both: rectangles are met from either side.
 
     depths: no less deep is the candidate of the same place, and none behind it; the ray goes `pace` deep in its unit.
     """
-    geometry, size = panels.geometry, panels.size
     best, along, at_a, at_b = -1, 1e30, 0.0, 0.0
     for c in range(count):
         # what comes now begins behind what was met: the candidates are in the order of their least depth
         if along * pace < candidates.depths[c]:
             break
-        k = candidates.numbers[c]
-        # p = o + t d lies in the plane where (p - corner) . n = 0: t = (corner - o) . n / (d . n)
-        towards = ray.dx * geometry[k, 9] + ray.dy * geometry[k, 10] + ray.dz * geometry[k, 11]
-        if towards <= 1e-9 and not (both and towards < -1e-9):
-            continue
-        px, py, pz = geometry[k, 0] - ray.ox, geometry[k, 1] - ray.oy, geometry[k, 2] - ray.oz
-        t = (px * geometry[k, 9] + py * geometry[k, 10] + pz * geometry[k, 11]) / towards
-        if t <= 1e-4 or t >= along:
-            continue
-        # coordinates on the rectangle: projections onto its axes, for these are at right angles and of unit length
-        hx, hy, hz = t * ray.dx - px, t * ray.dy - py, t * ray.dz - pz
-        a = hx * geometry[k, 3] + hy * geometry[k, 4] + hz * geometry[k, 5]
-        if a < 0.0 or a >= size[k, 0]:
-            continue
-        b = hx * geometry[k, 6] + hy * geometry[k, 7] + hz * geometry[k, 8]
-        if b < 0.0 or b >= size[k, 1]:
-            continue
-        if panels.look[k, 3] > 0.0 and not _covers(panels, k, a, b):
-            continue
-        best, along, at_a, at_b = k, t, a, b
+        t, a, b = _meets(panels, candidates.numbers[c], ray, along, both)
+        if t < along:
+            best, along, at_a, at_b = candidates.numbers[c], t, a, b
     return Hit(best, along, at_a, at_b)
+
+
+@borrowing_kernel
+def _slope(d):
+    """Return 1 / d, or of a d so small that it moves nothing out of a box (Shading) a large number in its place."""
+    return 1.0 / d if abs(d) > 1e-12 else 1e12
+
+
+@borrowing_kernel
+def _enters(box, ray, ix, iy, iz, before):
+    """Tell whether a ray of slopes (ix, iy, iz) is in a box (6,) anywhere up to `before`.
+
+    Kay and Kajiya (1986): where it is between both of each of three pairs of planes.
+    """
+    x0, x1 = (box[0] - ray.ox) * ix, (box[3] - ray.ox) * ix
+    y0, y1 = (box[1] - ray.oy) * iy, (box[4] - ray.oy) * iy
+    z0, z1 = (box[2] - ray.oz) * iz, (box[5] - ray.oz) * iz
+    enter = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), 0.0))
+    return enter <= min(min(max(x0, x1), max(y0, y1)), min(max(z0, z1), before))
+
+
+@borrowing_kernel
+def _first_of(panels, shading, ray, before, any_will_do):
+    """Return the rectangle that a ray meets first before `before`, from either side, and how far along; or -1, before.
+
+    Of two as far it is the first. any_will_do: it need not be the nearest.
+    """
+    ix, iy, iz = _slope(ray.dx), _slope(ray.dy), _slope(ray.dz)
+    best, along, box = -1, before, 0
+    while box < shading.boxes.shape[0]:
+        if not _enters(shading.boxes[box], ray, ix, iy, iz, along):
+            box = shading.links[box, 2]
+            continue
+        for place in range(shading.links[box, 0], shading.links[box, 1]):
+            k = shading.numbers[place]
+            t, _, _ = _meets(panels, k, ray, along, True)
+            if t < along or (t == along and k < best):
+                best, along = k, t
+                if any_will_do:
+                    return best, along
+        box += 1
+    return best, along
 
 
 @borrowing_kernel
@@ -382,7 +446,7 @@ def meet_scene(scene, origin, ends, out):
 
 
 @inner_kernel
-def _indirect(panels, large, mean, spot, directions, ambient, total):
+def _indirect(panels, shading, mean, spot, directions, ambient, total):
     """Add what comes from all sides to a spot: the colour of what is there, less from what is near."""
     g = spot.g
     for q in range(directions.shape[0]):
@@ -391,17 +455,17 @@ def _indirect(panels, large, mean, spot, directions, ambient, total):
         dx = p * g[3] + r * g[6] - s * g[9]
         dy = p * g[4] + r * g[7] - s * g[10]
         dz = p * g[5] + r * g[8] - s * g[11]
-        hit = _nearest(panels, large, large.numbers.size, 0.0, Ray(spot.x, spot.y, spot.z, dx, dy, dz), True)
+        k, along = _first_of(panels, shading, Ray(spot.x, spot.y, spot.z, dx, dy, dz), 1e30, False)
         # obscurance (Zhukov et al. 1998): what is near receives little itself; beyond 0.6 m nothing is taken off
-        near = min(1.0, 0.25 + hit.along / 0.8)
+        near = min(1.0, 0.25 + along / 0.8)
         for c in range(3):
-            seen = mean[hit.k, c] if hit.k >= 0 else 0.7
+            seen = mean[k, c] if k >= 0 else 0.7
             total[c] += ambient * near * (0.3 + 0.7 * seen) / directions.shape[0]
 
 
 @inner_kernel
-def _direct(panels, large, spot, emitters, total):
-    """Add what falls on a spot from samples of lamps (m, 10): place, normal, bgr times area over pi, whose."""
+def _direct(panels, shading, spot, emitters, total):
+    """Add what falls on a spot from samples of lamps (m, 9): place, normal, bgr times area over pi."""
     g = spot.g
     for s in range(emitters.shape[0]):
         dx, dy, dz = emitters[s, 0] - spot.x, emitters[s, 1] - spot.y, emitters[s, 2] - spot.z
@@ -410,8 +474,8 @@ def _direct(panels, large, spot, emitters, total):
         there = dx * emitters[s, 3] + dy * emitters[s, 4] + dz * emitters[s, 5]
         if here <= 0.0 or there <= 0.0 or rr < 1e-6:
             continue
-        hit = _nearest(panels, large, large.numbers.size, 0.0, Ray(spot.x, spot.y, spot.z, dx, dy, dz), True)
-        if hit.along < 0.999 and hit.k != int(emitters[s, 9]):
+        # its own lamp stands behind a sample, and so beyond the ray's end
+        if _first_of(panels, shading, Ray(spot.x, spot.y, spot.z, dx, dy, dz), 0.999, True)[0] >= 0:
             continue
         # form factor of two small areas (Goral et al. 1984): cos cos' dA' / (pi r^2), both cosines being here and
         # there over r; within 0.3 m of a sample it grows no further, where the lamp is no longer a set of points
@@ -420,15 +484,15 @@ def _direct(panels, large, spot, emitters, total):
 
 
 @kernel
-def light_scene(scene, mean, emitters, directions, ambient, large, out):
+def light_scene(scene, mean, emitters, directions, ambient, boxes, out):
     """Fill out (k, 3) float32 with the light on every entry of the maps: from the lamps, and from all around.
 
-    mean (n, 3): mean reflectance of each rectangle. emitters (m, 10): see _direct. directions (turns, q, 3): spread
-    about z, weighted by its cosine; entries take one turn after the other. large: numbers of what throws shadows.
+    mean (n, 3): mean reflectance of each rectangle. emitters (m, 9): see _direct. directions (turns, q, 3): spread
+    about z, weighted by its cosine; entries take one turn after the other. boxes: the Shading of what throws shadows.
     """
     panels = Panels(*scene)
     size, pose = panels.size, panels.pose
-    shading = Candidates(large, np.zeros(large.size))
+    shading = Shading(*boxes)
     total, turn = np.empty(3), 0
     for k in range(panels.geometry.shape[0]):
         g = panels.geometry[k]

@@ -18,12 +18,17 @@ from armsight_sim.rooms.kernels import LEVELS, SQUARE, cast_scene, light_scene
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
+Indices = NDArray[np.int64]
 
 MAP_CELL_M, MAP_CELLS = 0.11, (3, 44)
 """Pitch of the light worked out on a rectangle, and the least and most places along a side: shadows are soft."""
 
 LARGE_M2 = 0.004
 """Panels smaller than this throw no shadows."""
+
+WALL_M2, BOX_PANELS, BOX_EDGE_M = 1.0, 3, 1e-6
+"""Panels larger than this are looked at first; most panels in an innermost box; what a box is larger than they are, for
+rounding."""
 
 LAMP_CELL_M, LAMP_CELLS = 0.3, 5
 """Pitch and most places along a side from which a lamp's rectangle shines."""
@@ -99,8 +104,14 @@ class Panel:
         corner = M[:3, 3] - 0.5 * self.size_m[0] * M[:3, 0] - 0.5 * self.size_m[1] * M[:3, 1]
         return np.concatenate([corner, M[:3, 0], M[:3, 1], M[:3, 2]])
 
-    def emitters(self, number: int, rng: np.random.Generator) -> Array:
-        """Return the places (m, 10) from which it lights the room; number: its own in the scene."""
+    @property
+    def corners(self) -> Array:
+        """Return its corners (4, 3)."""
+        g, (wide, high) = self.geometry, self.size_m
+        return np.array([g[:3] + s * wide * g[3:6] + t * high * g[6:9] for s in (0.0, 1.0) for t in (0.0, 1.0)])
+
+    def emitters(self, rng: np.random.Generator) -> Array:
+        """Return the places (m, 9) from which it lights the room."""
         columns, rows = (min(LAMP_CELLS, max(1, round(side / LAMP_CELL_M))) for side in self.size_m)
         g = self.geometry
         s = (np.arange(columns)[None, :] + rng.uniform(0.2, 0.8, (rows, columns))) / columns * self.size_m[0]
@@ -108,7 +119,7 @@ class Panel:
         places = g[:3] + s.reshape(-1, 1) * g[3:6] + t.reshape(-1, 1) * g[6:9] - 2e-3 * g[9:12]
         power = self.glow * self.texture.mean * self.size_m[0] * self.size_m[1] / (np.pi * len(places))
         n = len(places)
-        return np.hstack([places, np.tile(g[9:12], (n, 1)), np.tile(power, (n, 1)), np.full((n, 1), float(number))])
+        return np.hstack([places, np.tile(g[9:12], (n, 1)), np.tile(power, (n, 1))])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,12 +138,12 @@ class Scene:
     def lit(cls, panels: Sequence[Panel], rng: np.random.Generator) -> Scene:
         """Return panels in the light of those that are lamps, with shadows; its mean over all of them is 1."""
         arrays = _arrays(panels, 1.0)
-        emitters = [panel.emitters(k, rng) for k, panel in enumerate(panels) if panel.lamp]
-        strong = np.vstack([*emitters, np.empty((0, 10))])
+        emitters = [panel.emitters(rng) for panel in panels if panel.lamp]
+        strong = np.vstack([*emitters, np.empty((0, 9))])
         mean = np.array([panel.texture.mean for panel in panels])
         light = np.zeros_like(arrays[8])
-        large = np.array([k for k, panel in enumerate(panels) if np.prod(panel.size_m) >= LARGE_M2], np.int64)
-        light_scene(arrays, mean, strong, _around(rng), AMBIENT, large, light)
+        large = [k for k, panel in enumerate(panels) if np.prod(panel.size_m) >= LARGE_M2]
+        light_scene(arrays, mean, strong, _around(rng), AMBIENT, boxes_of(panels, large), light)
         weights = np.concatenate(
             [np.full(c * r, np.prod(p.size_m) / (c * r)) for p, (_, c, r) in zip(panels, arrays[5], strict=True)]
         )
@@ -140,6 +151,39 @@ class Scene:
         light = _smoothed(light / np.float32(level), arrays[5])
         lamps = _highlights([panel for panel in panels if panel.lamp], level)
         return cls(panels=tuple(panels), arrays=(*arrays[:8], light, lamps))
+
+
+def boxes_of(panels: Sequence[Panel], numbers: Sequence[int]) -> tuple[Array, Indices, Indices]:
+    """Return panels in boxes within boxes, as the kernels' Shading: halved at the median along the longer side.
+
+    Those as large as a wall are in the outermost alone: they are looked at first, and what is beyond them never.
+    """
+    corners = {k: panels[k].corners for k in numbers}
+    bounds = {k: np.concatenate([places.min(axis=0), places.max(axis=0)]) for k, places in corners.items()}
+    boxes: list[Array] = []
+    links: list[tuple[int, int, int]] = []
+    order: list[int] = []
+
+    def enclose(within: list[int], direct: list[int]) -> None:
+        """Add the box of panels, `direct` of which are in no box within, and those of the others."""
+        number, first = len(boxes), len(order)
+        around = np.array([bounds[k] for k in within])
+        boxes.append(np.concatenate([around[:, :3].min(axis=0) - BOX_EDGE_M, around[:, 3:].max(axis=0) + BOX_EDGE_M]))
+        links.append((first, first + len(direct), 0))
+        order.extend(direct)
+        rest = [k for k in within if k not in direct]
+        if rest:
+            middles = np.array([bounds[k][:3] + bounds[k][3:] for k in rest])
+            along = middles[:, int(np.argmax(np.ptp(middles, axis=0)))]
+            halves = np.array_split(np.argsort(along, kind="stable"), 2 if len(rest) > BOX_PANELS else 1)
+            for half in halves:
+                part = [rest[i] for i in half]
+                enclose(part, part if len(part) <= BOX_PANELS else [])
+        links[number] = (*links[number][:2], len(boxes))
+
+    if numbers:
+        enclose(list(numbers), [k for k in numbers if np.prod(panels[k].size_m) >= WALL_M2])
+    return np.array(boxes).reshape(-1, 6), np.array(links, np.int64).reshape(-1, 3), np.array(order, np.int64)
 
 
 def _highlights(lamps: Sequence[Panel], level: float) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,14 +71,7 @@ def mounts_by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) 
     search begins. Raises Degenerate for positions on one line.
     """
     placed(xyz_m, xyz_m)
-    sums, rms = _Sums.of(F, xyz_m, which, len(at)), np.inf
-    # each half of a turn is the exact minimum in its own unknowns, so that the misfit never rises
-    for _ in range(TURNS):
-        R, t = sums.base(at)
-        at = sums.points(R, t, at)
-        before, rms = rms, sums.rms(R, t, at)
-        if before - rms < 1e-7 * rms:
-            break
+    at = _Sums.of(F, xyz_m, which, len(at)).turns(at)
     local = np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3]
     base = placed(xyz_m, local)
     return base, at, float(np.sqrt(np.mean((base.apply(local) - xyz_m) ** 2)))
@@ -87,11 +81,12 @@ def mounts_by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) 
 class _Sums:
     """All that turns need of the rows: both problems are linear in sums over them, which are made once.
 
-    Positions x and the flange's p are counted from their means; R is the flange's rotation, k the tool's point. n (k,):
-    rows; r (k, 3, 3): of R; rp (k, 3): of R' p; xp (3, 3): of x p'; xr (k, 3, 3, 3): of x_i R_jl; xx, pp: of squares.
+    Positions x and the flange's p are counted from their means; R is the flange's rotation, k the tool's point. rows
+    (3 k,): of each point, three times; r (3, 3 k): of R; rp (3 k,): of R' p; xp (9,): of x p'; xr (9, 3 k): of
+    x_i R_jl; xx, pp: of squares.
     """
 
-    n: Array
+    rows: Array
     r: Array
     rp: Array
     xp: Array
@@ -105,37 +100,46 @@ class _Sums:
         p = F[:, :3, 3] - F[:, :3, 3].mean(axis=0)
         member = (which[:, None] == np.arange(k)).astype(np.float64)
         return cls(
-            n=member.sum(axis=0),
-            r=np.einsum("mk,mij->kij", member, R),
-            rp=np.einsum("mk,mji,mj->ki", member, R, p),
-            xp=x.T @ p,
-            xr=np.einsum("mk,mijl->kijl", member, np.einsum("mi,mjl->mijl", x, R)),
+            rows=np.repeat(member.sum(axis=0), 3),
+            r=np.einsum("mk,mij->ikj", member, R).reshape(3, -1),
+            rp=np.einsum("mk,mji,mj->ki", member, R, p).ravel(),
+            xp=(x.T @ p).ravel(),
+            xr=np.einsum("mk,mijl->ijkl", member, np.einsum("mi,mjl->mijl", x, R)).reshape(9, -1),
             xx=float((x**2).sum()),
             pp=float((p**2).sum()),
         )
 
-    def base(self, at: Array) -> tuple[Array, Array]:
-        """Return rotation (3, 3) and translation (3,) from the flange's to the positions' origin, by Kabsch."""
-        U, _, Vt = np.linalg.svd(self._cross(at))
-        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-        return R, -R @ self._total(at) / self.n.sum()
+    def turns(self, at: Array) -> Array:
+        """Return the points (k, 3) after TURNS from `at`, or as many as bring the RMS down.
 
-    def points(self, R: Array, t: Array, before: Array) -> Array:
-        """Return the points (k, 3) that fit best: R' R is one, so each is a mean; one without rows stays as before."""
-        total = np.einsum("kijl,ij->kl", self.xr, R) - (R.T @ t) @ self.r - self.rp
-        return np.where(self.n[:, None] > 0.0, total / np.maximum(self.n, 1.0)[:, None], before)
+        Each half of a turn is the exact minimum in its own unknowns, so that the misfit never rises.
+        """
+        a, n, rms = at.ravel(), float(self.rows[::3].sum()), np.inf
+        cross, total = self._carried(a)
+        for _ in range(TURNS):
+            R = _kabsch(cross)
+            t = -R @ total / n
+            # R' R is one, so each point is a mean; one without rows stays as before
+            sums = R.ravel() @ self.xr - (R.T @ t) @ self.r - self.rp
+            a = np.where(self.rows > 0.0, sums / np.maximum(self.rows, 1.0), a)
+            cross, total = self._carried(a)
+            # of fits to 1e-8 of the positions' spread only its size
+            moved = self.rows @ (a * a) + 2.0 * (a @ self.rp) + self.pp + 2.0 * (R.T @ t @ total) + n * (t @ t)
+            squares = float(moved - 2.0 * (R.ravel() @ cross.ravel()) + self.xx)
+            before, rms = rms, math.sqrt(max(squares, 0.0) / (3.0 * n))
+            if before - rms < 1e-7 * rms:
+                break
+        return a.reshape(-1, 3)
 
-    def rms(self, R: Array, t: Array, at: Array) -> float:
-        """Return the RMS per coordinate in m; of fits to 1e-8 of the positions' spread only its size."""
-        local = float(self.n @ (at**2).sum(axis=1)) + 2.0 * float((at * self.rp).sum()) + self.pp
-        moved = local + 2.0 * float(R.T @ t @ self._total(at)) + float(self.n.sum() * (t @ t))
-        squares = moved - 2.0 * float((R * self._cross(at)).sum()) + self.xx
-        return float(np.sqrt(max(squares, 0.0) / (3.0 * self.n.sum())))
+    def _carried(self, a: Array) -> tuple[Array, Array]:
+        """Return of what the flange carries the sum (3, 3) of x times it, and its sum (3,)."""
+        return (self.xp + self.xr @ a).reshape(3, 3), self.r @ a
 
-    def _cross(self, at: Array) -> Array:
-        """Return the sum (3, 3) of x times what the flange carries."""
-        return np.asarray(self.xp + np.einsum("kijl,kl->ij", self.xr, at))
 
-    def _total(self, at: Array) -> Array:
-        """Return the sum (3,) of what the flange carries."""
-        return np.asarray(np.einsum("kij,kj->i", self.r, at))
+def _kabsch(cross: Array) -> Array:
+    """Return the rotation (3, 3) that fits a sum of products best (Kabsch 1976), the reflection excluded."""
+    U, _, Vt = np.linalg.svd(cross)
+    (a, b, c), (d, e, f), (g, h, i) = (U @ Vt).tolist()
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:
+        U[:, 2] *= -1.0
+    return np.asarray(U @ Vt)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +56,18 @@ class ArmModel:
     @property
     def loaded(self) -> Arm:
         """The nominal arm with masses, or with the one of STAND_IN_KG at its flange where it has none."""
-        return stand_in(self.arm)
+        found = self.arm.found
+        if "loaded" not in found:
+            found["loaded"] = stand_in(self.arm)
+        return cast(Arm, found["loaded"])
 
     @property
     def carried(self) -> Array:
         """The weight (n,) in N that each joint carries: of its link and of all behind it."""
-        return np.cumsum(self.loaded.weight[::-1, 0])[::-1]
+        found = self.arm.found
+        if "carried" not in found:
+            found["carried"] = np.cumsum(self.loaded.weight[::-1, 0])[::-1]
+        return np.asarray(found["carried"])
 
     @property
     def sags(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy  # loads its interpolation, a tenth of a second, where it is used: every measurement imports this
@@ -253,15 +254,13 @@ RIDGE = 1e-14
 """Of the largest diagonal: keeps rounding from making a coefficient's pivot negative where nothing is seen."""
 
 
+@cache
 def _pieces() -> Array:
     """Return the polynomials (ORDER, ORDER): value of local basis j is sum_k pieces[j, k] u^k, u from 0 to 1."""
     bump = scipy.interpolate.BSpline.basis_element(np.arange(ORDER + 1.0))
     u = np.linspace(0.1, 0.9, ORDER)
     values = np.stack([bump(DEGREE - j + u) for j in range(ORDER)], axis=1)
     return np.ascontiguousarray(np.linalg.solve(np.vander(u, increasing=True), values).T)
-
-
-PIECES = _pieces()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -303,7 +302,7 @@ class Grid:
         for k in range(derivative, ORDER):
             factor = np.prod(np.arange(k, k - derivative, -1.0)) if derivative else 1.0
             powers[:, k] = factor * u ** (k - derivative)
-        return cell, powers @ PIECES.T / self.spacing_s**derivative
+        return cell, powers @ _pieces().T / self.spacing_s**derivative
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

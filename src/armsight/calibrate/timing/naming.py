@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
+import scipy  # loads its optimize where it is used
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from armsight.calibrate.timing.coarse import MAX_GAP, coarse_delay
 from armsight.errors import NotEnoughData
@@ -128,12 +128,12 @@ def _step(uv: Array, before: Index, t_before: Array, rows: Index, t: float) -> I
         # on at the speed of the two frames before: lights that cross would else change their names
         ahead = last + (last - uv[before[0]]) * (t - t_before[-1]) / (t_before[-1] - t_before[0])
     cost = np.sum((ahead[:, None] - uv[rows][None]) ** 2, axis=2)
-    own, to = linear_sum_assignment(cost)
+    own, to = scipy.optimize.linear_sum_assignment(cost)
     least = cost[own, to].sum()
     for i in range(len(own)):  # the second best way avoids one of the best one's steps
         other = cost.copy()
         other[own[i], to[i]] = 1e12
-        if other[linear_sum_assignment(other)].sum() < CLEAR**2 * least + 1.0:
+        if other[scipy.optimize.linear_sum_assignment(other)].sum() < CLEAR**2 * least + 1.0:
             return None
     return np.asarray(to, dtype=np.intp)
 

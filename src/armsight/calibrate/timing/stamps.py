@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its optimize where it is used
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression, minimize
 from scipy.special import log_ndtr
 
 from armsight.errors import Inconsistent, NotEnoughData
@@ -122,7 +122,7 @@ def _growing(x: Array) -> NDArray[np.int64]:
     """Return the growing whole numbers nearest to x (n,), the first one 0."""
     k = np.arange(len(x))
     # numbers grow by one at least: x - k must not fall, and isotonic regression is the nearest that does not
-    number = np.rint(isotonic_regression(x - k).x).astype(np.int64) + k
+    number = np.rint(scipy.optimize.isotonic_regression(x - k).x).astype(np.int64) + k
     return np.asarray(number - number[0])
 
 
@@ -273,7 +273,7 @@ def _fit(x: Array, z: Array, sigma: float, start: Array) -> tuple[float, Array, 
         log = sigma**2 / (2.0 * tau**2) - u / tau + log_ndtr(u / sigma - sigma / tau) - np.log(tau)
         return float(-log.sum())
 
-    found = minimize(cost, start, method="L-BFGS-B", bounds=BOUNDS)
+    found = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=BOUNDS)
     values, axes = np.linalg.eigh(_hessian(cost, found.x))
     C = (axes / np.maximum(values, 1.0)) @ axes.T
     return float(found.fun), np.asarray(found.x, np.float64), C

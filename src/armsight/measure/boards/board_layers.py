@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from armsight.measure.boards.checkerboard import (
     EXPLAINED,
@@ -217,7 +217,7 @@ def _board_edge(rest: Array, smooth: GridMap, layer: Layer, board: Target) -> Ar
             grid[:, :, axis] = foot + (OUTWARD if end else -OUTWARD)
             grid[:, :, 1 - axis] = beside[:, None]
             uv = smooth(grid.reshape(-1, 2))
-            level = map_coordinates(rest, uv.T[::-1], order=1, mode="nearest").reshape(grid.shape[:2])
+            level = scipy.ndimage.map_coordinates(rest, uv.T[::-1], order=1, mode="nearest").reshape(grid.shape[:2])
             cell = np.floor(grid[:, 0]).sum(axis=1).astype(np.intp)
             white = np.where(cell % 2 == 0, layer.sign[0], -layer.sign[0]) > 0.0
             if white.all() or not white.any():

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter
 
 from armsight.measure.boards.gridmap import GridMap, fit_map
 
@@ -118,11 +118,13 @@ def find_saddles(image: Array) -> Saddles:
     """Return the corners of whatever boards there are in an image (h, w) of grey levels; others' too, weaker ones."""
     axes = edge_directions(image)
     g = np.asarray(image, dtype=np.float64)
-    xx, yy, xy = (gaussian_filter(g, SCALE_PX, order=order, mode="nearest") for order in ((0, 2), (2, 0), (1, 1)))
+    xx, yy, xy = (
+        scipy.ndimage.gaussian_filter(g, SCALE_PX, order=order, mode="nearest") for order in ((0, 2), (2, 0), (1, 1))
+    )
     (a, b), (c, d) = axes
     mixed = a * c * xx + (a * d + b * c) * xy + b * d * yy
     strength = np.abs(mixed)
-    peak = (strength == maximum_filter(strength, 2 * APART_PX + 1)) & (strength > 0.0)
+    peak = (strength == scipy.ndimage.maximum_filter(strength, 2 * APART_PX + 1)) & (strength > 0.0)
     peak[:2] = peak[-2:] = peak[:, :2] = peak[:, -2:] = False
     row, col = np.nonzero(peak)
     order = np.argsort(-strength[row, col])[:MANY_CORNERS]
@@ -148,13 +150,13 @@ def _peaks(strength: Array, row: NDArray[np.intp], col: NDArray[np.intp]) -> Arr
 
 def edge_directions(image: Array) -> Array:
     """Return the two directions (2, 2) along which most edges run, as unit rows: towards the right, towards below."""
-    gx = gaussian_filter(image, 0.5 * SCALE_PX, order=(0, 1), mode="nearest")
-    gy = gaussian_filter(image, 0.5 * SCALE_PX, order=(1, 0), mode="nearest")
+    gx = scipy.ndimage.gaussian_filter(image, 0.5 * SCALE_PX, order=(0, 1), mode="nearest")
+    gy = scipy.ndimage.gaussian_filter(image, 0.5 * SCALE_PX, order=(1, 0), mode="nearest")
     power = gx * gx + gy * gy
     angle = np.mod(np.arctan2(gy, gx) + 0.5 * np.pi, np.pi)  # of the edge
     bin_index = np.minimum((angle * (BINS / np.pi)).astype(np.intp), BINS - 1)
     votes = np.bincount(bin_index.ravel(), weights=power.ravel(), minlength=BINS)
-    votes = gaussian_filter(votes, SMOOTH_BINS, mode="wrap")
+    votes = scipy.ndimage.gaussian_filter(votes, SMOOTH_BINS, mode="wrap")
     first = int(np.argmax(votes))
     away = np.abs((np.arange(BINS) - first + BINS // 2) % BINS - BINS // 2) * (180.0 / BINS)
     second = int(np.argmax(np.where(away >= OFF_AXIS_DEG, votes, -1.0)))

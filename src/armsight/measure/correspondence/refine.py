@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
-from scipy.ndimage import convolve, map_coordinates, spline_filter
 
 from armsight.errors import Degenerate, Inconsistent, NotConverged, UsageError
 from armsight.optics import SIDES, Rig
@@ -194,7 +194,7 @@ class StereoViews:
 
     @cached_property
     def _splines(self) -> dict[str, Array]:
-        return {side: np.asarray(spline_filter(levels, order=3)) for side, levels in self._levels.items()}
+        return {side: np.asarray(scipy.ndimage.spline_filter(levels, order=3)) for side, levels in self._levels.items()}
 
     @cached_property
     def noise_levels2(self) -> float:
@@ -203,7 +203,7 @@ class StereoViews:
         By the median, so that edges do not count.
         """
         kernel = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0  # of unit norm
-        off = [np.abs(convolve(levels, kernel)) for levels in self._levels.values()]
+        off = [np.abs(scipy.ndimage.convolve(levels, kernel)) for levels in self._levels.values()]
         return float(np.mean([(np.median(one) / 0.6745) ** 2 for one in off]))
 
     def grey(self, side: str, uv_px: Array) -> Array:
@@ -222,7 +222,7 @@ def _at(image: Array, uv_px: Array, order: Literal[1, 3]) -> Array:
     inside = (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)  # False for NaN
     out = np.full(len(u), np.nan)
     positions: Array = np.stack([v[inside], u[inside]])
-    out[inside] = map_coordinates(image, positions, order=order, prefilter=False, mode="mirror")
+    out[inside] = scipy.ndimage.map_coordinates(image, positions, order=order, prefilter=False, mode="mirror")
     return out
 
 

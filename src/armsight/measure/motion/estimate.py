@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from armsight.errors import Inconsistent
 from armsight.measure.motion.kernels import levels, smoothing
@@ -121,7 +121,7 @@ def _strength(seen: _Columns, rig: _Rig, X: Array, begin: _Begin) -> Array:
     logs, post = np.empty((n, K)), np.empty((n, K))
     levels.run_filters(seen.views, seen.spots, rig, X, MOTION, begin, logs)
     levels.levels_of_all(logs, begin[2], LEVEL_CHANGE, post)
-    least = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
+    least = scipy.ndimage.maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
     for m, level in enumerate(JERK_LEVELS):
         if m and level <= least.min():
             logs[:, m] = logs[:, m - 1]
@@ -129,7 +129,7 @@ def _strength(seen: _Columns, rig: _Rig, X: Array, begin: _Begin) -> Array:
         track, _ = _track(seen, rig, X, np.maximum(least, level), begin, np.zeros((len(seen.tau), 0)), None)
         levels.left_out(track.xs, track.Cs, seen.views, seen.spots, rig, X, logs[:, m])
     levels.levels_of_all(logs, begin[2], LEVEL_CHANGE, post)
-    return np.asarray(maximum_filter1d(np.maximum(least, post @ JERK_LEVELS), 2 * ONSET_VIEWS + 1))
+    return np.asarray(scipy.ndimage.maximum_filter1d(np.maximum(least, post @ JERK_LEVELS), 2 * ONSET_VIEWS + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from armsight.fitting.quantiles import chi2_sf
 from armsight.measure.motion.estimate import Start
@@ -100,7 +100,7 @@ def without_outliers(
 ) -> tuple[list[View], list[Start]]:
     """Return the views that fit the motion, and the starts; after a spell of others a track begins anew."""
     bad = found.outliers(len(views))
-    spell = uniform_filter1d(bad.astype(float), SPELL_VIEWS, mode="nearest") > SPELL_SHARE
+    spell = scipy.ndimage.uniform_filter1d(bad.astype(float), SPELL_VIEWS, mode="nearest") > SPELL_SHARE
     kept: list[View] = []
     begun: list[Start] = []
     for start, end in zip(starts, [*(one.view for one in starts[1:]), len(views)], strict=True):

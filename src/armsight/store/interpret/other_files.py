@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # loads its io where it is used: every command imports this
 from numpy.typing import NDArray
-from scipy.io import loadmat, whosmat
-from scipy.io.matlab import MatReadError
 
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
@@ -49,7 +48,7 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
             cure="Save it in MATLAB with save(..., '-v7')",
         ) from error
     except (
-        MatReadError,
+        scipy.io.matlab.MatReadError,
         ValueError,
         TypeError,
         KeyError,
@@ -91,8 +90,8 @@ def _loaded(data: bytes) -> dict[str, Any]:
             raise ValueError(f"its variables unpack to more than {MAT_BYTES // 1_000_000} MB")
         at += 8 + size
     file: Any = io.BytesIO(data)  # its types know of paths only
-    names = [name for name, _, kind in whosmat(file) if kind in MAT_NUMBERS]
-    content: dict[str, Any] = loadmat(file, variable_names=names)
+    names = [name for name, _, kind in scipy.io.whosmat(file) if kind in MAT_NUMBERS]
+    content: dict[str, Any] = scipy.io.loadmat(file, variable_names=names)
     return content
 
 
