@@ -75,17 +75,22 @@ def run_batch(
     start_s = time.perf_counter()
     progress = progress or Silent()
     progress.update(0, len(jobs), BEGINNING)
-    with connected(workers or Workers()) as client:
-        place = _begin(out, len(jobs), overwrite=overwrite)
-        hand_out = _HandOut(client, partial(run_group, execute, place), jobs, progress)
-        hand_out.often = partial(_write_table, out, jobs)
-        try:
-            hand_out.run()
-        except ArmsightError as error:
-            _tell_kept(error, out, _write_table(out, jobs), len(jobs))
-            raise
-        finally:
-            hand_out.let_go()
+    workers = workers or Workers()
+    try:
+        with connected(workers) as client:
+            place = _begin(out, len(jobs), overwrite=overwrite)
+            hand_out = _HandOut(client, partial(run_group, execute, place), jobs, progress)
+            hand_out.often = partial(_write_table, out, jobs)
+            try:
+                hand_out.run()
+            except ArmsightError as error:
+                _tell_kept(error, out, _write_table(out, jobs), len(jobs))
+                raise
+            finally:
+                hand_out.let_go()
+    finally:
+        if workers.scheduler is None:  # elsewhere what was begun may still be on its way
+            shutil.rmtree(out / RUNNING, ignore_errors=True)
     shutil.rmtree(out / RUNNING, ignore_errors=True)
     _write_table(out, jobs)
     counts = {status.value: hand_out.counts[status] for status in Status if hand_out.counts[status]}
