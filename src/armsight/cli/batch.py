@@ -3,52 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from armsight.app.requests.shared import OutFolder
+from armsight.app import requests
 from armsight.cli.command import NOT_TO_BE_TRUSTED, app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import DeviceFailed, UsageError
-from armsight.fields import Bounds, Doc, Flag
 
 if TYPE_CHECKING:
     from armsight.app.batch.jobs import Job
     from armsight.app.batch.results import BatchOutput
 
 SHOWN = 8
-NAMED = "{name}"
 
 
 @command(app)
-def batch(
-    face: CommandUI,
-    *,
-    jobs: Annotated[
-        list[str] | None,
-        Doc("jobs.csv or jobs.yaml, a row for each job; with --each, after --, the command and its flags."),
-        Flag(positional=True, metavar="JOBS"),
-    ] = None,
-    out: OutFolder,
-    each: Annotated[
-        str | None, Doc("A job for each file or folder that fits; {} in the command is its path."), Flag(metavar="GLOB")
-    ] = None,
-    named: Annotated[
-        str, Doc("With --each: the jobs' names; {name}, {parent} and {number} are the file's."), Flag("--name")
-    ] = NAMED,
-    workers: Annotated[
-        int | None,
-        Doc("Jobs done at once, by a process each. [default: one for each core]"),
-        Bounds(least=1),
-        Flag("--jobs"),
-    ] = None,
-    scheduler: Annotated[
-        str | None, Doc("Instead: the workers of this Dask scheduler."), Flag(metavar="tcp://HOST:8786")
-    ] = None,
-    resume: Annotated[bool, Doc("Keep what is done with the same inputs and flags; do the rest.")] = False,
-    overwrite: Annotated[bool, Doc("Remove the results of another batch in the folder first.")] = False,
-) -> None:
+def batch(face: CommandUI, job: requests.batch.BatchJob) -> None:
     """Run many measure, verify, identify, simulate, calibrate or kinematics commands, on all cores or a Dask cluster.
 
     Writes a folder for each job and results.parquet, a row for each with all its figures. Exit code 3 where some were
@@ -59,12 +31,19 @@ def batch(
     from armsight.app.batch.warm import compile_for
     from armsight.cli.batch_commands import run_command
 
-    asked = Workers(n=workers, scheduler=scheduler)
-    listed = _listed(jobs or [], each, named)
-    progress = face.progress("batch")
-    if scheduler is None:
-        compile_for({job.command for job in listed}, progress)
-    done = run_batch(listed, out, run_command, workers=asked, resume=resume, overwrite=overwrite, progress=progress)
+    workers = Workers(n=job.workers, scheduler=job.scheduler)
+    listed, progress = _listed(job), face.progress("batch")
+    if job.scheduler is None:
+        compile_for({one.command for one in listed}, progress)
+    done = run_batch(
+        listed,
+        job.out,
+        run_command,
+        workers=workers,
+        resume=job.resume,
+        overwrite=job.overwrite,
+        progress=progress,
+    )
     _tell(face, done)
     face.result(done)
     if {"failed", "killed"} & set(done.statuses):
@@ -73,14 +52,16 @@ def batch(
         raise typer.Exit(NOT_TO_BE_TRUSTED)
 
 
-def _listed(words: list[str], each: str | None, named: str) -> list[Job]:
+def _listed(job: requests.batch.BatchJob) -> list[Job]:
     """Return the jobs that are asked for. Raises UsageError, DataRefused."""
+    from armsight.app.requests.batch import NAMED
     from armsight.cli.batch_jobs import jobs_of_file, jobs_of_pattern
     from armsight.config import load_settings
 
     settings = load_settings().model_dump(include={"fps", "max_skew_s"})
-    if each is None:
-        if len(words) == 1 and named == NAMED:
+    words = job.jobs or []
+    if job.each is None:
+        if len(words) == 1 and job.named == NAMED:
             return jobs_of_file(Path(words[0]), settings)
         said = "--name is for --each" if len(words) == 1 else f"{len(words)} files of jobs were given" if words else ""
         raise UsageError(
@@ -92,7 +73,7 @@ def _listed(words: list[str], each: str | None, named: str) -> list[Job]:
         raise UsageError(
             "--each has no command", consequence="Nothing was done", cure="Write it after --: -- measure --left {} ..."
         )
-    return jobs_of_pattern(each, named, words, settings)
+    return jobs_of_pattern(job.each, job.named, words, settings)
 
 
 def _tell(face: CommandUI, done: BatchOutput) -> None:

@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # workers inherit it
 
 from batch_tasks import work
 
+from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
 from armsight.app.batch.cluster import Workers, connected
 from armsight.app.batch.jobs import Job, check_names, fingerprint
@@ -159,7 +160,7 @@ def test_what_was_done_before_a_stop_is_in_the_table(tmp_path: Path, monkeypatch
 def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch_run, "MOST_IN_GROUP", 1)
     jobs = [job("first"), job("full", full=1), *(job(f"j{n:03d}") for n in range(200))]
-    with refuses(DeviceFailed, "no space is left", "'full'", "kept", "Make room"):
+    with refuses(DeviceFailed, "no space", "'full'", "kept", "Make room"):
         run(jobs, tmp_path / "out")
     rows = table(tmp_path / "out")
     assert "full" not in rows and len(rows) < 200
@@ -171,7 +172,7 @@ def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> N
     out = tmp_path / "out"
     run([job("a"), job("b")], out)
     (out / "mine").mkdir()
-    with refuses(UsageError, "results of another batch", "--resume", "--overwrite"):
+    with refuses(UsageError, "batch", "--resume", "--overwrite"):
         run([job("a")], out)
     with refuses(UsageError, "--resume keeps"):
         run([job("a")], out, resume=True, overwrite=True)
@@ -229,3 +230,19 @@ def test_workers_are_either_here_or_there() -> None:
         Workers(n=2, scheduler="tcp://there:8786")
     with refuses(UsageError, "0 workers"):
         Workers(n=0)
+
+
+def figures_of(folder: Path | None = None, *, out: Path, value: float = 1.0) -> dict[str, object]:
+    return {"out": str(out), "value": value}
+
+
+def test_a_function_of_python_gets_the_jobs_folder_and_gives_its_figures(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    made = _job("a", "armsight.api.runs.measure", {"rig": rig, "value": 2.0, "many": [rig, "x"]})
+    assert (made.command, made.inputs) == ("runs.measure", (str(rig), str(rig), "x"))
+    ended = call(figures_of, job("a", value=2.0), tmp_path)
+    assert ended.figures == {"out": str(tmp_path), "value": 2.0}
+    with refuses(UsageError, "int", "dictionary"):
+        call(lambda: 3, job("a"), tmp_path)
+    with refuses(UsageError, "rig", "'a'", "object", "path"):
+        _job("a", "measure", {"rig": object()})

@@ -10,7 +10,7 @@ import time
 import uuid
 from asyncio import CancelledError
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -72,37 +72,21 @@ def run_batch(
     """
     check_names(jobs)
     _require_free(out, resume=resume, overwrite=overwrite)
-    start_s = time.perf_counter()
-    progress = progress or Silent()
+    start_s, workers, progress = time.perf_counter(), workers or Workers(), progress or Silent()
     progress.update(0, len(jobs), BEGINNING)
-    workers = workers or Workers()
     try:
         with connected(workers) as client:
             place = _begin(out, len(jobs), overwrite=overwrite)
-            hand_out = _HandOut(client, partial(run_group, execute, place), jobs, progress)
-            hand_out.often = partial(_write_table, out, jobs)
-            try:
-                hand_out.run()
-            except ArmsightError as error:
-                _tell_kept(error, out, _write_table(out, jobs), len(jobs))
-                raise
-            finally:
-                hand_out.let_go()
+            done = _HandOut(
+                client, partial(run_group, execute, place), jobs, progress, partial(_write_table, out, jobs)
+            )
+            done.run_all(out)
     finally:
         if workers.scheduler is None:  # elsewhere what was begun may still be on its way
             shutil.rmtree(out / RUNNING, ignore_errors=True)
     shutil.rmtree(out / RUNNING, ignore_errors=True)
     _write_table(out, jobs)
-    counts = {status.value: hand_out.counts[status] for status in Status if hand_out.counts[status]}
-    return BatchOutput(
-        n=len(jobs),
-        statuses=counts,
-        n_kept=hand_out.n_kept,
-        not_done=hand_out.not_done,
-        duration_s=time.perf_counter() - start_s,
-        n_workers=hand_out.most_workers,
-        table=str(out / RESULTS),
-    )
+    return done.told(time.perf_counter() - start_s, str(out / RESULTS))
 
 
 BEGINNING = "starting workers"
@@ -117,11 +101,11 @@ class _HandOut:
     work: partial[list[Finished]]
     jobs: Sequence[Job]
     progress: Progress
+    write_table: Callable[[], int]
     counts: Counter[Status] = field(default_factory=Counter)
     not_done: list[NotDone] = field(default_factory=list)
     n_kept: int = 0
     most_workers: int = 0
-    often: partial[int] | None = None
 
     def __post_init__(self) -> None:
         self._left: Iterator[Job] = iter(self.jobs)
@@ -132,22 +116,39 @@ class _HandOut:
         self._begun, self._done = 0, 0
         self._next_table, self._looked_s, self._threads = FIRST_TABLE, float("-inf"), 1
 
-    def run(self) -> None:
-        """Hand out and take in until all is done. Raises Cancelled, DeviceFailed."""
+    def run_all(self, out: Path) -> None:
+        """Hand out and take in until all is done. Raises Cancelled, DeviceFailed, which tell what is kept in out."""
+        try:
+            self._run()
+        except ArmsightError as error:
+            _tell_kept(error, out, self.write_table(), len(self.jobs))
+            raise
+        finally:
+            with contextlib.suppress(Exception):  # a scheduler that is lost needs no asking
+                self.client.cancel(list(self._sent), force=True)
+            self._sent.clear()
+
+    def told(self, duration_s: float, table: str) -> BatchOutput:
+        """Return how the jobs ended."""
+        return BatchOutput(
+            n=len(self.jobs),
+            statuses={status.value: self.counts[status] for status in Status if self.counts[status]},
+            n_kept=self.n_kept,
+            not_done=self.not_done,
+            duration_s=duration_s,
+            n_workers=self.most_workers,
+            table=table,
+        )
+
+    def _run(self) -> None:
         while self._fill():
             with contextlib.suppress(queue.Empty):
                 self._take(self._ended.get(timeout=LOOKS_S))
             self.progress.update(self._done, len(self.jobs), "" if self._threads else WAITING)
             if self.progress.cancelled():
                 raise Cancelled(f"stopped after {self._done} of {len(self.jobs)} jobs")
-            if self.often is not None and self._done >= self._next_table:
-                self._next_table = 2 * self.often()
-
-    def let_go(self) -> None:
-        """Ask for nothing more of what is on its way."""
-        with contextlib.suppress(Exception):  # a scheduler that is lost needs no asking
-            self.client.cancel(list(self._sent), force=True)
-        self._sent.clear()
+            if self._done >= self._next_table:
+                self._next_table = 2 * max(self.write_table(), self._done)
 
     def _fill(self) -> bool:
         """Send groups up to what the workers there are can take; tell whether any is on its way."""
