@@ -34,10 +34,14 @@ class JobRow:
 
 def read_jobs(path: Path) -> list[JobRow]:
     """Return the jobs in a .csv, else in a YAML file. Raises BadFile, naming row and key."""
-    data = read_bytes(path, limit=MAX_BYTES)
-    rows = _csv_rows(data, str(path)) if path.suffix.lower() == ".csv" else _yaml_rows(data, str(path))
+    return parse_jobs(read_bytes(path, limit=MAX_BYTES), str(path))
+
+
+def parse_jobs(data: bytes, where: str) -> list[JobRow]:
+    """Return the jobs in bytes of a file of this name. Raises BadFile, naming row and key."""
+    rows = _csv_rows(data, where) if where.lower().endswith(".csv") else _yaml_rows(data, where)
     if not rows:
-        raise BadFile(f"{path}: no job is in it", consequence="There is nothing to do", cure="Add a row for each job")
+        raise BadFile(f"{where}: no job is in it", consequence="There is nothing to do", cure="Add a row for each job")
     return rows
 
 

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 GROUP_S = 0.5
-"""Work that is sent at once: Dask takes about a millisecond for each thing that it sends."""
+"""Work that is sent at once: Dask takes a millisecond or more for each thing that it sends."""
+SEND_S = 0.005
+"""Of each worker, that much more work is sent at once: groups end no oftener than one in 5 ms, however many work."""
 MOST_IN_GROUP = 500
 SHARES = 4
 """Groups are so small that each worker still gets as many of what is left: the last ones end together."""
@@ -176,7 +178,8 @@ class _HandOut:
             return self._again.pop()
         mean_s = self._spent_s / self._n_spent if self._n_spent else GROUP_S
         fair = (len(self.jobs) - self._begun) // (SHARES * max(self._threads, 1))
-        size = max(1, min(int(GROUP_S / max(mean_s, 1e-6)), MOST_IN_GROUP, fair))
+        group_s = max(GROUP_S, SEND_S * self._threads)
+        size = max(1, min(int(group_s / max(mean_s, 1e-6)), MOST_IN_GROUP, fair))
         group = tuple(job for _, job in zip(range(size), self._left, strict=False))
         self._begun += len(group)
         return group
