@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,10 +37,12 @@ def recordings(folder: Path, n: int) -> list[Path]:
     from armsight.app.requests.measure import RecordJob
     from armsight.app.simulate.run import simulate
 
-    simulate("hand-cell", folder / "cell", frames=1)
+    if not (folder / "cell").exists():
+        simulate("hand-cell", folder / "cell", frames=1)
     kept = [folder / f"recorded-{seed}.mcap" for seed in range(min(FEW, n))]
     for seed, path in enumerate(kept):
-        record(RecordJob(out=path, cell="hand-cell", seed=seed, limit=PAIRS))
+        if not path.exists():
+            record(RecordJob(out=path, cell="hand-cell", seed=seed, limit=PAIRS))
     (folder / "recordings").mkdir()
     named = [folder / "recordings" / f"r{number:05d}.mcap" for number in range(n)]
     for number, path in enumerate(named):
@@ -64,6 +68,12 @@ def by_hand(folder: Path, out: Path, share: Sequence[str]) -> None:
         job = MeasureJob(rig=cell / "rig.yaml", target=cell / "target.yaml", left=name, out=out / Path(name).stem)
         with suppress(ArmsightError):
             measure(job)
+
+
+def used_s() -> float:
+    """Return the processor time of all processes that this one began and that have ended."""
+    told = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return told.ru_utime + told.ru_stime
 
 
 def processes_by_hand(folder: Path, named: Sequence[Path], n: int) -> float:
@@ -191,6 +201,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--kills", type=int, default=5)
     parser.add_argument("--overhead", type=int, default=0)
+    parser.add_argument("--folder", type=Path, help="where the recordings are kept, for another run of this")
     parser.add_argument("--share", nargs=2)
     asked = parser.parse_args()
     if asked.share:
@@ -204,19 +215,30 @@ def main() -> None:
             overhead(asked.overhead, in_groups)
         return
     with tempfile.TemporaryDirectory() as name:
-        compare(Path(name), asked.n, asked.workers, asked.kills)
+        folder = asked.folder or Path(name)
+        folder.mkdir(exist_ok=True)
+        for earlier in ("recordings", "by-hand", "out", "loop", "killed"):
+            shutil.rmtree(folder / earlier, ignore_errors=True)
+        compare(folder, asked.n, asked.workers, asked.kills)
 
 
 def compare(folder: Path, n: int, workers: int, kills: int) -> None:
     named = recordings(folder, n)
+    hand_used_s = used_s()
     hand_s = processes_by_hand(folder, named, workers)
+    hand_used_s = used_s() - hand_used_s
+    batch_used_s = used_s()
     batch_s, seen, told = watched(folder, folder / "out", workers)
+    batch_used_s = used_s() - batch_used_s
     each_s = loop_of_a_shell(folder, named)
     print(told.strip().splitlines()[-1])
     print(f"\n{n} recordings of {PAIRS} pairs, {workers} workers\n")
     print(f"  armsight batch                     {batch_s:8.1f} s   {n / batch_s:6.2f} a second")
     print(f"  {workers} processes begun by hand          {hand_s:8.1f} s   {n / hand_s:6.2f} a second")
     print(f"  batch / by hand                    {hand_s / batch_s:8.2f}   throughput, from start to end")
+    print(
+        f"  processor time: batch {batch_used_s:.1f} s, by hand {hand_used_s:.1f} s ({hand_used_s / batch_used_s:.2f})"
+    )
     print(f"  a shell's loop, of {LOOPED}               {n * each_s:8.1f} s   {1.0 / each_s:6.2f} a second (one core)")
     same = sum(
         (folder / "by-hand" / path.stem / "poses.csv").read_bytes()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
@@ -18,13 +20,15 @@ from batch_tasks import work
 
 from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
+from armsight.app.batch import work as batch_work
 from armsight.app.batch.cluster import Workers, connected
 from armsight.app.batch.jobs import Job, check_names, fingerprint
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
-from armsight.app.batch.work import RUNNING
+from armsight.app.batch.work import RUNNING, Place
 from armsight.errors import Cancelled, DeviceFailed, UsageError
 from armsight.records import Silent
+from armsight.store.job_results import write_batch
 from armsight.store.result_table import write_result_table
 from refusals import refuses
 
@@ -166,6 +170,33 @@ def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(tmp_path: Path, monke
     assert "full" not in rows and len(rows) < 200
     later = [Job(name=one.name, command="work") for one in jobs]
     assert run(later, tmp_path / "out", resume=True).statuses == {"done": 202}
+
+
+def place_in(at: Path, **more: Any) -> Place:
+    write_batch(at, "this", 1)
+    return Place(**{"out": at, "shown": Path("shown"), "folder": Path.cwd(), "batch": "this"} | more)
+
+
+def test_no_space_for_a_result_ends_the_batch_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise DeviceFailed(f"result.json: cannot be written ({os.strerror(errno.ENOSPC)})")
+
+    monkeypatch.setattr(batch_work, "write_job_result", fails)
+    with refuses(DeviceFailed, "shown", "no space", "'a'"):
+        batch_work.run_job(work, place_in(tmp_path), job("a"))
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_worker_of_other_software_or_without_the_folders_is_given_nothing(tmp_path: Path) -> None:
+    for place, told in (
+        (place_in(tmp_path, version="0.0.1"), "0.0.1"),
+        (place_in(tmp_path, batch="another"), "does not see"),
+        (place_in(tmp_path, out=tmp_path / "not-here"), "not-here"),
+        (place_in(tmp_path, folder=tmp_path / "nor-this"), "nor-this"),
+    ):
+        with refuses(DeviceFailed, told):
+            batch_work.run_group(work, place, [job("a")])
+    assert batch_work.run_group(work, place_in(tmp_path), [job("a")])[0].status == "done"
 
 
 def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> None:

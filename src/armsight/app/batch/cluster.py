@@ -72,19 +72,21 @@ def connected(workers: Workers) -> Iterator[Client]:
     import dask
     import distributed  # noqa: F401  before the settings: they would go with its own when they are put back
 
-    for name in ("distributed", "tornado", "asyncio"):  # what it says of lost workers is told in the table
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for name in ["tornado", "asyncio", *logging.root.manager.loggerDict]:
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):  # of lost workers the table tells
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(CONFIG), _theirs(workers.scheduler) if workers.scheduler else _own(workers.n) as client:
         yield client
 
 
 CONFIG = {
     "distributed.logging": {"distributed": "critical"},
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD | {"MALLOC_TRIM_THRESHOLD_": "65536"},
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,  # without Dask's MALLOC_TRIM_THRESHOLD_: images come and go
     "distributed.scheduler.allowed-failures": 1_000_000,  # a job's attempts are counted by its folders
     "distributed.scheduler.worker-ttl": None,  # compiling holds the interpreter's lock for longer than a heartbeat
     "distributed.scheduler.work-stealing": False,  # groups are handed out as workers become free
     "distributed.admin.tick.limit": "1h",
+    "distributed.worker.profile.enabled": False,  # it looks at every worker a hundred times a second
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }

@@ -123,7 +123,13 @@ class _HandOut:
         try:
             self._run()
         except ArmsightError as error:
-            _tell_kept(error, out, self.write_table(), len(self.jobs))
+            try:
+                n, table = self.write_table(), f", with {RESULTS}"
+            except DeviceFailed:  # for the same reason as what came before; --resume writes it
+                n, table = self._done, ""
+            kept = f"{n} of {len(self.jobs)} jobs are finished and kept in {out}{table}"
+            error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
+            error.cure = error.cure or "Give --resume to do the rest"
             raise
         finally:
             with contextlib.suppress(Exception):  # a scheduler that is lost needs no asking
@@ -279,10 +285,3 @@ def _remove_results(out: Path) -> None:
 def _write_table(out: Path, jobs: Sequence[Job]) -> int:
     """Write the table of what is finished; return how many jobs that is."""
     return write_result_table(out / RESULTS, partial(rows_of, out, [job.name for job in jobs]))
-
-
-def _tell_kept(error: ArmsightError, out: Path, n: int, n_jobs: int) -> None:
-    """Add to an error what is finished, and where."""
-    kept = f"{n} of {n_jobs} jobs are finished and kept in {out}, with {RESULTS}"
-    error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
-    error.cure = error.cure or "Give --resume to do the rest"
