@@ -152,10 +152,15 @@ def disturbed(folder: Path, out: Path, workers: int, kills: int, seconds: float)
 
 
 def rows(out: Path) -> dict[str, dict[str, Any]]:
+    """Return the rows of a table by job, without what differs from run to run: times, and the folder's own name."""
     import pyarrow.parquet as pq
 
+    def same(value: Any) -> Any:
+        return value.replace(str(out), "OUT") if isinstance(value, str) else value
+
     told = pq.read_table(out / "results.parquet").to_pylist()
-    return {row["job"]: {k: v for k, v in row.items() if k not in VARY and "ms_per_frame" not in k} for row in told}
+    kept = [{k: same(v) for k, v in row.items() if k not in VARY and "ms_per_frame" not in k} for row in told]
+    return {row["job"]: row for row in kept}
 
 
 def overhead(n: int, in_groups: bool) -> None:

@@ -63,12 +63,13 @@ def connected(workers: Workers) -> Iterator[Client]:
 
     Raises UsageError where Dask is not installed, or the address is none.
     """
-    if find_spec("distributed") is None:
-        raise UsageError(
-            "batches run on Dask, which is not installed",
-            consequence="Nothing was done",
-            cure="pip install 'armsight[batch]'",
-        )
+    for name in ("distributed", "pyarrow"):
+        if find_spec(name) is None:
+            raise UsageError(
+                f"batches need {name}, which is not installed",
+                consequence="Nothing was done",
+                cure="pip install 'armsight[batch]'",
+            )
     import dask
     import distributed  # noqa: F401  before the settings: they would go with its own when they are put back
 
