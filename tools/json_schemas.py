@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
+from armsight.app.batch.results import BatchOutput
 from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.pivot import PivotOutput
 from armsight.app.calibrate.results import (
@@ -103,6 +104,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "history-compare": HistoryCompareOutput,
     "history-trend": TrendOutput,
     "history-export": HistoryExportOutput,
+    "batch": BatchOutput,
     "join": JoinOutput,
     "simulate": SimulateOutput,
     "reproduce": ReproduceOutput,

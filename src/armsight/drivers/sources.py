@@ -26,9 +26,15 @@ Out = TypeVar("Out")
 AHEAD = 8
 """Results kept ready: hides the time of one slow file, and is under 10 MB of 720p images."""
 
+CORES = "ARMSIGHT_CORES"
+"""Environment variable: how many cores a process may use that shares the machine with others like it."""
+
 
 def cores() -> int:
     """Return how many cores this process may use."""
+    given = os.environ.get(CORES, "")
+    if given.isdecimal() and int(given):
+        return int(given)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
