@@ -150,6 +150,7 @@ class _Caught(CommandUI):
         return _Quiet(what, self.console, self._stopped)
 
     def result(self, result: Output) -> None:
+        self.given = result
         self._end.figures = json.loads(result.to_json())
 
     def _print_error(self, error: ArmsightError, *, as_json: bool) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import NoneType
@@ -385,9 +384,9 @@ def _chain(arm: Arm) -> Array:
 def exact_cos_sin(angle_rad: float) -> tuple[float, float]:
     """Return cosine and sine, exact where the angle is the nearest float64 to a quarter turn."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
-    if abs(c) < sys.float_info.epsilon:
+    if abs(c) < math.ulp(1.0):
         return 0.0, math.copysign(1.0, s)
-    if abs(s) < sys.float_info.epsilon:
+    if abs(s) < math.ulp(1.0):
         return math.copysign(1.0, c), 0.0
     return c, s
 

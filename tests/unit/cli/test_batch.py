@@ -286,3 +286,14 @@ def test_a_scheduler_that_is_not_there_or_of_other_software_is_told(monkeypatch:
     for other in (Scheduler("3.8.1.final.0", own), Scheduler(python_version(), "2020.1.0")):
         with refuses(DeviceFailed, "there", own, "lock file"):
             batch_cluster._require_same_versions(other, "there")  # type: ignore[arg-type]
+
+
+def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) -> None:
+    assert armsight("simulate", "handeye", "-o", str(tmp_path / "set")).code == 0
+    history = str(tmp_path / "cells.sqlite")
+    words = ["--pairs", str(tmp_path / "set" / "pairs.csv"), "--cell", "weld-3", "--history", history]
+    (folder := tmp_path / "job").mkdir()
+    ended = run_command(job(tmp_path, *words, command="calibrate handeye"), folder)
+    assert ended.exit_code == 0
+    listed = armsight("history", "list", "--cell", "weld-3", "--history", history, "--json").json
+    assert [run["command"] for run in listed["runs"]] == ["calibrate handeye"]
