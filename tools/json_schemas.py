@@ -53,6 +53,7 @@ from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput
+from armsight.records.design import DesignOutput
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
@@ -89,6 +90,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "convert-table": ConvertTableOutput,
     "convert-arm": ConvertArmOutput,
     "compare": CompareOutput,
+    "design": DesignOutput,
     "join": JoinOutput,
     "simulate": SimulateOutput,
     "reproduce": ReproduceOutput,

@@ -65,8 +65,9 @@ def connected(workers: Workers) -> Iterator[Client]:
             cure="pip install 'armsight[batch]'",
         )
     import dask
+    import distributed  # its defaults with it: loaded within the `with` below they would be forgotten at its end
 
-    for name in ("distributed", "tornado", "asyncio"):  # what it says of lost workers is told in the table
+    for name in (distributed.__name__, "tornado", "asyncio"):  # what it says of lost workers is told in the table
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(CONFIG), _theirs(workers.scheduler) if workers.scheduler else _own(workers.n) as client:
         yield client
