@@ -23,7 +23,7 @@ from armsight.app.design.volume import NOISE, Foretold, size_of, spot_noise, wit
 from armsight.app.requests.design import DesignJob
 from armsight.calibrate.handeye.pairs import components
 from armsight.drivers import SCENARIOS, known
-from armsight.errors import DataRefused, DeviceNotFound, UsageError
+from armsight.errors import DeviceNotFound, NotEnoughData, UsageError
 from armsight.geometry import xyz_quat
 from armsight.measure.poses.expected import look
 from armsight.records import Progress
@@ -44,7 +44,7 @@ LEAST_RUNS = 5
 def simulate_design(job: DesignJob, found: Foretold, progress: Progress) -> DesignSimulation:
     """Return simulated deviations beside those foretold; the runs stay in OUT/runs.
 
-    Raises UsageError where there is nothing to simulate, DataRefused where every run was refused; as run_batch.
+    Raises UsageError where there is nothing to simulate, NotEnoughData where nearly every run was refused.
     """
     plan = found.plan
     if found.views is None or plan.calibration is None:
@@ -71,7 +71,7 @@ def simulate_design(job: DesignJob, found: Foretold, progress: Progress) -> Desi
         why = next(
             (one.error.cause for one in results if one is not None and one.error is not None), "they were killed"
         )
-        raise DataRefused(
+        raise NotEnoughData(
             f"{job.simulate - len(errors)} of {job.simulate} simulated runs gave nothing, the first because: {why}",
             consequence="Nothing is confirmed",
             cure="Plan more pictures of the board, or a larger one",
@@ -100,7 +100,7 @@ def spec_of(found: Foretold, places: NDArray[np.intp]) -> Spec:
         )
     return Spec(
         rig=rig_mapping(plan.rig),
-        target=target_mapping(plan.target),
+        target={key: value for key, value in target_mapping(plan.target).items() if value is not None},
         board="" if views is None else board_text(views.board),
         views=[] if views is None else _rows(views.T_rig_board),
         corner_px=0.0 if views is None else views.sigma_px,

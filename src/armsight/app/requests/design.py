@@ -26,15 +26,18 @@ ARM = "With --arm"
 
 def volume_of(text: str) -> Box:
     """Return the box of 'X:X,Y:Y,Z:Z', m or with units. Raises UsageError."""
+    edges, why = [part.split(":") for part in text.split(",")], ""
     try:
-        edges = [tuple(read_quantity(end, "m") for end in part.split(":")) for part in text.split(",")]
-        (x0, x1), (y0, y1), (z0, z1) = edges
+        ends = [[read_quantity(end, "m") for end in edge] for edge in edges]
     except ValueError as error:
+        ends, why = [], f" ({error})"
+    if [len(edge) for edge in ends] != [2, 2, 2]:
         raise UsageError(
-            f"the volume {text!r} is not XMIN:XMAX,YMIN:YMAX,ZMIN:ZMAX ({error})",
+            f"the volume {text!r} is not XMIN:XMAX,YMIN:YMAX,ZMIN:ZMAX{why}",
             consequence="It is not known where the target will be",
             cure="Write for instance --volume=-0.2:0.2,-0.1:0.1,0.6:1.0, in m, or with units as 600mm",
-        ) from None
+        )
+    (x0, x1), (y0, y1), (z0, z1) = ends
     return (x0, x1), (y0, y1), (z0, z1)
 
 
@@ -119,7 +122,7 @@ class DesignJob:
         Doc("What the rig will be calibrated with. [default: as rig.yaml says it was]"),
         Flag(metavar="BOARD", panel=CALIBRATION),
     ] = None
-    views: Annotated[int, Doc("How many pictures of it."), Flag(panel=CALIBRATION)] = VIEWS
+    views: Annotated[int, Doc("How many pictures of it."), Bounds(most=500), Flag(panel=CALIBRATION)] = VIEWS
     corner_noise_px: Annotated[
         float, Doc("Standard deviation of its corners' coordinates."), Bounds(least=1e-4), Flag(panel=CALIBRATION)
     ] = 0.1
@@ -131,9 +134,9 @@ class DesignJob:
         Doc("The target on the flange: X,Y,Z[,RX,RY,RZ] in m and degrees. [default: at the tool]"),
         Flag(metavar="POSE", read=mount_of, panel=ARM),
     ] = None
-    poses: Annotated[int, Doc("Poses of the arm from which the rig's place in its base is found."), Flag(panel=ARM)] = (
-        POSES
-    )
+    poses: Annotated[
+        int, Doc("Poses of the arm from which the rig's place in its base is found."), Bounds(most=500), Flag(panel=ARM)
+    ] = POSES
     arm_noise_m: Annotated[
         float, Doc("How far the arm is from where it says, each axis."), Bounds(least=0.0), Flag(unit=MM, panel=ARM)
     ] = 0.05 * MM

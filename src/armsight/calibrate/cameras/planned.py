@@ -22,16 +22,14 @@ from armsight.units import DEG
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 4000
-"""Poses of the board that are drawn before it is said not to fit into both views."""
+CANDIDATES, ROUNDS = 4000, 8
+"""Poses of the board that are drawn at a time, and how often before it is said not to fit into both views."""
 SPAN = (0.25, 0.75)
 """Share of the left image's width that the board's longer side takes: as people hold it."""
 MOST_TILT_RAD = 40.0 * DEG
 MOST_ROLL_RAD = 20.0 * DEG
 MARGIN_PX = 12.0
 """How far inside both images the board ends."""
-WIDE_SHARE = 0.2
-"""Beyond this share of the drawn poses the board is held where it spans less: wide rigs see little of what is near."""
 DRAWN = 1
 """Seed: the same rig and board are planned with the same views."""
 
@@ -61,11 +59,12 @@ def planned_views(rig: Rig, board: Target, n: int, sigma_px: float) -> PlannedVi
         )
     rng = np.random.default_rng(DRAWN)
     found: list[RigidTransform] = []
-    for span in (SPAN, (0.4 * SPAN[0], SPAN[1])):
-        drawn = _drawn(rig, board, rng, span)
+    for round_ in range(ROUNDS):
+        # wide rigs see little of what is near: their boards are held where they span less
+        drawn = _drawn(rig, board, rng, SPAN if round_ == 0 or found else (0.4 * SPAN[0], SPAN[1]))
         whole = np.flatnonzero(_whole(rig, board, drawn))
-        found = [drawn[int(i)] for i in whole[:n]]
-        if len(found) == n and len(whole) > WIDE_SHARE * n:
+        found += [drawn[int(i)] for i in whole[: n - len(found)]]
+        if len(found) == n:
             break
     if len(found) < n:
         size = 1e3 * np.ptp(board.xyz_m, axis=0)
