@@ -1,6 +1,6 @@
 """`armsight design` against the simulated world: deviations foretold and simulated, rig by rig; and the lights' noise.
 
-    OMP_NUM_THREADS=1 python benchmarks/design.py [--runs 200] [--rig webcam] [--images 40]
+    OMP_NUM_THREADS=1 python benchmarks/design.py [--runs 200] [--rig webcam mirrors] [--images 40]
 
 Every run holds a board anew before the rig (armsight_sim projects it), calibrates the rig from its noisy corners by
 armsight's own calibration, and measures the target at 24 places of the volume. 200 runs tell a deviation to 5 %.
@@ -113,12 +113,12 @@ def jobs(folder: Path) -> dict[str, DesignJob]:
     }
 
 
-def simulated(chosen: str, runs: int, seed: int) -> None:
+def simulated(chosen: list[str], runs: int, seed: int) -> None:
     rows = []
     with tempfile.TemporaryDirectory() as kept:
         folder = Path(kept)
         for name, job in jobs(folder).items():
-            if not name.startswith(chosen):
+            if chosen and name not in chosen:
                 continue
             start = time.perf_counter()
             done = run_design(replace(job, out=folder / name.replace(", ", "-"), simulate=runs, seed=seed, workers=1))
@@ -194,7 +194,7 @@ def images(n: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--rig", default="")
+    parser.add_argument("--rig", nargs="*", default=[])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--images", type=int, default=0)
     chosen = parser.parse_args()

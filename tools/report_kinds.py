@@ -122,6 +122,10 @@ KINDS: Mapping[str, tuple[Step, ...]] = {
     "pachidis2005": ("reproduce pachidis2005 --frames 12 -o paper",),
     "kinematics": ("kinematics show --arm ur10e -o arm.html",),
     "path": (write_path, "path check path.csv --arm irb120 --speed-m-s 0.01 -o check.html"),
+    "design": (
+        CELL,
+        f"design {RIG} --volume=-0.1:0.1,-0.1:0.1,1.5:1.8 --board checkerboard:9x6:0.04 --wanted-mm 0.5 -o planned",
+    ),
     "compare": (
         CELL,
         "simulate webcam-cell --frames 24 --room dark --seed 5 -o again",

@@ -59,7 +59,7 @@ def design(
 
     Examples
     --------
-    >>> lights = armsight.target({"A": (-0.04, 0, 0), "B": (0.03, 0.03, 0), "C": (0.03, -0.03, 0)}, diameter_m=0.006)
+    >>> lights = armsight.LightTarget({"A": (-0.04, 0, 0), "B": (0.03, 0.032, 0), "C": (0.03, -0.032, 0)})
     >>> planned = armsight.design(
     ...     lights,
     ...     ((-0.1, 0.2), (-0.1, 0.1), (0.5, 0.8)),

@@ -83,5 +83,5 @@ def test_what_all_camera_poses_share_is_taken_up_by_the_rig_s_place() -> None:
 
 def test_poses_that_turn_about_nothing_are_refused() -> None:
     B = RigidTransform.from_components(np.random.default_rng(3).uniform(0.5, 1.0, (9, 3)), Rotation.identity(9))
-    with refuses(Degenerate, "poses of the arm"):
+    with refuses(Degenerate, "arm"):
         planned_handeye(X, Z, X * B * Z.inv(), (np.tile(CAMERA, (9, 1, 1)), np.zeros((9, 6, 1))), NOISE)

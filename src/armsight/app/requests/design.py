@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from armsight.app.requests.shared import BOARD, KNOWN_ARM, OutFolder, Workers, size_of
+from armsight.app.requests.shared import BOARD, KNOWN_ARM, OutFolder, size_of
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM, read_quantity
@@ -148,4 +148,6 @@ class DesignJob:
         int, Doc("Confirm it by so many simulated calibrations and measurements."), Bounds(least=0, most=10_000)
     ] = 0
     seed: Annotated[int, Doc("Of the simulation."), Bounds(least=0)] = 1
-    workers: Workers = None
+    workers: Annotated[
+        int | None, Doc("Processes that simulate. [default: one for each core]"), Bounds(least=1, most=1024)
+    ] = None
