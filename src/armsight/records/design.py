@@ -22,6 +22,16 @@ class Spread(Output):
 
 
 @output
+class PointDeviation(Output):
+    """Expected deviations of one light, or of a board's corners, placed by itself."""
+
+    name: Annotated[str, Doc("The light's name; of a board: corners.")]
+    median_m: Annotated[float, Doc("Median over the cells in which it is seen, m.")]
+    p95_m: Annotated[float, Doc("95 % of them are no worse, m.")]
+    worst_m: Annotated[float, Doc("The worst, m.")]
+
+
+@output
 class DesignPart(Output):
     """What a part of the deviation comes to, RMS over the measured cells."""
 
@@ -111,6 +121,7 @@ class DesignOutput(Output):
     aligned: Annotated[
         Spread | None, Doc("Deviation of the position once the volume is aligned as a whole; null with an arm.")
     ]
+    points: Annotated[tuple[PointDeviation, ...], Doc("Of each light by itself, as points.csv has them.")]
     parts: Annotated[tuple[DesignPart, ...], Doc("What it is made of, the largest first.")]
     not_measured: Annotated[tuple[NotMeasured, ...], Doc("Where there is no pose, or no orientation.")]
     calibration: Annotated[DesignCalibration, Doc("How well the rig will be known.")]

@@ -19,7 +19,10 @@ Array = NDArray[np.float64]
 COLOURS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
 """Viridis in eight steps, the least deviation dark: told apart by the colour-blind, and in grey."""
 MOST_SLICES = 6
-SLICE_PX = 330
+MOSTLY = 0.95
+"""Share of the volume from which on it counts as measured."""
+EDGES_PX, WIDE_PX, TALLEST_PX = 60.0, 400.0, 460.0
+"""Of a slice: margins, width within them in a page of two columns, and the greatest height."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,6 +64,15 @@ def design_report(run: DesignRun, *, created: datetime) -> str:
             _changes(done),
         )
     page.add("What the deviation is made of", "RMS over the measured cells; the parts add up as squares.", _parts(done))
+    if done.points:
+        rows = [
+            [one.name, *(figure_of(value / MM) for value in (one.median_m, one.p95_m, one.worst_m))]
+            for one in done.points
+        ]
+        header = ["", "median, mm", "95 %, mm", "worst, mm"]
+        page.add(
+            "Each light by itself", "As points.csv of a measurement has them.", table(header, rows, numbers=(1, 2, 3))
+        )
     if done.not_measured:
         rows = [
             [one.why, f"{100.0 * one.share:.1f} %", "position alone" if one.position else "nothing"]
@@ -84,7 +96,8 @@ def _verdict(done: DesignOutput) -> Verdict:
     if disagrees:
         level, word, to_do = "bad", "Not confirmed", "Do not rely on these figures: the simulation says otherwise."
     elif done.reached is None:
-        level, word, to_do = "good", "Foretold", "Give --wanted-mm to be told what reaches an accuracy."
+        level, word = "good" if done.measured > MOSTLY else "warn", "Foretold"
+        to_do = "Give --wanted-mm to be told what reaches an accuracy."
     elif done.reached:
         level, word, to_do = "good", "Reached", "Build it as planned."
     else:
@@ -257,7 +270,8 @@ def _slice(view: DesignMap, part: slice, values: Array, steps: Array, unit: str)
         showlegend=False,
         margin={"l": 58, "r": 12, "t": 10, "b": 44},
     )
-    return Figure(data=data, layout=shape, height_px=SLICE_PX)
+    wide, high = (ends[a][1] - ends[a][0] for a in range(2))
+    return Figure(data=data, layout=shape, height_px=round(min(EDGES_PX + WIDE_PX * high / wide, TALLEST_PX)))
 
 
 def _pitch(places: Array) -> float:

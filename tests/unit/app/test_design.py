@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import dask
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -13,7 +14,7 @@ import armsight
 from armsight.app.design.changes import CHANGES, _doubled, reaches
 from armsight.app.design.plan import plan_of
 from armsight.app.design.run import run_design
-from armsight.app.design.volume import ARM, NOISE, RIG, foretell, within
+from armsight.app.design.volume import ARM, NOISE, RIG, foretell, moving, rigid_part
 from armsight.app.requests.design import DesignJob, mount_of, volume_of
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.poses.setup import symmetries
@@ -61,8 +62,10 @@ def test_what_is_written_says_what_is_returned(job: DesignJob) -> None:
     assert done.position.worst == pytest.approx(max(values))
     assert done.position.median == pytest.approx(np.median(values))
     assert sum(part.share for part in done.parts) == pytest.approx(1.0)
+    assert [one.name for one in done.points] == ["A", "B", "C"]
+    assert done.points[0].median_m > done.position.median  # the mean of three is surer than one
     page = (job.out / "report.html").read_text()
-    assert "z = 0.53 m" in page
+    assert "z = 0.575 m" in page
     assert done.reached is False and done.changes[0].sufficient
     assert done.changes[0].change in done.verdict
 
@@ -88,14 +91,8 @@ def test_within_the_volume_what_moves_all_of_it_is_no_deviation(job: DesignJob) 
     np.testing.assert_allclose(aligned.position_m, found.within_volume().position_m)
     assert np.median(aligned.position_m) < 0.7 * np.median(found.position_m)
     # what is left of a rig whose axes alone are off is nothing
-    G = np.zeros((5, 6, 6))
-    G[:, :3, :3] = G[:, 3:, 3:] = np.eye(3)
     places = np.random.default_rng(1).normal(size=(5, 3))
-    x, y, z = places.T
-    o = np.zeros(5)
-    G[:, :3, 3:] = -np.array([[o, -z, y], [z, o, -x], [-y, x, o]]).transpose(2, 0, 1)
-    poses = RigidTransform.from_translation(places)
-    np.testing.assert_allclose(within(G, poses, np.ones(5, bool)), 0.0, atol=1e-12)
+    np.testing.assert_allclose(rigid_part(moving(places), places, np.ones(5, bool)), np.eye(6), atol=1e-12)
 
 
 def test_cells_out_of_view_are_never_good(job: DesignJob) -> None:
@@ -121,6 +118,21 @@ def test_a_light_alone_tells_its_position(job: DesignJob) -> None:
     done = run_design(replace(job, cells=3))
     assert done.orientation is None and done.whole == 0.0 and done.measured == 1.0
     assert any("position alone" in text for text in done.advice)
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_point_is_told_as_a_target_of_it_alone(job: DesignJob, relative: bool) -> None:
+    write_target(job.target, spot_target({"A": (0.0, 0.0, 0.0)}))
+    found = foretell(plan_of(replace(job, relative=relative, volume=((-0.1, 0.6), *NEAR[1:]))))
+    np.testing.assert_allclose(found.point_m()[:, 0], found.position_m, rtol=1e-9)
+
+
+def test_points_stand_in_the_base_of_an_arm(job: DesignJob) -> None:
+    found = foretell(plan_of(replace(with_arm(job), poses=400, arm_noise_m=1e-6, arm_turn_rad=1e-6)))
+    noise = np.sqrt(np.trace(found.expected.points.random, axis1=2, axis2=3))
+    beside = found.point_m() / noise
+    assert (beside > 1.0).all() and np.median(beside) < 1.2  # most of the calibration is taken up by the rig's place
+    assert np.median(foretell(plan_of(with_arm(job))).point_m() / noise) > np.median(beside)
 
 
 def test_a_board_is_measured_like_lights(job: DesignJob) -> None:
@@ -268,3 +280,13 @@ def test_python_gives_what_the_command_does(job: DesignJob) -> None:
             board="checkerboard:9x6:0.025",
             views=1,
         )
+
+
+def test_simulated_runs_are_a_batch_and_beside_the_forecast(job: DesignJob) -> None:
+    done = run_design(replace(job, cells=2, simulate=5, workers=1))
+    one = done.simulation
+    assert one is not None and one.n_runs == 5 and one.n_failed == 0
+    assert one.n_poses + one.n_lost == 5 * len(one.places)
+    assert sum(1 for path in (job.out / "runs").iterdir() if path.is_dir()) == 5
+    # what Dask is told for a batch does not take its own defaults away from the next one
+    assert dask.config.get("distributed.comm.tls.ciphers", default="lost") != "lost"

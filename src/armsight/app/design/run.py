@@ -21,6 +21,7 @@ from armsight.records.design import (
     DesignPart,
     DesignSimulation,
     NotMeasured,
+    PointDeviation,
     Spread,
 )
 from armsight.report.design_report import DesignMap, DesignRun, design_report
@@ -92,6 +93,7 @@ def _output(
         position=position,
         orientation=_spread(found, found.orientation_rad) if found.whole.any() else None,
         aligned=_aligned(plan, found),
+        points=_points(found),
         parts=_parts(found),
         not_measured=_not_measured(found),
         calibration=_calibration(found),
@@ -127,6 +129,18 @@ def _aligned(plan: Plan, found: Foretold) -> Spread | None:
         return _spread(found, found.position_m)
     other = found.within_volume()
     return _spread(found, other.position_m)
+
+
+def _points(found: Foretold) -> tuple[PointDeviation, ...]:
+    values, target = found.point_m(), found.plan.target
+    each = [("corners", values.ravel())] if target.is_board else zip(target.names, values.T, strict=True)
+    out = []
+    for name, column in each:
+        known = column[np.isfinite(column)]
+        if len(known):
+            median, p95, worst = np.percentile(known, [50.0, 95.0, 100.0]).tolist()
+            out.append(PointDeviation(name=name, median_m=median, p95_m=p95, worst_m=worst))
+    return tuple(out)
 
 
 def _parts(found: Foretold) -> tuple[DesignPart, ...]:

@@ -19,7 +19,7 @@ from armsight.app.batch.jobs import Job
 from armsight.app.batch.run import run_batch
 from armsight.app.design.plan import Plan
 from armsight.app.design.simulated_run import ArmSpec, Errors, Spec, simulate_run
-from armsight.app.design.volume import NOISE, Foretold, size_of, spot_noise, within
+from armsight.app.design.volume import NOISE, Foretold, moving, rigid_part, size_of, spot_noise
 from armsight.app.requests.design import DesignJob
 from armsight.calibrate.handeye.pairs import components
 from armsight.drivers import SCENARIOS, known
@@ -129,23 +129,20 @@ def foretold_at(found: Foretold, places: NDArray[np.intp]) -> Array:
         rest = [C[places] for name, C in found.parts.items() if name != NOISE]
         return np.asarray(noise + np.sum(rest, axis=0))
     expected = found.expected.take(places)
-    slopes = within(expected.slopes, expected.T_rig_target, np.ones(len(places), bool))
+    at = components(expected.T_rig_target)[1]
+    slopes = expected.slopes - moving(at) @ rigid_part(expected.slopes, at, np.ones(len(places), bool))
     shared = np.sum(list(found.shared(slopes).values()), axis=0)
-    return np.asarray(aligned_noise(noise, components(expected.T_rig_target)[1]) + shared)
+    return np.asarray(aligned_noise(noise, at) + shared)
 
 
 def aligned_noise(noise: Array, places: Array) -> Array:
     """Return the independent noise (k, 6, 6) of k places as it is left once they are aligned by their positions."""
     k = len(places)
-    J = np.zeros((3 * k, 6))
-    for i, r in enumerate(places - places.mean(axis=0)):
-        J[3 * i : 3 * i + 3] = np.hstack([np.eye(3), [[0.0, r[2], -r[1]], [-r[2], 0.0, r[0]], [r[1], -r[0], 0.0]]])
-    P = np.linalg.pinv(J)  # (6, 3 k)
+    G = moving(places - places.mean(axis=0))
+    P = np.linalg.pinv(G[:, :3].reshape(-1, 6))  # (6, 3 k)
     out = np.empty_like(noise)
     for i in range(k):
-        G = np.zeros((6, 6))
-        G[:3], G[3:, 3:] = J[3 * i : 3 * i + 3], np.eye(3)
-        blocks = [-G @ P[:, 3 * j : 3 * j + 3] @ np.eye(3, 6) for j in range(k)]
+        blocks = [-G[i] @ P[:, 3 * j : 3 * j + 3] @ np.eye(3, 6) for j in range(k)]
         blocks[i] = blocks[i] + np.eye(6)
         out[i] = np.sum([B @ noise[j] @ B.T for j, B in enumerate(blocks)], axis=0)
     return out

@@ -43,6 +43,16 @@ class Cells:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """What points are told in: R (3, 3) from the rig's axes, and how the frame itself is off: slopes (6, 26) of dt, dw
+    by the rig's parameters, and covariance (6, 6) of what else makes it so."""
+
+    R: Array
+    slopes: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Foretold:
     """What a plan leads to in each of m cells.
 
@@ -61,12 +71,28 @@ class Foretold:
     why: tuple[str, ...]
     parts: dict[str, Array]
     slopes: Array
+    frame: Frame
     handeye: tuple[RigidTransform, PlannedHandEye] | None = None
 
     def within_volume(self) -> Foretold:
         """Return the same once the measured volume is aligned as a whole."""
-        slopes = within(self.slopes, self.expected.T_rig_target, self.measured)
-        return replace(self, parts={NOISE: self.parts[NOISE], **self.shared(slopes)}, slopes=slopes)
+        places = np.asarray(self.expected.T_rig_target.translation)
+        common = rigid_part(self.slopes, places, self.measured)
+        slopes = self.slopes - moving(places) @ common
+        n = len(self.rig.parameters)
+        frame = Frame(R=np.eye(3), slopes=-common[:, :n], covariance=np.zeros((6, 6)))
+        return replace(self, parts={NOISE: self.parts[NOISE], **self.shared(slopes)}, slopes=slopes, frame=frame)
+
+    def point_m(self) -> Array:
+        """Return the expected distance (m, n) of each light, placed by itself, from where it is; NaN: not seen."""
+        alone, covariance = self.expected.points, _joint(self.rig, self.plan)
+        n = len(self.rig.parameters)
+        G = moving(alone.xyz_m @ self.frame.R.T)  # (m, n, 6, 6)
+        slopes = self.frame.R @ alone.slopes + G[..., :3, :] @ self.frame.slopes
+        noise = self.frame.R @ (alone.random / self.plan.average) @ self.frame.R.T
+        shared = G[..., :3, :] @ self.frame.covariance @ G[..., :3, :].swapaxes(-1, -2)
+        total = noise + slopes @ covariance[:n, :n] @ slopes.swapaxes(-1, -2) + shared
+        return np.asarray(np.sqrt(np.trace(total, axis1=2, axis2=3)))
 
     def shared(self, slopes: Array) -> dict[str, Array]:
         """Return the parts that are the same in every frame, from d pose / d what is shared (m, 6, p)."""
@@ -123,6 +149,7 @@ def foretell(plan: Plan) -> Foretold:
         why=tuple(why),
         parts={},
         slopes=expected.slopes,
+        frame=Frame(R=np.eye(3), slopes=np.zeros((6, len(rig.parameters))), covariance=np.zeros((6, 6))),
     )
     noise = expected.random / plan.average
     if plan.arm is not None:
@@ -148,7 +175,12 @@ def _at_tool(found: Foretold, arm: ArmPlan, noise: Array, setup: Setup) -> Foret
         **found.shared(slopes),
         ARM: of_known @ known.covariance @ of_known.transpose(0, 2, 1),
     }
-    return replace(found, parts=parts, slopes=slopes, handeye=(poses, known), measured=found.whole)
+    frame = Frame(
+        R=known.T_base_rig.rotation.as_matrix(),
+        slopes=known.slopes[:6, : len(found.rig.parameters)],
+        covariance=known.covariance[:6, :6],
+    )
+    return replace(found, parts=parts, slopes=slopes, handeye=(poses, known), measured=found.whole, frame=frame)
 
 
 def _joint(rig: Rig, plan: Plan) -> Array:
@@ -161,11 +193,12 @@ def _carried(slopes: Array, covariance: Array) -> Array:
 
 
 def cells_of(plan: Plan) -> Cells:
-    """Return the cells of a plan's volume, about as long as wide; a plane of them at least along each edge."""
+    """Return the cells of a plan's volume, about as long as wide, the outer ones' middles on its faces."""
     low, high = np.array(plan.volume).T
     size = high - low
     n = np.maximum(np.rint(plan.cells * size / size.max()), min(3, plan.cells)).astype(int)
-    axes = [low[a] + (np.arange(n[a]) + 0.5) * size[a] / n[a] for a in range(3)]
+    # from edge to edge: the worst is in a corner, as a rule
+    axes = [np.linspace(low[a], high[a], n[a]).round(9) if n[a] > 1 else [0.5 * (low[a] + high[a])] for a in range(3)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     xyz = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     return Cells(xyz_m=xyz, counts=(int(n[0]), int(n[1]), int(n[2])))
@@ -194,19 +227,28 @@ def _facing(plan: Plan, rig: Rig, cells: Cells) -> RigidTransform:
     return RigidTransform.from_components(places, Rotation.concatenate([turn] * len(places)))
 
 
-def within(slopes: Array, T_rig_target: RigidTransform, measured: Mask) -> Array:
-    """Return slopes (m, 6, p) without what moves all measured places together, as a rigid body.
+def rigid_part(slopes: Array, places: Array, measured: Mask) -> Array:
+    """Return the motion (6, p) that fits slopes (m, 6, p) of the measured places best, by their positions (m, 3).
 
-    That is what an alignment of the measured volume takes away (by least squares of the positions).
+    It is what an alignment of the measured volume takes away; about the origin.
     """
-    places = np.asarray(T_rig_target.translation)
-    G = np.zeros((len(places), 6, 6))
-    G[:, :3, :3] = G[:, 3:, 3:] = np.eye(3)
-    G[:, :3, 3:] = -skew(places - places[measured].mean(axis=0))
-    common = np.linalg.lstsq(
-        G[measured, :3].reshape(-1, 6), slopes[measured, :3].reshape(-1, slopes.shape[2]), rcond=None
+    G = moving(places)
+    # about the middle of the places, where shift and turn are told apart well
+    off = moving(places - places[measured].mean(axis=0))
+    found = np.linalg.lstsq(
+        off[measured, :3].reshape(-1, 6), slopes[measured, :3].reshape(-1, slopes.shape[2]), rcond=None
     )
-    return np.asarray(slopes - G @ common[0])
+    out = found[0].copy()
+    out[:3] -= G[measured, :3, 3:].mean(axis=0) @ out[3:]
+    return np.asarray(out)
+
+
+def moving(places: Array) -> Array:
+    """Return how poses at places (..., 3) follow dt, dw of the frame that they are told in, (..., 6, 6)."""
+    G = np.zeros((*places.shape[:-1], 6, 6))
+    G[..., :3, :3] = G[..., 3:, 3:] = np.eye(3)
+    G[..., :3, 3:] = -skew(places)
+    return G
 
 
 def _reached(arm: ArmPlan, T_rig_target: RigidTransform) -> Mask:

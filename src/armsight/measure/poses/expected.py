@@ -52,6 +52,16 @@ class Lights:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """The lights by themselves: xyz_m (m, n, 3) in rig axes, random (m, n, 3, 3) of the spots' noise, slopes
+    (m, n, 3, 26): d point / d rig. NaN where a light is not seen in both views."""
+
+    xyz_m: Array
+    random: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Expected:
     """The expected errors of the measured pose at m places, in the rig's axes: translation, then rotation vector.
 
@@ -66,6 +76,7 @@ class Expected:
     why: tuple[str, ...]
     random: Array
     slopes: Array
+    points: Points
 
     def take(self, index: NDArray[np.intp]) -> Expected:
         """Return some of the places."""
@@ -76,6 +87,11 @@ class Expected:
             why=tuple(self.why[i] for i in index.tolist()),
             random=self.random[index],
             slopes=self.slopes[index],
+            points=Points(
+                xyz_m=self.points.xyz_m[index],
+                random=self.points.random[index],
+                slopes=self.points.slopes[index],
+            ),
         )
 
 
@@ -85,7 +101,8 @@ def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise,
     lights = look(rig, target, T_rig_target, least_px)
     m, n = lights.seen.shape
     sigma = np.stack([noise(lights.size_px[..., side], side) for side in range(len(SIDES))], axis=2)  # (m, n, 2)
-    J, D = _slopes(rig, _points(target, T_rig_target))
+    points = _points(target, T_rig_target)
+    J, D = _slopes(rig, points)
     R = T_rig_target.rotation.as_matrix()
     enough = lights.seen.sum(axis=1) >= min(n, LEAST_LIGHTS)
     whole, placed, why = np.zeros(m, bool), np.zeros(m, bool), list(lights.why)
@@ -110,7 +127,25 @@ def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise,
         random[i, :3, :3], slopes[i, :3] = at.points()
     if target.covariance is None:
         slopes = slopes[:, :, : len(rig.parameters)]
-    return Expected(T_rig_target=T_rig_target, whole=whole, placed=placed, why=tuple(why), random=random, slopes=slopes)
+    return Expected(
+        T_rig_target=T_rig_target,
+        whole=whole,
+        placed=placed,
+        why=tuple(why),
+        random=random,
+        slopes=slopes,
+        points=_alone(points, lights.seen, J, D, sigma),
+    )
+
+
+def _alone(points: Array, seen: Mask, J: Array, D: Array, sigma: Array) -> Points:
+    """Return what each light by itself is placed to."""
+    random = np.full((*seen.shape, 3, 3), np.nan)
+    slopes = np.full((*seen.shape, 3, D.shape[-1]), np.nan)
+    JW = J[seen] / sigma[seen][..., None, None] ** 2  # (k, 2, 2, 3)
+    random[seen] = np.linalg.inv(np.einsum("ksia,ksib->kab", JW, J[seen]))
+    slopes[seen] = -random[seen] @ np.einsum("ksia,ksip->kap", JW, D[seen])
+    return Points(xyz_m=points, random=random, slopes=slopes)
 
 
 def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float) -> Lights:
