@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
+from armsight.app.batch.results import BatchOutput
 from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.pivot import PivotOutput
 from armsight.app.calibrate.results import (
@@ -91,6 +92,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "convert-arm": ConvertArmOutput,
     "compare": CompareOutput,
     "design": DesignOutput,
+    "batch": BatchOutput,
     "join": JoinOutput,
     "simulate": SimulateOutput,
     "reproduce": ReproduceOutput,

@@ -137,6 +137,8 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("path join", "sources"): "`paths.join(first, second)`",
     ("path join", "--gap-deg"): "`paths.join(gap_rad)`",
     ("path from-picks", "--view"): "`paths.from_picks(view)`",
+    ("batch", "--each"): "`{path.stem: {...} for path in folder.glob(...)}`",
+    ("batch", "--name"): "the keys of `batch(jobs)`",
     ("doctor", "--depth"): "`doctor(depths_m)`",
     ("doctor", "--sigma"): "`doctor(sigma_px)`",
     ("doctor", "--accuracy"): "`doctor(accuracy_m)`",

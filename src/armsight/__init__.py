@@ -19,6 +19,8 @@ from armsight._files import Files
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
     from armsight.api import paths as paths
+    from armsight.api.batch import BatchResult as BatchResult
+    from armsight.api.batch import batch as batch
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
     from armsight.api.cameras import calibrate_camera as calibrate_camera
@@ -179,6 +181,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "verify",
     ),
     "armsight.api.design": ("design",),
+    "armsight.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
     "armsight.api.light": (
         "NoiseResult",

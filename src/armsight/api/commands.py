@@ -9,6 +9,7 @@ from armsight.errors import ArmsightError
 
 COMMANDS: Mapping[str, str] = {
     "measure": "measure",
+    "batch": "batch",
     "record": "record",
     "verify": "verify",
     "compare": "compare",
@@ -68,6 +69,7 @@ PARAMETERS: Mapping[str, str] = {
     "--from": "poses",
     "--gap-mm": "gap_m",
     "--goal": "goal_m",
+    "--jobs": "workers",
     "--hand-speed": "hand_speed_m_s",
     "--latency": "latency_s",
     "--latency-std": "latency_std_s",

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeAlias, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -40,6 +40,8 @@ WRITTEN = {"out", "record", "log"}
 """Options that name what a command writes."""
 NOT_TO_BE_TRUSTED = 3
 
+Face: TypeAlias = Callable[..., CommandUI]
+"""Makes a command's way to the person, of as_json."""
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
 
@@ -88,25 +90,25 @@ class Command:
         panel = get_args(parameter.annotation)[1].rich_help_panel
         return self.panels.index(panel) + 1 if panel in self.panels else 0
 
-    def run(self, **given: Any) -> None:
+    def run(self, face: Face = CommandUI, /, **given: Any) -> None:
         """Run the function; a run that fails leaves the results that were there, one that was stopped what it has."""
         as_json = given.pop("json", False)
         overwrite = given.pop("overwrite", False) if self.keeps else False
         with contextlib.ExitStack() as held:
             if WRITTEN & set(given):
-                with CommandUI(as_json=as_json):
+                with face(as_json=as_json):
                     held.enter_context(self._outputs(given, as_json))
             if not self.keeps or given["out"] is None:  # None: it writes only where it is told to
-                self._work(given, as_json)
+                self._work(face, given, as_json)
                 return
-            with CommandUI(as_json=as_json):
+            with face(as_json=as_json):
                 out = given["out"]
                 refuse_inputs(out, self.keeps, given)
                 overwrite = overwrite or (self.own is not None and (out / self.own).exists())
-                _replacing(out, self.keeps, overwrite, lambda: self._work(given, as_json))
+                _replacing(out, self.keeps, overwrite, lambda: self._work(face, given, as_json))
 
-    def _work(self, given: Mapping[str, Any], as_json: bool) -> None:
-        with CommandUI(as_json=as_json) as face:
+    def _work(self, ui: Face, given: Mapping[str, Any], as_json: bool) -> None:
+        with ui(as_json=as_json) as face:
             self.function(face, **self.flags.arguments(given, face.say))
 
     def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:

@@ -10,6 +10,7 @@ import typer
 from armsight.app.requests.shared import OutFolder
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
+    batch,
     calibrate_cameras,
     calibrate_robot,
     convert,
@@ -33,6 +34,7 @@ from armsight.units import MM
 
 __all__ = [
     "app",
+    "batch",
     "calibrate_cameras",
     "calibrate_robot",
     "convert",

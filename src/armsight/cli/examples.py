@@ -16,6 +16,7 @@ PANELS: Mapping[str, str] = {
     "measure": "Measure",
     "verify": "Measure",
     "compare": "Measure",
+    "batch": "Measure",
     "calibrate": "Calibrate and identify",
     "identify": "Calibrate and identify",
     "reproduce": "Calibrate and identify",
@@ -59,6 +60,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "compare": (
         "armsight compare measured-monday measured-friday -o compared",
         "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
+    ),
+    "batch": (
+        "armsight batch --each 'recordings/*.mcap' -o results -- measure --left {} --rig rig.yaml --target target.yaml",
+        "armsight batch jobs.csv -o results --resume",
     ),
     "measure": (
         f"armsight measure --left frames/left --right frames/right {RIG} -o measured",

@@ -17,7 +17,7 @@ RESULT = "result.json"
 BATCH = "batch.json"
 RESULTS = "results.parquet"
 RESULT_FORMAT = {"format": "armsight/batch-result", "version": 1}
-BATCH_FORMAT = {"format": "armsight/batch", "version": 1}
+BATCH_FORMAT = {"format": "armsight/batch-folder", "version": 1}
 
 COLUMNS = (
     *("job", "command", "status", "exit_code", "cause", "consequence", "cure"),

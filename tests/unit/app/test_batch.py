@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
@@ -16,14 +18,17 @@ sys.path.insert(0, str(Path(__file__).parent))  # workers inherit it
 
 from batch_tasks import work
 
+from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
+from armsight.app.batch import work as batch_work
 from armsight.app.batch.cluster import Workers, connected
 from armsight.app.batch.jobs import Job, check_names, fingerprint
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
-from armsight.app.batch.work import RUNNING
+from armsight.app.batch.work import RUNNING, Place
 from armsight.errors import Cancelled, DeviceFailed, UsageError
 from armsight.records import Silent
+from armsight.store.job_results import write_batch
 from armsight.store.result_table import write_result_table
 from refusals import refuses
 
@@ -159,7 +164,7 @@ def test_what_was_done_before_a_stop_is_in_the_table(tmp_path: Path, monkeypatch
 def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch_run, "MOST_IN_GROUP", 1)
     jobs = [job("first"), job("full", full=1), *(job(f"j{n:03d}") for n in range(200))]
-    with refuses(DeviceFailed, "no space is left", "'full'", "kept", "Make room"):
+    with refuses(DeviceFailed, "no space", "'full'", "kept", "Make room"):
         run(jobs, tmp_path / "out")
     rows = table(tmp_path / "out")
     assert "full" not in rows and len(rows) < 200
@@ -167,11 +172,38 @@ def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(tmp_path: Path, monke
     assert run(later, tmp_path / "out", resume=True).statuses == {"done": 202}
 
 
+def place_in(at: Path, **more: Any) -> Place:
+    write_batch(at, "this", 1)
+    return Place(**{"out": at, "shown": Path("shown"), "folder": Path.cwd(), "batch": "this"} | more)
+
+
+def test_no_space_for_a_result_ends_the_batch_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise DeviceFailed(f"result.json: cannot be written ({os.strerror(errno.ENOSPC)})")
+
+    monkeypatch.setattr(batch_work, "write_job_result", fails)
+    with refuses(DeviceFailed, "shown", "no space", "'a'"):
+        batch_work.run_job(work, place_in(tmp_path), job("a"))
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_worker_of_other_software_or_without_the_folders_is_given_nothing(tmp_path: Path) -> None:
+    for place, told in (
+        (place_in(tmp_path, version="0.0.1"), "0.0.1"),
+        (place_in(tmp_path, batch="another"), "does not see"),
+        (place_in(tmp_path, out=tmp_path / "not-here"), "not-here"),
+        (place_in(tmp_path, folder=tmp_path / "nor-this"), "nor-this"),
+    ):
+        with refuses(DeviceFailed, told):
+            batch_work.run_group(work, place, [job("a")])
+    assert batch_work.run_group(work, place_in(tmp_path), [job("a")])[0].status == "done"
+
+
 def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run([job("a"), job("b")], out)
     (out / "mine").mkdir()
-    with refuses(UsageError, "results of another batch", "--resume", "--overwrite"):
+    with refuses(UsageError, "batch", "--resume", "--overwrite"):
         run([job("a")], out)
     with refuses(UsageError, "--resume keeps"):
         run([job("a")], out, resume=True, overwrite=True)
@@ -229,3 +261,19 @@ def test_workers_are_either_here_or_there() -> None:
         Workers(n=2, scheduler="tcp://there:8786")
     with refuses(UsageError, "0 workers"):
         Workers(n=0)
+
+
+def figures_of(folder: Path | None = None, *, out: Path, value: float = 1.0) -> dict[str, object]:
+    return {"out": str(out), "value": value}
+
+
+def test_a_function_of_python_gets_the_jobs_folder_and_gives_its_figures(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    made = _job("a", "armsight.api.runs.measure", {"rig": rig, "value": 2.0, "many": [rig, "x"]})
+    assert (made.command, made.inputs) == ("runs.measure", (str(rig), str(rig), "x"))
+    ended = call(figures_of, job("a", value=2.0), tmp_path)
+    assert ended.figures == {"out": str(tmp_path), "value": 2.0}
+    with refuses(UsageError, "int", "dictionary"):
+        call(lambda: 3, job("a"), tmp_path)
+    with refuses(UsageError, "rig", "'a'", "object", "path"):
+        _job("a", "measure", {"rig": object()})

@@ -16,6 +16,7 @@ from armsight.store.handeye_file import HandEyeModel, TipModel
 from armsight.store.interpret.read import is_ours
 from armsight.store.interpret.roles import ROLES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
+from armsight.store.job_files import parse_jobs
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.path_file import parse_path
 from armsight.store.picks_file import parse_picks
@@ -26,7 +27,7 @@ from armsight.store.targets import target_from_mapping
 from armsight.store.tokens import TokensModel
 from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, parse_poses, parse_times
 from armsight.store.worlds import world_from_mapping
-from armsight.store.yamls import parse_yaml
+from armsight.store.yamls import dump_yaml, parse_yaml
 from armsight.store.zoom import is_zoom_camera, zoom_camera_from_mapping
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "file-formats.md"
@@ -49,6 +50,8 @@ READERS = {
     "armsight/handeye": lambda content: validated(HandEyeModel, content, "x"),
     "armsight/tip": lambda content: validated(TipModel, content, "x"),
     "armsight/limits": limits_from_mapping,
+    "armsight/jobs": lambda content: parse_jobs(dump_yaml(content).encode(), "jobs.yaml"),
+    "name,command": lambda data: parse_jobs(data, "jobs.csv"),
     "armsight/cell": lambda content: validated(CellFile, content, "x"),
     "armsight/tokens": lambda content: validated(TokensModel, content, "x").tokens,
     "t_s,x_m": lambda data: parse_poses(data, "x"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import platform
+import re
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -21,8 +23,11 @@ if TYPE_CHECKING:
 
 CONNECT_S = 15.0
 """Longest wait for a scheduler that should be there."""
+ADDRESS = re.compile(r"(?:[a-z]+://)?(?:\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):[0-9]{1,5}")
 WORKERS_S = 60.0
 """Longest wait for its first worker."""
+KILL_S = 0.5
+"""Time that a worker has to end by itself where the batch is stopped."""
 MOST_WORKERS = 1024
 ONE_THREAD = {
     **dict.fromkeys(
@@ -65,21 +70,25 @@ def connected(workers: Workers) -> Iterator[Client]:
             cure="pip install 'armsight[batch]'",
         )
     import dask
-    import distributed  # its defaults with it: loaded within the `with` below they would be forgotten at its end
+    import distributed  # noqa: F401  before the settings: they would go with its own when they are put back
 
-    for name in (distributed.__name__, "tornado", "asyncio"):  # what it says of lost workers is told in the table
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for name in ["tornado", "asyncio", *logging.root.manager.loggerDict]:
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):  # of lost workers the table tells
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(CONFIG), _theirs(workers.scheduler) if workers.scheduler else _own(workers.n) as client:
         yield client
 
 
 CONFIG = {
     "distributed.logging": {"distributed": "critical"},
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD | {"MALLOC_TRIM_THRESHOLD_": "65536"},
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,  # without Dask's MALLOC_TRIM_THRESHOLD_: images come and go
     "distributed.scheduler.allowed-failures": 1_000_000,  # a job's attempts are counted by its folders
     "distributed.scheduler.worker-ttl": None,  # compiling holds the interpreter's lock for longer than a heartbeat
     "distributed.scheduler.work-stealing": False,  # groups are handed out as workers become free
     "distributed.admin.tick.limit": "1h",
+    "distributed.worker.profile.enabled": False,  # it looks at every worker a hundred times a second
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
 
 
@@ -97,27 +106,38 @@ def _own(n: int | None) -> Iterator[Client]:
         processes=True,
         host="127.0.0.1",
         dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
         silence_logs=logging.CRITICAL,
         security=security,
     )
     with cluster, Client(cluster, set_as_default=False) as client:
         _require_workers(client, "the worker processes did not begin", "Look whether there is memory left")
         client.register_plugin(_leaves_interrupts_alone())
-        yield client
+        try:
+            yield client
+        except BaseException:
+            with contextlib.suppress(Exception):  # closing them ends them too, after the jobs that they are at
+                cluster.sync(_kill, cluster.workers.values())
+            raise
+
+
+async def _kill(nannies: Iterable[Any]) -> None:
+    """End worker processes in the middle of what they do."""
+    await asyncio.gather(*(one.close(timeout=KILL_S) for one in nannies))
 
 
 @contextlib.contextmanager
 def _theirs(address: str) -> Iterator[Client]:
     from distributed import Client
 
-    try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except ValueError as error:
+    if not ADDRESS.fullmatch(address):
         raise UsageError(
-            f"{address!r} is no scheduler's address ({error})",
+            f"{address!r} is no scheduler's address",
             consequence="Nothing was done",
             cure="Give one such as tcp://host:8786",
-        ) from error
+        )
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except Exception as error:  # what comes of other versions at the other end is anything
         raise DeviceFailed(
             f"no scheduler answers at {address} ({' '.join(str(error).split())[:120] or type(error).__name__})",

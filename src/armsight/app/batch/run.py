@@ -10,7 +10,7 @@ import time
 import uuid
 from asyncio import CancelledError
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 GROUP_S = 0.5
-"""Work that is sent at once: Dask takes about a millisecond for each thing that it sends."""
+"""Work that is sent at once: Dask takes a millisecond or more for each thing that it sends."""
+SEND_S = 0.005
+"""Of each worker, that much more work is sent at once: groups end no oftener than one in 5 ms, however many work."""
 MOST_IN_GROUP = 500
 SHARES = 4
 """Groups are so small that each worker still gets as many of what is left: the last ones end together."""
@@ -72,32 +74,21 @@ def run_batch(
     """
     check_names(jobs)
     _require_free(out, resume=resume, overwrite=overwrite)
-    start_s = time.perf_counter()
-    progress = progress or Silent()
+    start_s, workers, progress = time.perf_counter(), workers or Workers(), progress or Silent()
     progress.update(0, len(jobs), BEGINNING)
-    with connected(workers or Workers()) as client:
-        place = _begin(out, len(jobs), overwrite=overwrite)
-        hand_out = _HandOut(client, partial(run_group, execute, place), jobs, progress)
-        hand_out.often = partial(_write_table, out, jobs)
-        try:
-            hand_out.run()
-        except ArmsightError as error:
-            _tell_kept(error, out, _write_table(out, jobs), len(jobs))
-            raise
-        finally:
-            hand_out.let_go()
+    try:
+        with connected(workers) as client:
+            place = _begin(out, len(jobs), overwrite=overwrite)
+            done = _HandOut(
+                client, partial(run_group, execute, place), jobs, progress, partial(_write_table, out, jobs)
+            )
+            done.run_all(out)
+    finally:
+        if workers.scheduler is None:  # elsewhere what was begun may still be on its way
+            shutil.rmtree(out / RUNNING, ignore_errors=True)
     shutil.rmtree(out / RUNNING, ignore_errors=True)
     _write_table(out, jobs)
-    counts = {status.value: hand_out.counts[status] for status in Status if hand_out.counts[status]}
-    return BatchOutput(
-        n=len(jobs),
-        statuses=counts,
-        n_kept=hand_out.n_kept,
-        not_done=hand_out.not_done,
-        duration_s=time.perf_counter() - start_s,
-        n_workers=hand_out.most_workers,
-        table=str(out / RESULTS),
-    )
+    return done.told(time.perf_counter() - start_s, str(out / RESULTS))
 
 
 BEGINNING = "starting workers"
@@ -112,11 +103,11 @@ class _HandOut:
     work: partial[list[Finished]]
     jobs: Sequence[Job]
     progress: Progress
+    write_table: Callable[[], int]
     counts: Counter[Status] = field(default_factory=Counter)
     not_done: list[NotDone] = field(default_factory=list)
     n_kept: int = 0
     most_workers: int = 0
-    often: partial[int] | None = None
 
     def __post_init__(self) -> None:
         self._left: Iterator[Job] = iter(self.jobs)
@@ -127,22 +118,45 @@ class _HandOut:
         self._begun, self._done = 0, 0
         self._next_table, self._looked_s, self._threads = FIRST_TABLE, float("-inf"), 1
 
-    def run(self) -> None:
-        """Hand out and take in until all is done. Raises Cancelled, DeviceFailed."""
+    def run_all(self, out: Path) -> None:
+        """Hand out and take in until all is done. Raises Cancelled, DeviceFailed, which tell what is kept in out."""
+        try:
+            self._run()
+        except ArmsightError as error:
+            try:
+                n, table = self.write_table(), f", with {RESULTS}"
+            except DeviceFailed:  # for the same reason as what came before; --resume writes it
+                n, table = self._done, ""
+            kept = f"{n} of {len(self.jobs)} jobs are finished and kept in {out}{table}"
+            error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
+            error.cure = error.cure or "Give --resume to do the rest"
+            raise
+        finally:
+            with contextlib.suppress(Exception):  # a scheduler that is lost needs no asking
+                self.client.cancel(list(self._sent), force=True)
+            self._sent.clear()
+
+    def told(self, duration_s: float, table: str) -> BatchOutput:
+        """Return how the jobs ended."""
+        return BatchOutput(
+            n=len(self.jobs),
+            statuses={status.value: self.counts[status] for status in Status if self.counts[status]},
+            n_kept=self.n_kept,
+            not_done=self.not_done,
+            duration_s=duration_s,
+            n_workers=self.most_workers,
+            table=table,
+        )
+
+    def _run(self) -> None:
         while self._fill():
             with contextlib.suppress(queue.Empty):
                 self._take(self._ended.get(timeout=LOOKS_S))
             self.progress.update(self._done, len(self.jobs), "" if self._threads else WAITING)
             if self.progress.cancelled():
                 raise Cancelled(f"stopped after {self._done} of {len(self.jobs)} jobs")
-            if self.often is not None and self._done >= self._next_table:
-                self._next_table = 2 * self.often()
-
-    def let_go(self) -> None:
-        """Ask for nothing more of what is on its way."""
-        with contextlib.suppress(Exception):  # a scheduler that is lost needs no asking
-            self.client.cancel(list(self._sent), force=True)
-        self._sent.clear()
+            if self._done >= self._next_table:
+                self._next_table = 2 * max(self.write_table(), self._done)
 
     def _fill(self) -> bool:
         """Send groups up to what the workers there are can take; tell whether any is on its way."""
@@ -170,7 +184,8 @@ class _HandOut:
             return self._again.pop()
         mean_s = self._spent_s / self._n_spent if self._n_spent else GROUP_S
         fair = (len(self.jobs) - self._begun) // (SHARES * max(self._threads, 1))
-        size = max(1, min(int(GROUP_S / max(mean_s, 1e-6)), MOST_IN_GROUP, fair))
+        group_s = max(GROUP_S, SEND_S * self._threads)
+        size = max(1, min(int(group_s / max(mean_s, 1e-6)), MOST_IN_GROUP, fair))
         group = tuple(job for _, job in zip(range(size), self._left, strict=False))
         self._begun += len(group)
         return group
@@ -270,10 +285,3 @@ def _remove_results(out: Path) -> None:
 def _write_table(out: Path, jobs: Sequence[Job]) -> int:
     """Write the table of what is finished; return how many jobs that is."""
     return write_result_table(out / RESULTS, partial(rows_of, out, [job.name for job in jobs]))
-
-
-def _tell_kept(error: ArmsightError, out: Path, n: int, n_jobs: int) -> None:
-    """Add to an error what is finished, and where."""
-    kept = f"{n} of {n_jobs} jobs are finished and kept in {out}, with {RESULTS}"
-    error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
-    error.cure = error.cure or "Give --resume to do the rest"

@@ -20,7 +20,6 @@ from typing import NamedTuple
 from armsight._version import __version__
 from armsight.app.batch.jobs import FINAL, Ended, Execute, Job, Status, fingerprint
 from armsight.errors import ArmsightError, DeviceFailed
-from armsight.records.result_parts import Refusal
 from armsight.store.atomic import disk_errors
 from armsight.store.job_results import JobResult, read_batch, read_job_result, write_job_result
 
@@ -72,7 +71,10 @@ def run_job(execute: Execute, place: Place, job: Job) -> Finished:
         kept = earlier.batch != place.batch  # else this job was done and its group was lost
         cause = earlier.error.cause if earlier.error else ""
         return Finished(job.name, Status(earlier.status), kept, time.perf_counter() - start_s, cause)
-    result = _begun(execute, place, job, hashed)
+    try:
+        result = _begun(execute, place, job, hashed)
+    except DeviceFailed as error:
+        raise _no_space(place, job) if _is_full(error.cause) else error from None
     cause = result.error.cause if result.error else ""
     return Finished(job.name, Status(result.status), False, time.perf_counter() - start_s, cause)
 
@@ -84,7 +86,7 @@ def _begun(execute: Execute, place: Place, job: Job, hashed: str) -> JobResult:
     begun_s = time.perf_counter()
     killed = attempt > MOST_ATTEMPTS
     ended = _killed() if killed else _ended(execute, job, part)
-    if ended.error is not None and ended.exit_code == DeviceFailed.exit_code and _is_full(ended.error):
+    if ended.error is not None and ended.exit_code == DeviceFailed.exit_code and _is_full(ended.error.cause):
         raise _no_space(place, job)
     result = JobResult(
         batch=place.batch,
@@ -195,8 +197,8 @@ def _use_one_thread() -> None:
         _set.append(True)
 
 
-def _is_full(error: Refusal) -> bool:
-    return any(told in error.cause for told in FULL)
+def _is_full(cause: str) -> bool:
+    return any(told in cause for told in FULL)
 
 
 def _no_space(place: Place, job: Job) -> DeviceFailed:

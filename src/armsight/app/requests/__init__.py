@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from armsight.app.requests import batch as batch
     from armsight.app.requests import calibrate_cameras as calibrate_cameras
     from armsight.app.requests import calibrate_robot as calibrate_robot
     from armsight.app.requests import files as files
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from armsight.app.requests import motion as motion
     from armsight.app.requests import verify as verify
 else:
-    _MODULES = ("calibrate_cameras", "calibrate_robot", "files", "identify", "measure", "motion", "verify")
+    _MODULES = ("batch", "calibrate_cameras", "calibrate_robot", "files", "identify", "measure", "motion", "verify")
 
     def __getattr__(name: str) -> object:
         if name not in _MODULES:

@@ -1,0 +1,262 @@
+"""Batches: many short recordings beside two processes begun by hand, workers killed at random, and Dask's own cost.
+
+--n N recordings (of FEW that differ), measured by `armsight batch` on --workers W, by W processes begun by hand that
+each call the same function over their share, and by a shell's loop (a few, and what N would take); then by a batch
+whose workers are killed --kills K times, whose table must be the same. --overhead N: the scheduler's processor time
+for each of N jobs that sleep 10 ms, one by one and in groups.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import bench
+
+FEW, PAIRS, LOOPED, SLEEP_S, THREADS = 8, 4, 3, 0.01, 50
+VARY = ("duration_s", "attempts")
+"""Columns that differ from run to run; and times, ms_per_frame."""
+MB = 1024.0
+
+
+def recordings(folder: Path, n: int) -> list[Path]:
+    """Record FEW short recordings, and name them n times."""
+    from armsight.app.record.record import record
+    from armsight.app.requests.measure import RecordJob
+    from armsight.app.simulate.run import simulate
+
+    if not (folder / "cell").exists():
+        simulate("hand-cell", folder / "cell", frames=1)
+    kept = [folder / f"recorded-{seed}.mcap" for seed in range(min(FEW, n))]
+    for seed, path in enumerate(kept):
+        if not path.exists():
+            record(RecordJob(out=path, cell="hand-cell", seed=seed, limit=PAIRS))
+    (folder / "recordings").mkdir()
+    named = [folder / "recordings" / f"r{number:05d}.mcap" for number in range(n)]
+    for number, path in enumerate(named):
+        os.link(kept[number % len(kept)], path)
+    return named
+
+
+def flags(folder: Path) -> list[str]:
+    return ["--rig", f"{folder}/cell/rig.yaml", "--target", f"{folder}/cell/target.yaml"]
+
+
+def by_hand(folder: Path, out: Path, share: Sequence[str]) -> None:
+    """Measure a share of the recordings in this process, with the function that the command calls."""
+    import cv2
+
+    from armsight.app.measure.run import measure
+    from armsight.app.requests.measure import MeasureJob
+    from armsight.errors import ArmsightError
+
+    cv2.setNumThreads(1)
+    cell = folder / "cell"
+    for name in share:
+        job = MeasureJob(rig=cell / "rig.yaml", target=cell / "target.yaml", left=name, out=out / Path(name).stem)
+        with suppress(ArmsightError):
+            measure(job)
+
+
+def used_s() -> float:
+    """Return the processor time of all processes that this one began and that have ended."""
+    told = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return told.ru_utime + told.ru_stime
+
+
+def processes_by_hand(folder: Path, named: Sequence[Path], n: int) -> float:
+    """Return the seconds that n processes begun by hand take."""
+    environ = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    start_s = time.perf_counter()
+    begun = []
+    for share in range(n):
+        (folder / f"share-{share}").write_text("\n".join(map(str, named[share::n])))
+        words = [sys.executable, __file__, "--share", str(folder), str(share)]
+        begun.append(subprocess.Popen(words, env=environ))
+    if any(one.wait() for one in begun):
+        raise SystemExit("a process begun by hand failed")
+    return time.perf_counter() - start_s
+
+
+def loop_of_a_shell(folder: Path, named: Sequence[Path]) -> float:
+    """Return the seconds that `armsight measure` takes for one recording, begun anew for each."""
+    start_s = time.perf_counter()
+    for path in named[:LOOPED]:
+        words = [sys.executable, "-m", "armsight", "measure", "--left", str(path), *flags(folder)]
+        subprocess.run([*words, "-o", str(folder / "loop" / path.stem)], stderr=subprocess.DEVNULL, check=False)
+    return (time.perf_counter() - start_s) / LOOPED
+
+
+def children(pid: int) -> list[int]:
+    """Return the worker processes of a batch."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        with suppress(OSError):
+            of = (folder / "stat").read_text().rpartition(")")[2].split()[1] if folder.name.isdecimal() else ""
+            if of == str(pid) and "spawn_main" in (folder / "cmdline").read_text():
+                found.append(int(folder.name))
+    return found
+
+
+def rss_mb(pid: int) -> float:
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        return next(float(line.split()[1]) / MB for line in lines if line.startswith("VmRSS"))
+    except (OSError, StopIteration):
+        return 0.0
+
+
+@contextmanager
+def batch(folder: Path, out: Path, workers: int) -> Iterator[subprocess.Popen[str]]:
+    words = [sys.executable, "-m", "armsight", "batch", "--each", f"{folder}/recordings/*.mcap", "-o", str(out)]
+    words += ["--jobs", str(workers), "--", "measure", "--left", "{}", *flags(folder)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        yield process
+
+
+def watched(folder: Path, out: Path, workers: int) -> tuple[float, list[tuple[float, float, float]], str]:
+    """Return the seconds of a batch, what it and its largest worker held over time, and what it told."""
+    start_s, seen = time.perf_counter(), []
+    with batch(folder, out, workers) as process:
+        while process.poll() is None:
+            each = [rss_mb(pid) for pid in children(process.pid)]
+            seen.append((time.perf_counter() - start_s, rss_mb(process.pid), max(each, default=0.0)))
+            time.sleep(0.5)
+        told = process.stderr.read() if process.stderr else ""
+    return time.perf_counter() - start_s, seen, told
+
+
+def disturbed(folder: Path, out: Path, workers: int, kills: int, seconds: float) -> tuple[int, float]:
+    """Kill workers at random times while a batch runs; return how many, and the seconds that it took."""
+    rng, killed, start_s = random.Random(1), 0, time.perf_counter()
+    with batch(folder, out, workers) as process:
+        while process.poll() is None and killed < kills:
+            time.sleep(rng.uniform(0.0, 2.0 * seconds / kills))
+            if begun := children(process.pid):
+                os.kill(rng.choice(begun), signal.SIGKILL)
+                killed += 1
+        process.communicate()
+    return killed, time.perf_counter() - start_s
+
+
+def rows(out: Path) -> dict[str, dict[str, Any]]:
+    import pyarrow.parquet as pq
+
+    told = pq.read_table(out / "results.parquet").to_pylist()
+    return {row["job"]: {k: v for k, v in row.items() if k not in VARY and "ms_per_frame" not in k} for row in told}
+
+
+def overhead(n: int, in_groups: bool) -> None:
+    """Print the processor time of scheduler and client for each job, workers in two other processes."""
+    from distributed import LocalCluster
+
+    from armsight.app.batch import run as batch_run
+    from armsight.app.batch.cluster import Workers
+    from armsight.app.batch.jobs import Job
+
+    sys.path.insert(0, str(Path(__file__).parent))
+    import batch_sleep
+
+    if not in_groups:
+        batch_run.MOST_IN_GROUP = 1
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        LocalCluster(n_workers=2, threads_per_worker=THREADS, dashboard_address=None, silence_logs=50) as cluster,
+    ):
+        jobs = [Job(name=f"j{number:06d}", command="sleep", arguments={"s": SLEEP_S}) for number in range(n)]
+        start_s, used_s, held_mb = time.perf_counter(), time.process_time(), rss_mb(os.getpid())
+        batch_run.FIRST_TABLE = 10 * n  # its cost is told apart
+        workers = Workers(scheduler=cluster.scheduler_address)
+        done = batch_run.run_batch(jobs, Path(folder) / "out", batch_sleep.sleep, workers=workers)
+        wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - used_s
+        table_s = time.process_time()
+        batch_run._write_table(Path(folder) / "out", jobs)
+        table_s = time.process_time() - table_s
+        grown = rss_mb(os.getpid()) - held_mb
+        if done.statuses != {"done": n}:
+            raise SystemExit(f"jobs failed: {done}")
+        own_ms = 1e3 * (cpu_s - table_s) / n
+        print(
+            f"{'groups' if in_groups else 'one by one':12} {n:7d} jobs  {wall_s:7.1f} s  {n / wall_s:7.0f} a second   "
+            f"scheduler and client {own_ms:.3f} ms a job, table {1e3 * table_s / n:.3f} ms a job, "
+            f"memory +{grown:.0f} MB"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--n", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--kills", type=int, default=5)
+    parser.add_argument("--overhead", type=int, default=0)
+    parser.add_argument("--folder", type=Path, help="where the recordings are kept, for another run of this")
+    parser.add_argument("--share", nargs=2)
+    asked = parser.parse_args()
+    if asked.share:
+        folder = Path(asked.share[0])
+        names = (folder / f"share-{asked.share[1]}").read_text().splitlines()
+        by_hand(folder, folder / "by-hand", names)
+        return
+    print(bench.machine())
+    if asked.overhead:
+        for in_groups in (False, True):
+            overhead(asked.overhead, in_groups)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        folder = asked.folder or Path(name)
+        folder.mkdir(exist_ok=True)
+        for earlier in ("recordings", "by-hand", "out", "loop", "killed"):
+            shutil.rmtree(folder / earlier, ignore_errors=True)
+        compare(folder, asked.n, asked.workers, asked.kills)
+
+
+def compare(folder: Path, n: int, workers: int, kills: int) -> None:
+    named = recordings(folder, n)
+    hand_used_s = used_s()
+    hand_s = processes_by_hand(folder, named, workers)
+    hand_used_s = used_s() - hand_used_s
+    batch_used_s = used_s()
+    batch_s, seen, told = watched(folder, folder / "out", workers)
+    batch_used_s = used_s() - batch_used_s
+    each_s = loop_of_a_shell(folder, named)
+    print(told.strip().splitlines()[-1])
+    print(f"\n{n} recordings of {PAIRS} pairs, {workers} workers\n")
+    print(f"  armsight batch                     {batch_s:8.1f} s   {n / batch_s:6.2f} a second")
+    print(f"  {workers} processes begun by hand          {hand_s:8.1f} s   {n / hand_s:6.2f} a second")
+    print(f"  batch / by hand                    {hand_s / batch_s:8.2f}   throughput, from start to end")
+    print(
+        f"  processor time: batch {batch_used_s:.1f} s, by hand {hand_used_s:.1f} s ({hand_used_s / batch_used_s:.2f})"
+    )
+    print(f"  a shell's loop, of {LOOPED}               {n * each_s:8.1f} s   {1.0 / each_s:6.2f} a second (one core)")
+    same = sum(
+        (folder / "by-hand" / path.stem / "poses.csv").read_bytes()
+        == (folder / "out" / path.stem / "poses.csv").read_bytes()
+        for path in named
+    )
+    print(f"  poses.csv the same as by hand      {same:8d} of {n}")
+    print("\nMemory over time, MB: the batch itself, its largest worker")
+    for at_s, own, worker in seen[:: max(1, len(seen) // 10)]:
+        print(f"  {at_s:7.1f} s  {own:7.0f} {worker:7.0f}")
+    if kills:
+        killed, took_s = disturbed(folder, folder / "killed", workers, kills, batch_s)
+        calm, restless = rows(folder / "out"), rows(folder / "killed")
+        differ = [name for name in calm if restless.get(name) != calm[name]]
+        again = sum(row["status"] == "killed" for row in restless.values())
+        print(f"\n{killed} workers killed at random: {took_s:.1f} s, {len(restless)} of {n} rows, {len(differ)} differ")
+        print(f"  jobs that were under three killed workers, and are named so: {again}")
+
+
+if __name__ == "__main__":
+    main()
