@@ -2,8 +2,8 @@
 
 --n N recordings (of FEW that differ), measured by `armsight batch` on --workers W, by W processes begun by hand that
 each call the same function over their share, and by a shell's loop (a few, and what N would take); then by a batch
-whose workers are killed --kills K times, whose table must be the same. --overhead N: the scheduler's processor time
-for each of N jobs that sleep 10 ms, one by one and in groups.
+whose workers are killed --kills K times, whose table must be the same. --overhead N: the processor
+time of scheduler and client for each of N jobs that sleep 10 ms (N / 5 one by one, N in groups), and the table's.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,25 @@ def used_s() -> float:
     return told.ru_utime + told.ru_stime
 
 
-def processes_by_hand(folder: Path, named: Sequence[Path], n: int) -> float:
+class Pace:
+    """How many folders are finished over time: the rate between a fifth and nine tenths, without begin and end."""
+
+    def __init__(self, out: Path, marker: str, n: int) -> None:
+        self._pattern, self._n, self._start_s = (out, f"*/{marker}"), n, time.perf_counter()
+        self._seen: list[tuple[float, int]] = []
+
+    def look(self) -> None:
+        out, pattern = self._pattern
+        self._seen.append((time.perf_counter() - self._start_s, sum(1 for _ in out.glob(pattern))))
+
+    @property
+    def rate(self) -> float:
+        inner = [one for one in self._seen if 0.2 * self._n <= one[1] <= 0.9 * self._n]
+        (at_s, first), (end_s, last) = (inner[0], inner[-1]) if inner else ((0.0, 0), (1.0, 0))
+        return (last - first) / (end_s - at_s) if end_s > at_s else 0.0
+
+
+def processes_by_hand(folder: Path, named: Sequence[Path], n: int, pace: Pace) -> float:
     """Return the seconds that n processes begun by hand take."""
     environ = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     start_s = time.perf_counter()
@@ -85,6 +104,9 @@ def processes_by_hand(folder: Path, named: Sequence[Path], n: int) -> float:
         (folder / f"share-{share}").write_text("\n".join(map(str, named[share::n])))
         words = [sys.executable, __file__, "--share", str(folder), str(share)]
         begun.append(subprocess.Popen(words, env=environ))
+    while any(one.poll() is None for one in begun):
+        pace.look()
+        time.sleep(0.25)
     if any(one.wait() for one in begun):
         raise SystemExit("a process begun by hand failed")
     return time.perf_counter() - start_s
@@ -126,14 +148,15 @@ def batch(folder: Path, out: Path, workers: int) -> Iterator[subprocess.Popen[st
         yield process
 
 
-def watched(folder: Path, out: Path, workers: int) -> tuple[float, list[tuple[float, float, float]], str]:
+def watched(folder: Path, out: Path, workers: int, pace: Pace) -> tuple[float, list[tuple[float, float, float]], str]:
     """Return the seconds of a batch, what it and its largest worker held over time, and what it told."""
     start_s, seen = time.perf_counter(), []
     with batch(folder, out, workers) as process:
         while process.poll() is None:
             each = [rss_mb(pid) for pid in children(process.pid)]
             seen.append((time.perf_counter() - start_s, rss_mb(process.pid), max(each, default=0.0)))
-            time.sleep(0.5)
+            pace.look()
+            time.sleep(0.25)
         told = process.stderr.read() if process.stderr else ""
     return time.perf_counter() - start_s, seen, told
 
@@ -143,7 +166,7 @@ def disturbed(folder: Path, out: Path, workers: int, kills: int, seconds: float)
     rng, killed, start_s = random.Random(1), 0, time.perf_counter()
     with batch(folder, out, workers) as process:
         while process.poll() is None and killed < kills:
-            time.sleep(rng.uniform(0.0, 2.0 * seconds / kills))
+            time.sleep(rng.uniform(0.0, 1.4 * seconds / kills))
             if begun := children(process.pid):
                 os.kill(rng.choice(begun), signal.SIGKILL)
                 killed += 1
@@ -152,47 +175,77 @@ def disturbed(folder: Path, out: Path, workers: int, kills: int, seconds: float)
 
 
 def rows(out: Path) -> dict[str, dict[str, Any]]:
+    """Return the rows of a table by job, without what differs from run to run: times, and the folder's own name."""
     import pyarrow.parquet as pq
 
+    def same(value: Any) -> Any:
+        return value.replace(str(out), "OUT") if isinstance(value, str) else value
+
     told = pq.read_table(out / "results.parquet").to_pylist()
-    return {row["job"]: {k: v for k, v in row.items() if k not in VARY and "ms_per_frame" not in k} for row in told}
+    kept = [{k: same(v) for k, v in row.items() if k not in VARY and "ms_per_frame" not in k} for row in told]
+    return {row["job"]: row for row in kept}
 
 
 def overhead(n: int, in_groups: bool) -> None:
-    """Print the processor time of scheduler and client for each job, workers in two other processes."""
-    from distributed import LocalCluster
+    """Print the processor time of scheduler and client for each job; what jobs do on the disk is their workers'."""
+    import dask
+    from distributed import Client, LocalCluster
 
     from armsight.app.batch import run as batch_run
-    from armsight.app.batch.cluster import Workers
+    from armsight.app.batch.cluster import CONFIG
     from armsight.app.batch.jobs import Job
+    from armsight.records import Silent
 
     sys.path.insert(0, str(Path(__file__).parent))
     import batch_sleep
 
-    if not in_groups:
-        batch_run.MOST_IN_GROUP = 1
+    batch_run.MOST_IN_GROUP = 500 if in_groups else 1
+    jobs = [Job(name=f"j{number:06d}", command="sleep", arguments={"s": SLEEP_S}) for number in range(n)]
     with (
-        tempfile.TemporaryDirectory() as folder,
-        LocalCluster(n_workers=2, threads_per_worker=THREADS, dashboard_address=None, silence_logs=50) as cluster,
+        dask.config.set(CONFIG),
+        LocalCluster(2, threads_per_worker=THREADS, dashboard_address=None, silence_logs=50) as cluster,
+        Client(cluster) as client,
     ):
-        jobs = [Job(name=f"j{number:06d}", command="sleep", arguments={"s": SLEEP_S}) for number in range(n)]
+        work = partial(batch_sleep.group)
+        done = batch_run._HandOut(client, work, jobs, Silent(), lambda: n)
         start_s, used_s, held_mb = time.perf_counter(), time.process_time(), rss_mb(os.getpid())
-        batch_run.FIRST_TABLE = 10 * n  # its cost is told apart
-        workers = Workers(scheduler=cluster.scheduler_address)
-        done = batch_run.run_batch(jobs, Path(folder) / "out", batch_sleep.sleep, workers=workers)
-        wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - used_s
-        table_s = time.process_time()
-        batch_run._write_table(Path(folder) / "out", jobs)
-        table_s = time.process_time() - table_s
-        grown = rss_mb(os.getpid()) - held_mb
-        if done.statuses != {"done": n}:
-            raise SystemExit(f"jobs failed: {done}")
-        own_ms = 1e3 * (cpu_s - table_s) / n
-        print(
-            f"{'groups' if in_groups else 'one by one':12} {n:7d} jobs  {wall_s:7.1f} s  {n / wall_s:7.0f} a second   "
-            f"scheduler and client {own_ms:.3f} ms a job, table {1e3 * table_s / n:.3f} ms a job, "
-            f"memory +{grown:.0f} MB"
+        done._run()
+        wall_s, own_s = time.perf_counter() - start_s, time.process_time() - used_s
+        grown_mb = rss_mb(os.getpid()) - held_mb
+    print(f"{n} jobs of {1e3 * SLEEP_S:.0f} ms on {2 * THREADS} threads, {'in groups' if in_groups else 'one by one'}:")
+    print(f"  {wall_s:.1f} s, {n / wall_s:.0f} a second; memory +{grown_mb:.0f} MB")
+    print(f"  scheduler and client: {1e3 * own_s / n:.3f} ms of a processor a job")
+
+
+def table(n: int) -> None:
+    """Print what the table of n jobs with the figures of a measurement costs."""
+    from armsight.store.job_results import JobResult, rows_of, write_job_result
+    from armsight.store.result_table import write_result_table
+
+    with tempfile.TemporaryDirectory() as name:
+        out = Path(name)
+        figures = {f"part{k}": {f"figure{i}_m": 0.1 * i for i in range(10)} for k in range(6)}
+        one = JobResult(
+            batch="b",
+            job="j",
+            command="measure",
+            arguments={},
+            status="done",
+            exit_code=0,
+            error=None,
+            result=figures,
+            said="",
+            duration_s=1.0,
+            attempts=1,
+            input_hash="0",
         )
+        (out / "j").mkdir()
+        write_job_result(out / "j", one, called=out / "j")
+        start_s, held_mb = time.process_time(), rss_mb(os.getpid())
+        write_result_table(out / "t.parquet", partial(rows_of, out, ["j"] * n))
+        used_s, grown_mb = time.process_time() - start_s, rss_mb(os.getpid()) - held_mb
+        size = (out / "t.parquet").stat().st_size / 1e6
+        print(f"table of {n} rows: {1e3 * used_s / n:.3f} ms a row, memory +{grown_mb:.0f} MB, {size:.1f} MB")
 
 
 def main() -> None:
@@ -211,8 +264,9 @@ def main() -> None:
         return
     print(bench.machine())
     if asked.overhead:
-        for in_groups in (False, True):
-            overhead(asked.overhead, in_groups)
+        overhead(asked.overhead // 5, False)
+        overhead(asked.overhead, True)
+        table(asked.overhead)
         return
     with tempfile.TemporaryDirectory() as name:
         folder = asked.folder or Path(name)
@@ -225,10 +279,11 @@ def main() -> None:
 def compare(folder: Path, n: int, workers: int, kills: int) -> None:
     named = recordings(folder, n)
     hand_used_s = used_s()
-    hand_s = processes_by_hand(folder, named, workers)
+    hand, own = Pace(folder / "by-hand", "report.html", n), Pace(folder / "out", "result.json", n)
+    hand_s = processes_by_hand(folder, named, workers, hand)
     hand_used_s = used_s() - hand_used_s
     batch_used_s = used_s()
-    batch_s, seen, told = watched(folder, folder / "out", workers)
+    batch_s, seen, told = watched(folder, folder / "out", workers, own)
     batch_used_s = used_s() - batch_used_s
     each_s = loop_of_a_shell(folder, named)
     print(told.strip().splitlines()[-1])
@@ -236,6 +291,8 @@ def compare(folder: Path, n: int, workers: int, kills: int) -> None:
     print(f"  armsight batch                     {batch_s:8.1f} s   {n / batch_s:6.2f} a second")
     print(f"  {workers} processes begun by hand          {hand_s:8.1f} s   {n / hand_s:6.2f} a second")
     print(f"  batch / by hand                    {hand_s / batch_s:8.2f}   throughput, from start to end")
+    pace = f"batch {own.rate:.2f} a second, by hand {hand.rate:.2f} ({own.rate / max(hand.rate, 1e-9):.2f})"
+    print(f"  once begun (20 to 90 % done): {pace}")
     print(
         f"  processor time: batch {batch_used_s:.1f} s, by hand {hand_used_s:.1f} s ({hand_used_s / batch_used_s:.2f})"
     )

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
+from collections.abc import Sequence
 
-from armsight.app.batch.jobs import Ended, Job
+from armsight.app.batch.jobs import Job, Status
+from armsight.app.batch.work import Finished
 
 
-def sleep(job: Job, folder: Path) -> Ended:
-    """Sleep for as long as the job says, and give a few figures."""
-    time.sleep(float(str(job.arguments["s"])))
-    return Ended(figures={"slept_s": job.arguments["s"], "at": {"x_m": 1.0, "y_m": 2.0}})
+def group(jobs: Sequence[Job]) -> list[Finished]:
+    """Sleep for as long as each job says."""
+    done = []
+    for job in jobs:
+        slept_s = float(str(job.arguments["s"]))
+        time.sleep(slept_s)
+        done.append(Finished(job.name, Status.DONE, False, slept_s, ""))
+    return done

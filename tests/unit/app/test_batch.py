@@ -22,7 +22,7 @@ from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
 from armsight.app.batch import work as batch_work
 from armsight.app.batch.cluster import Workers, connected
-from armsight.app.batch.jobs import Job, check_names, fingerprint
+from armsight.app.batch.jobs import Ended, Job, check_names, fingerprint
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
 from armsight.app.batch.work import RUNNING, Place
@@ -197,6 +197,19 @@ def test_a_worker_of_other_software_or_without_the_folders_is_given_nothing(tmp_
         with refuses(DeviceFailed, told):
             batch_work.run_group(work, place, [job("a")])
     assert batch_work.run_group(work, place_in(tmp_path), [job("a")])[0].status == "done"
+
+
+def test_a_worker_that_was_taken_for_dead_does_not_replace_what_its_twin_has_done(tmp_path: Path) -> None:
+    place, one = place_in(tmp_path), job("a", n=1)
+
+    def overtaken(of: Job, folder: Path) -> Ended:
+        assert batch_work.run_job(work, place, of).status == "done"
+        assert not folder.exists(), "what is begun and not ended goes with the one that ends"
+        raise DeviceFailed("its folder is gone")
+
+    assert batch_work.run_job(overtaken, place, one).status == "done"
+    told = (tmp_path / "a" / "result.json").read_text()
+    assert '"done"' in told and '"attempts": 2' in told and (tmp_path / "a" / "whole.txt").exists()
 
 
 def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> None:

@@ -28,6 +28,11 @@ WORKERS_S = 60.0
 """Longest wait for its first worker."""
 KILL_S = 0.5
 """Time that a worker has to end by itself where the batch is stopped."""
+NOTHING = "Nothing was done"
+BEGIN = (
+    "Look whether there is memory left. A Python script that calls batch is imported by its workers: what it does "
+    'stands below `if __name__ == "__main__":`'
+)
 MOST_WORKERS = 1024
 ONE_THREAD = {
     **dict.fromkeys(
@@ -50,7 +55,7 @@ class Workers:
         if self.n is not None and self.scheduler is not None:
             raise UsageError(
                 "--jobs says how many workers are begun here, and --scheduler that they are there already",
-                consequence="Nothing was done",
+                consequence=NOTHING,
                 cure="Give one of them",
             )
         if self.n is not None and not 1 <= self.n <= MOST_WORKERS:
@@ -63,12 +68,13 @@ def connected(workers: Workers) -> Iterator[Client]:
 
     Raises UsageError where Dask is not installed, or the address is none.
     """
-    if find_spec("distributed") is None:
-        raise UsageError(
-            "batches run on Dask, which is not installed",
-            consequence="Nothing was done",
-            cure="pip install 'armsight[batch]'",
-        )
+    for name in ("distributed", "pyarrow"):
+        if find_spec(name) is None:
+            raise UsageError(
+                f"batches need {name}, which is not installed",
+                consequence=NOTHING,
+                cure="pip install 'armsight[batch]'",
+            )
     import dask
     import distributed  # noqa: F401  before the settings: they would go with its own when they are put back
 
@@ -100,18 +106,21 @@ def _own(n: int | None) -> Iterator[Client]:
     count = n or cores()
     # who reaches a scheduler may run anything: with a key of this run alone where there is the means to make one
     security = Security.temporary() if find_spec("cryptography") else None
-    cluster = LocalCluster(
-        n_workers=count,
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        dashboard_address=None,
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-        silence_logs=logging.CRITICAL,
-        security=security,
-    )
+    try:
+        cluster = LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            silence_logs=logging.CRITICAL,
+            security=security,
+        )
+    except (RuntimeError, OSError) as error:
+        raise DeviceFailed(f"the worker processes did not begin ({error})", consequence=NOTHING, cure=BEGIN) from error
     with cluster, Client(cluster, set_as_default=False) as client:
-        _require_workers(client, "the worker processes did not begin", "Look whether there is memory left")
+        _require_workers(client, "the worker processes did not begin", BEGIN)
         client.register_plugin(_leaves_interrupts_alone())
         try:
             yield client
@@ -133,7 +142,7 @@ def _theirs(address: str) -> Iterator[Client]:
     if not ADDRESS.fullmatch(address):
         raise UsageError(
             f"{address!r} is no scheduler's address",
-            consequence="Nothing was done",
+            consequence=NOTHING,
             cure="Give one such as tcp://host:8786",
         )
     try:
@@ -141,7 +150,7 @@ def _theirs(address: str) -> Iterator[Client]:
     except Exception as error:  # what comes of other versions at the other end is anything
         raise DeviceFailed(
             f"no scheduler answers at {address} ({' '.join(str(error).split())[:120] or type(error).__name__})",
-            consequence="Nothing was done",
+            consequence=NOTHING,
             cure="Check address and port, and that `dask scheduler` of the same version runs there",
         ) from error
     with client:
@@ -154,7 +163,7 @@ def _require_workers(client: Client, cause: str, cure: str) -> None:
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
     except TimeoutError as error:
-        raise DeviceFailed(f"{cause} within {WORKERS_S:.0f} s", consequence="Nothing was done", cure=cure) from error
+        raise DeviceFailed(f"{cause} within {WORKERS_S:.0f} s", consequence=NOTHING, cure=cure) from error
 
 
 def _require_same_versions(client: Client, address: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import shutil
 import tempfile
 import time
@@ -66,8 +67,8 @@ def run_job(execute: Execute, place: Place, job: Job) -> Finished:
         hashed = fingerprint(job)
     except (ArmsightError, OSError):  # an input that cannot be read is the job's own to refuse
         hashed = ""
-    earlier = read_job_result(place.out / job.name)
-    if earlier is not None and hashed and earlier.input_hash == hashed and earlier.status in FINAL:
+    earlier = _done_before(place, job, hashed)
+    if earlier is not None:
         kept = earlier.batch != place.batch  # else this job was done and its group was lost
         cause = earlier.error.cause if earlier.error else ""
         return Finished(job.name, Status(earlier.status), kept, time.perf_counter() - start_s, cause)
@@ -79,6 +80,13 @@ def run_job(execute: Execute, place: Place, job: Job) -> Finished:
     return Finished(job.name, Status(result.status), False, time.perf_counter() - start_s, cause)
 
 
+def _done_before(place: Place, job: Job, hashed: str) -> JobResult | None:
+    """Return the result of a job that is done with the same inputs; None where it is to be done."""
+    found = read_job_result(place.out / job.name)
+    same = found is not None and hashed != "" and found.input_hash == hashed and found.status in FINAL
+    return found if same else None
+
+
 def _begun(execute: Execute, place: Place, job: Job, hashed: str) -> JobResult:
     """Run a job and put its folder in place."""
     with disk_errors(place.out):
@@ -86,6 +94,9 @@ def _begun(execute: Execute, place: Place, job: Job, hashed: str) -> JobResult:
     begun_s = time.perf_counter()
     killed = attempt > MOST_ATTEMPTS
     ended = _killed() if killed else _ended(execute, job, part)
+    if (twin := _done_before(place, job, hashed)) is not None:  # of a worker that was taken for dead
+        shutil.rmtree(part, ignore_errors=True)
+        return twin
     if ended.error is not None and ended.exit_code == DeviceFailed.exit_code and _is_full(ended.error.cause):
         raise _no_space(place, job)
     result = JobResult(
@@ -171,7 +182,7 @@ def _require_same(place: Place) -> None:
     """Raise DeviceFailed where this worker has other software, or does not see the batch's folder."""
     if place.version != __version__:
         raise DeviceFailed(
-            f"a worker on {os.uname().nodename} has armsight {__version__}, and the batch was begun by {place.version}",
+            f"a worker on {platform.node()} has armsight {__version__}, and the batch was begun by {place.version}",
             consequence="Its figures could be others; it was given nothing to do",
             cure="Install the same lock file for the scheduler and all workers",
         )
@@ -179,7 +190,7 @@ def _require_same(place: Place) -> None:
     if seen != place.batch or not place.folder.is_dir():
         missing = place.folder if seen == place.batch else place.out
         raise DeviceFailed(
-            f"a worker on {os.uname().nodename} does not see {missing}",
+            f"a worker on {platform.node()} does not see {missing}",
             consequence="Its results would be lost; it was given nothing to do",
             cure="Let all workers see the folders of inputs and results under the same names, on a shared disk",
         )
