@@ -186,7 +186,7 @@ def images(n: int) -> None:
         )
     table(
         f"Centres of lights in {2 * n} rendered pictures",
-        ["size, px", "bound, px", "found, RMS px", "ratio", "+-"],
+        ["size, px", "foretold, px", "found, RMS px", "ratio", "+-"],
         rows,
     )
 

@@ -18,7 +18,7 @@ from armsight.app.design.volume import ARM, NOISE, RIG, foretell, moving, rigid_
 from armsight.app.requests.design import DesignJob, mount_of, volume_of
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.poses.setup import symmetries
-from armsight.optics import Camera, parallel_rig
+from armsight.optics import Camera, LensKind, parallel_rig
 from armsight.optics.mirrors import Mirrors
 from armsight.records.target import spot_target, unmeasured_target
 from armsight.store import write_rig, write_target
@@ -216,6 +216,21 @@ def test_a_rig_that_is_there(job: DesignJob) -> None:
         run_design(replace(taken, simulate=10))
     with refuses(UsageError, "toe-in-deg"):
         run_design(replace(there, toe_in_rad=5.0 * DEG))
+
+
+def test_a_rig_of_fisheye_lenses(job: DesignJob) -> None:
+    k = np.array([400.0, 400.0, 639.5, 359.5, 0.0, -0.02, 0.003, -0.001, 0.0002, 0.0])
+    write_rig(
+        job.out.parent / "rig.yaml",
+        parallel_rig(Camera(width=1280, height=720, intrinsics=k, lens=LensKind.FISHEYE), 0.12),
+    )
+    plan = plan_of(replace(job, rig=job.out.parent / "rig.yaml", size=None, focal_px=None, baseline_m=None))
+    found = foretell(plan)
+    assert found.measured.all() and (found.point_m() > 0.0).all()
+    names = found.rig.covariance.names
+    assert {"left.k1", "left.k2", "right.k2"} <= set(names) and not any(
+        name.endswith((".p1", ".none")) for name in names
+    )
 
 
 def test_a_mirror_rig_needs_its_plate_and_its_baseline_grows_by_both_mirrors(job: DesignJob) -> None:

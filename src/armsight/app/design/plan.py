@@ -323,7 +323,7 @@ def _assumptions(job: DesignJob, plan: Plan) -> tuple[str, ...]:
     if plan.target.covariance is None:
         out.append("the target's measures are exact")
     if plan.calibration is None:
-        out.append("the rig is calibrated as well as its file says")
+        out.append("the rig is calibrated as well as its file says, and after a change of it as well again")
     else:
         out.append(
             f"the calibration: {plan.calibration.views} pictures, corners off by {plan.calibration.corner_px:g} px, "

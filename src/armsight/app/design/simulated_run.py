@@ -33,10 +33,6 @@ HAND_M, HAND_RAD = 0.01, 0.03
 """How far from where it was planned the board is held, each axis: nobody holds it just there."""
 
 
-PLAIN = BoardOptions(folds=0)
-"""The rig is the same without the error on pictures left out, which nobody asks for here."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmSpec:
     """An arm as a run is told of it; poses: T_rig_target that tell the rig's place, and their spots' noise."""
@@ -130,11 +126,13 @@ def _calibrated(spec: Spec, truth: Rig, rng: np.random.Generator) -> Rig:
                 views[s].append(_view(truth, noisy[:, s], side, f"view {k + 1}", spec.corner_px))
     if not views[0]:
         raise NotEnoughData("the board is seen whole in none of the simulated views")
+    # the rig is the same without the error on pictures left out
+    options = BoardOptions(folds=0, lens=truth.left.lens, right_lens=truth.right.lens)
     if truth.kind is RigKind.MIRROR:
         plate = truth.left.plate
         thickness, index = (0.0, 1.5) if plate is None else (plate.thickness_m, plate.index)
-        return calibrate_mirrors(*views, board, thickness_m=thickness, index=index, options=PLAIN).rig
-    return calibrate_stereo(*views, board, PLAIN).rig
+        return calibrate_mirrors(*views, board, thickness_m=thickness, index=index, options=options).rig
+    return calibrate_stereo(*views, board, options).rig
 
 
 def _held(pose: RigidTransform, rng: np.random.Generator) -> RigidTransform:

@@ -112,7 +112,7 @@ def planned_rig(rig: Rig, views: PlannedViews, options: BoardOptions | None = No
     The last distortion terms are free where a lens has them so large that the data would ask for them. Raises
     Degenerate where the views leave something open.
     """
-    options = options or BoardOptions()
+    options = options or BoardOptions(lens=rig.left.lens, right_lens=rig.right.lens)
     observations, start = _expected(rig, views)
     fixed = fixed_names(options, 2)
     held = fixed_names(replace(options, automatic_k3=False), 2)

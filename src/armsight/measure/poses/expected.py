@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.geometry.poses import skew
 from armsight.measure.poses.pose import FOLDED, NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup, symmetries
-from armsight.optics import INTRINSICS, SIDES, Rig, moved_rig
+from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, SIDES, Rig, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import PoseStatus, Target, TargetPose
 from armsight.units import DEG
@@ -221,7 +221,10 @@ def _slopes(rig: Rig, points: Array) -> tuple[Array, Array]:
     """Return d pixels / d point (m, n, 2, 2, 3) and d pixels / d rig.parameters (m, n, 2, 2, 26)."""
     J = [(_pixels(rig, points + h) - _pixels(rig, points - h)) / (2.0 * POINT_STEP_M) for h in POINT_STEP_M * np.eye(3)]
     D = []
-    for i in range(len(rig.parameters)):
+    for i, name in enumerate(rig.parameters):
+        if name.endswith(f".{FISHEYE_INTRINSICS[-1]}"):  # an empty place, which nothing follows
+            D.append(np.zeros((*points.shape[:2], 2, 2)))
+            continue
         step = np.zeros(len(rig.parameters))
         step[i] = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < 2 * len(INTRINSICS) else POSE_STEP
         plus, minus = (_pixels(moved_rig(rig, sign * step), points) for sign in (1.0, -1.0))
