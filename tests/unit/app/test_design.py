@@ -14,7 +14,7 @@ import armsight
 from armsight.app.design.changes import CHANGES, _doubled, reaches
 from armsight.app.design.plan import plan_of
 from armsight.app.design.run import run_design
-from armsight.app.design.volume import ARM, NOISE, RIG, foretell, moving, rigid_part
+from armsight.app.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, foretell, moving, rigid_part
 from armsight.app.requests.design import DesignJob, mount_of, volume_of
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.poses.setup import symmetries
@@ -191,6 +191,15 @@ def test_an_arm_that_does_not_reach_is_refused(job: DesignJob) -> None:
         run_design(replace(with_arm(job), volume=((3.0, 3.3), (-0.2, 0.2), (0.35, 0.65))))
     with refuses(UsageError, "2 poses"):
         run_design(replace(with_arm(job), poses=2))
+
+
+def test_what_the_arm_does_not_reach_is_not_measured(job: DesignJob) -> None:
+    short = replace(with_arm(job), arm="ur5e", volume=((0.5, 1.1), (-0.1, 0.1), (0.35, 0.65)))
+    found = foretell(plan_of(short))
+    beyond = np.array([why == OUT_OF_REACH for why in found.why])
+    assert beyond.any() and not beyond.all()
+    assert not found.measured[beyond].any() and np.isnan(found.position_m[beyond]).all()
+    assert found.expected.placed[beyond].all()  # the cameras see it there
 
 
 def test_a_target_that_nobody_measured_is_refused(job: DesignJob) -> None:
