@@ -62,6 +62,7 @@ from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput
+from armsight.records.design import DesignOutput
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
@@ -104,6 +105,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "history-compare": HistoryCompareOutput,
     "history-trend": TrendOutput,
     "history-export": HistoryExportOutput,
+    "design": DesignOutput,
     "batch": BatchOutput,
     "join": JoinOutput,
     "simulate": SimulateOutput,

@@ -127,6 +127,10 @@ KINDS: Mapping[str, tuple[Step, ...]] = {
         *("calibrate handeye --pairs set/pairs.csv -o handeye.yaml --cell a --history runs.sqlite" for _ in range(6)),
         "history trend --cell a --history runs.sqlite -o drift",
     ),
+    "design": (
+        CELL,
+        f"design {RIG} --volume=-0.1:0.1,-0.1:0.1,1.5:1.8 --board checkerboard:9x6:0.04 --wanted-mm 0.5 -o planned",
+    ),
     "compare": (
         CELL,
         "simulate webcam-cell --frames 24 --room dark --seed 5 -o again",

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from armsight.api.convert import open_recording as open_recording
     from armsight.api.convert import show_arm as show_arm
     from armsight.api.convert import write_formulas as write_formulas
+    from armsight.api.design import design as design
     from armsight.api.files import read_arm as read_arm
     from armsight.api.files import read_camera as read_camera
     from armsight.api.files import read_hand_eye as read_hand_eye
@@ -180,6 +181,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "repair_recording",
         "verify",
     ),
+    "armsight.api.design": ("design",),
     "armsight.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
     "armsight.api.light": (

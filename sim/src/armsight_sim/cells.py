@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from armsight_sim.cell import (
     room_chosen,
     sensor_chosen,
 )
+from armsight_sim.given import given_board_cell, given_cell
 from armsight_sim.lens import zoomed_pair
 from armsight_sim.pipeline import Pipeline
 from armsight_sim.render import LightImage
@@ -48,6 +49,10 @@ TRIANGLE_M = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0
 
 ROOM, PIPELINE = "workshop", "webcam"
 """What stands behind the target and what the cameras do, where the caller does not say."""
+
+
+Given: TypeAlias = Mapping[str, Any]
+"""A cell that is given: `rig` and `target` as their files have them, `poses` in rig axes (x, y, z, quaternion)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,14 +104,20 @@ def led_cell(
     *,
     room: Any = ROOM,
     pipeline: Any = PIPELINE,
+    given: Given | None = None,
 ) -> Cell:
     """Return a cell of two converging webcams and three LEDs on an isosceles triangle.
 
     options: a record, or by name where the cell itself is reached by name. room, pipeline: by name or as in a
-    scenario's keys. Raises UsageError for less than one frame, a negative seed or an unknown room or pipeline.
+    scenario's keys. given: another rig and target, at poses; before ideal cameras and no room. Raises UsageError for
+    less than one frame, a negative seed or an unknown room or pipeline.
     """
     around = _surroundings(seed, frames, room, pipeline)
     options = options if isinstance(options, LedCellOptions) else LedCellOptions(**(options or {}))
+    if given is not None:
+        facing = (0.0, 0.0, -1.0) if given["target"].get("diameter_m") else (0.0, 0.0, 0.0)
+        like = Light(name="", xyz_m=(0.0, 0.0, 0.0), level=options.level, sigma_px=options.sigma_px, facing=facing)
+        return given_cell(seed, given["rig"], given["target"], given["poses"][:frames], like)
     path = _in_a_hand(seed)
     lights = tuple(
         Light(name=key, xyz_m=xyz, level=options.level, sigma_px=options.sigma_px, diameter_m=options.diameter_m)
@@ -227,17 +238,20 @@ def board_cell(
     *,
     width: int = 1280,
     height: int = 720,
-    printed: Board | None = None,
+    printed: Board | Given | None = None,
     room: Any = ROOM,
     pipeline: Any = PIPELINE,
     zoom: float | None = None,
 ) -> BoardCell:
     """Return the cameras of hand_cell with a checkerboard before them, for calibrating them from images.
 
-    frames: how many poses the board takes, further away the longer the lens. zoom: zoom lenses, at this value. Raises
-    UsageError for less than one, or a board too large for the view.
+    frames: how many poses the board takes, further away the longer the lens. zoom: zoom lenses, at this value.
+    printed: the board; or what is given with it: `rig`, `board` (columns, rows, square_m) and `poses`, before no room.
+    Raises UsageError for less than one, or a board too large for the view.
     """
     around = _surroundings(seed, frames, room, pipeline)
+    if isinstance(printed, Mapping):
+        return given_board_cell(seed, printed["rig"], Board(**printed["board"]), printed["poses"][:frames])
     board = printed or Board()
     rng = np.random.default_rng([seed, SEED_BOARD])
     rig, reach = _lenses(width, height, zoom)

@@ -9,6 +9,7 @@ import typer
 PANELS: Mapping[str, str] = {
     "demo": "Begin",
     "doctor": "Begin",
+    "design": "Begin",
     "console": "Begin",
     "simulate": "Begin",
     "record": "Measure",
@@ -42,6 +43,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight simulate handeye -o photos",
     ),
     "doctor": ("armsight doctor", "armsight doctor --rig rig.yaml --depth 1.5"),
+    "design": (
+        "armsight design --size 1280x720 --focal-mm 4 --pixel-um 3 --baseline 120mm --target target.yaml "
+        "--volume=-0.2:0.2,-0.15:0.15,0.6:1 --board checkerboard:9x6:0.025 --views 20 --wanted-mm 0.5 -o design",
+        "armsight design --rig rig.yaml --target target.yaml --volume=-0.2:0.2,-0.15:0.15,0.6:1 -o design",
+    ),
     "record": (
         "armsight record --left camera:0 --right camera:1 --seconds 60 -o recording.mcap",
         "armsight record --repair recording.mcap -o mended.mcap",

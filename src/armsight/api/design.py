@@ -1,0 +1,92 @@
+"""What a rig will measure before it is bought, and what to change for a wanted accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from armsight.api.checks import speaks_python
+from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, TargetLike
+from armsight.app.design.run import run_design
+from armsight.app.requests.design import CELLS, POSES, VIEWS, Box, DesignJob
+from armsight.errors import UsageError
+from armsight.records import Progress, Target
+from armsight.records.design import DesignOutput
+from armsight.records.output import extended
+from armsight.units import DEG, MM
+
+
+@speaks_python
+def design(
+    target: TargetLike,
+    volume: Sequence[Sequence[float]],
+    rig: RigLike | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    focal_px: float | None = None,
+    focal_m: float | None = None,
+    pixel_m: float | None = None,
+    baseline_m: float | None = None,
+    toe_in_rad: float | None = None,
+    world: PoseLike | None = None,
+    tilt_rad: float = 0.0,
+    relative: bool = False,
+    average: int = 1,
+    wanted_m: float | None = None,
+    spot_noise_px: float | None = None,
+    least_spot_px: float = 2.0,
+    board: Target | str | None = None,
+    views: int = VIEWS,
+    corner_noise_px: float = 0.1,
+    arm: ArmLike | None = None,
+    mount: Sequence[float] | None = None,
+    poses: int = POSES,
+    arm_noise_m: float = 0.05 * MM,
+    arm_turn_rad: float = 0.01 * DEG,
+    cells: int = CELLS,
+    simulate: int = 0,
+    seed: int = 1,
+    workers: int | None = None,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> DesignOutput:
+    """Return what a rig will measure of a target over a volume, what the deviations come from, and what to change.
+
+    volume: ((x from, to), (y from, to), (z from, to)) in m, in the rig's axes or world's. rig: one that is there, or
+    none and size, focal length (focal_px, or focal_m and pixel_m) and baseline_m of planned cameras. board, views: what
+    the rig will be calibrated with. arm, with world: deviations of its tool tip in its base. wanted_m: of the position,
+    in 95 % of the volume. simulate: confirm it by so many simulated calibrations. out: a folder for the report and the
+    map. Raises UsageError, DataRefused for a plan that cannot be.
+
+    Examples
+    --------
+    >>> lights = armsight.LightTarget({"A": (-0.04, 0, 0), "B": (0.03, 0.032, 0), "C": (0.03, -0.032, 0)})
+    >>> planned = armsight.design(
+    ...     lights,
+    ...     ((-0.1, 0.2), (-0.1, 0.1), (0.5, 0.8)),
+    ...     size=(1280, 720),
+    ...     focal_px=950.0,
+    ...     baseline_m=0.12,
+    ...     board="checkerboard:9x6:0.025",
+    ... )
+    >>> planned.parts[0].name
+    'calibration of the rig'
+    """
+    values = dict(locals())
+    values["volume"] = _box(volume)
+    values["mount"] = None if mount is None else tuple(float(value) for value in mount)
+    values.pop("progress")
+    with Given(values.pop("out"), name="design") as given:
+        done = run_design(given.job(DesignJob, values), progress)
+        return extended(done, DesignOutput, **({} if out is not None else {"report": ""}))
+
+
+def _box(volume: Sequence[Sequence[float]]) -> Box:
+    try:
+        (x0, x1), (y0, y1), (z0, z1) = volume
+        return (float(x0), float(x1)), (float(y0), float(y1)), (float(z0), float(z1))
+    except (TypeError, ValueError):
+        raise UsageError(
+            f"the volume {volume!r} is not three ranges",
+            consequence="It is not known where the target will be",
+            cure="Give ((x from, to), (y from, to), (z from, to)) in m",
+        ) from None

@@ -1,0 +1,1 @@
+"""What a rig will measure before it is bought or built, and what to change for a wanted accuracy."""

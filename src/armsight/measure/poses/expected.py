@@ -1,0 +1,272 @@
+"""What a rig will measure of a target at places in space: whether it can, and how far the pose will be off.
+
+The deviation is the Cramer-Rao bound: the spots' noise carried to the pose, and what the rig's calibration and the
+target's own measures bring, which is the same in every frame. Whether there is a pose at all is asked of `solve_pose`
+itself, on pixels without noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.geometry.poses import skew
+from armsight.measure.poses.pose import FOLDED, NamedSpots, solve_pose
+from armsight.measure.poses.setup import Setup, symmetries
+from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, SIDES, Rig, moved_rig
+from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
+from armsight.records import PoseStatus, Target, TargetPose
+from armsight.units import DEG
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SpotNoise = Callable[[Array, int], Array]
+"""Standard deviation in px of lights of so many px across, on a side (0: left), in their shape."""
+
+POINT_STEP_M = 1e-6
+LEAST_LIGHTS = 3
+"""Fewer tell a position alone."""
+STEEPEST_RAD = 70.0 * DEG
+"""A flat light or board is not seen at more than this from square on: a third of its width is left."""
+EDGE_PX = 3.0
+"""What must lie between a light's outline and the edge of the image."""
+LEAST_PX = 2.0
+"""A light of less across, with the blur of a lens, is no more than a pixel's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lights:
+    """How m poses of n lights are seen: uv_px (m, n, 2, 2), size_px (m, n, 2) across as [light, side]; 0: not known.
+
+    seen (m, n): in both views. why: of each pose, what hides most of the others; "" where nothing does.
+    """
+
+    uv_px: Array
+    size_px: Array
+    seen: Mask
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """The lights by themselves: xyz_m (m, n, 3) in rig axes, random (m, n, 3, 3) of the spots' noise, slopes
+    (m, n, 3, 26): d point / d rig. NaN where a light is not seen in both views."""
+
+    xyz_m: Array
+    random: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Expected:
+    """The expected errors of the measured pose at m places, in the rig's axes: translation, then rotation vector.
+
+    whole (m,): position and orientation; placed (m,): position at least, else `why`. random (m, 6, 6): of one frame's
+    spots. slopes (m, 6, p): d pose / d what is the same in every frame, in the order of Setup.covariance: the rig's
+    parameters, then the places of the target's lights. NaN where there is no such thing.
+    """
+
+    T_rig_target: RigidTransform
+    whole: Mask
+    placed: Mask
+    why: tuple[str, ...]
+    random: Array
+    slopes: Array
+    points: Points
+
+    def take(self, index: NDArray[np.intp]) -> Expected:
+        """Return some of the places."""
+        return Expected(
+            T_rig_target=self.T_rig_target[index],
+            whole=self.whole[index],
+            placed=self.placed[index],
+            why=tuple(self.why[i] for i in index.tolist()),
+            random=self.random[index],
+            slopes=self.slopes[index],
+            points=Points(
+                xyz_m=self.points.xyz_m[index],
+                random=self.points.random[index],
+                slopes=self.points.slopes[index],
+            ),
+        )
+
+
+def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise, *, least_px: float) -> Expected:
+    """Return what the setup measures of its target at poses; least_px: lights smaller than this are not found."""
+    rig, target = setup.rig, setup.target
+    lights = look(rig, target, T_rig_target, least_px)
+    m, n = lights.seen.shape
+    sigma = np.stack([noise(lights.size_px[..., side], side) for side in range(len(SIDES))], axis=2)  # (m, n, 2)
+    points = _points(target, T_rig_target)
+    J, D = _slopes(rig, points)
+    R = T_rig_target.rotation.as_matrix()
+    enough = lights.seen.sum(axis=1) >= min(n, LEAST_LIGHTS)
+    whole, placed, why = np.zeros(m, bool), np.zeros(m, bool), list(lights.why)
+    random = np.full((m, 6, 6), np.nan)
+    slopes = np.full((m, 6, len(rig.parameters) + 3 * n), np.nan)
+    alike = n >= LEAST_LIGHTS and not target.is_board and bool(symmetries(target))
+    for i in np.flatnonzero(enough).tolist():
+        seen = np.flatnonzero(lights.seen[i])
+        placed[i] = True
+        W = 1.0 / sigma[i, seen, :, None] ** 2 * np.ones(2)  # (k, 2, 2)
+        at = Linear(J=J[i, seen], D=D[i, seen], W=W, R=R[i], X=target.xyz_m[seen], index=seen, n=n)
+        pose = _solved(setup, lights, i, seen, sigma[i, seen]) if n >= LEAST_LIGHTS and not alike else None
+        if pose is not None and pose.status is PoseStatus.OK:
+            whole[i], why[i] = True, ""
+            bound, slopes[i] = at.pose()
+            random[i] = _widened(pose, bound)
+            continue
+        if alike:
+            why[i] = "the target looks the same when it is turned, so its lights cannot be named"
+        else:
+            why[i] = pose.why if pose is not None else f"{n} light{'s tell' if n > 1 else ' tells'} no orientation"
+        random[i, :3, :3], slopes[i, :3] = at.points()
+    if target.covariance is None:
+        slopes = slopes[:, :, : len(rig.parameters)]
+    return Expected(
+        T_rig_target=T_rig_target,
+        whole=whole,
+        placed=placed,
+        why=tuple(why),
+        random=random,
+        slopes=slopes,
+        points=_alone(points, lights.seen, J, D, sigma),
+    )
+
+
+def _alone(points: Array, seen: Mask, J: Array, D: Array, sigma: Array) -> Points:
+    """Return what each light by itself is placed to."""
+    random = np.full((*seen.shape, 3, 3), np.nan)
+    slopes = np.full((*seen.shape, 3, D.shape[-1]), np.nan)
+    JW = J[seen] / sigma[seen][..., None, None] ** 2  # (k, 2, 2, 3)
+    random[seen] = np.linalg.inv(np.einsum("ksia,ksib->kab", JW, J[seen]))
+    slopes[seen] = -random[seen] @ np.einsum("ksia,ksip->kap", JW, D[seen])
+    return Points(xyz_m=points, random=random, slopes=slopes)
+
+
+def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float) -> Lights:
+    """Return which lights both cameras see at m poses."""
+    points = _points(target, T_rig_target)
+    m, n, _ = points.shape
+    uv = _pixels(rig, points)
+    facing = T_rig_target.rotation.as_matrix()[:, :, 2]  # away from the cameras, as of printed boards
+    hidden: list[tuple[str, Mask]] = []
+    size = np.zeros((m, n, 2))
+    for s, side in enumerate(SIDES):
+        camera, T = rig.camera(side), rig.T_rig_camera(side)
+        way = points - np.asarray(T.translation)
+        distance = np.linalg.norm(way, axis=2)
+        behind = ~np.isfinite(uv[:, :, s]).all(axis=2) | ((way @ T.rotation.as_matrix()[:, 2]) <= 0.0)
+        if target.diameter_m and not target.is_board:
+            size[..., s] = np.where(behind, 0.0, camera.intrinsics[0] * target.diameter_m / distance)
+        edge = 0.5 * size[..., s, None] + EDGE_PX
+        high = np.array([camera.width, camera.height]) - 1.0
+        outside = ((uv[:, :, s] < edge) | (uv[:, :, s] > high - edge)).any(axis=2)
+        hidden += [(f"behind the {side} camera", behind), (f"outside the {side} image", outside & ~behind)]
+        if target.is_board or target.diameter_m:
+            steep = np.einsum("mnj,mj->mn", way, facing) < np.cos(STEEPEST_RAD) * distance
+            hidden.append((f"turned away from the {side} camera", steep & ~behind & ~outside))
+        small = (size[..., s] > 0.0) & (size[..., s] < least_px)
+        hidden.append((f"a light is smaller than {least_px:g} px in the {side} image", small & ~behind & ~outside))
+    seen = ~np.any([mask for _, mask in hidden], axis=0)
+    if target.is_board:  # a board counts as a whole
+        seen &= seen.all(axis=1)[:, None]
+    counts = np.array([mask.sum(axis=1) for _, mask in hidden])  # (reasons, m)
+    most = counts.argmax(axis=0)
+    why = tuple(hidden[k][0] if counts[k, i] else "" for i, k in enumerate(most.tolist()))
+    return Lights(uv_px=uv, size_px=size, seen=seen, why=why)
+
+
+def _solved(setup: Setup, lights: Lights, i: int, seen: NDArray[np.intp], sigma: Array) -> TargetPose:
+    """Return the pose that the product gives of these lights, seen without noise."""
+    model, k = setup.model, len(seen)
+    names = tuple(model.names[j] for j in seen.tolist())
+    spots = NamedSpots(
+        names=names,
+        xyz_m=np.ascontiguousarray(model.xyz_m[seen]),
+        uv_px=np.ascontiguousarray(lights.uv_px[i, seen]),
+        cov_px2=sigma[..., None, None] ** 2 * np.eye(2),
+        radius_m=np.zeros((k, 2)),
+        normal=model.normal,
+    )
+    carried = setup.covariance_of(names)
+    return solve_pose(setup.packed, 0.0, spots, limit=np.inf, slack_px=setup.slack_px, covariance=carried).pose
+
+
+def _widened(pose: TargetPose, bound: Array) -> Array:
+    """Return the spots' part of the covariance (6, 6) that the product states: wider than the bound where a tilt to the
+    other side of the line of sight fits nearly as well."""
+    if pose.covariance is None:
+        return bound
+    own = pose.covariance if pose.systematic_covariance is None else pose.covariance - pose.systematic_covariance
+    return own if np.trace(own[3:, 3:]) > FOLDED * np.trace(bound[3:, 3:]) else bound
+
+
+def _points(target: Target, poses: RigidTransform) -> Array:
+    """Return the lights (m, n, 3) in rig axes."""
+    R, t = poses.rotation.as_matrix(), np.asarray(poses.translation)
+    return np.asarray(np.einsum("mij,nj->mni", R, target.xyz_m) + t[:, None])
+
+
+def _pixels(rig: Rig, points: Array) -> Array:
+    """Return the pixels (m, n, 2, 2) of points (m, n, 3) as [.., side, (u, v)]."""
+    return np.stack([uv.reshape(*points.shape[:2], 2) for uv in rig.project(points.reshape(-1, 3))], axis=2)
+
+
+def _slopes(rig: Rig, points: Array) -> tuple[Array, Array]:
+    """Return d pixels / d point (m, n, 2, 2, 3) and d pixels / d rig.parameters (m, n, 2, 2, 26)."""
+    J = [(_pixels(rig, points + h) - _pixels(rig, points - h)) / (2.0 * POINT_STEP_M) for h in POINT_STEP_M * np.eye(3)]
+    D = []
+    for i, name in enumerate(rig.parameters):
+        if name.endswith(f".{FISHEYE_INTRINSICS[-1]}"):  # an empty place, which nothing follows
+            D.append(np.zeros((*points.shape[:2], 2, 2)))
+            continue
+        step = np.zeros(len(rig.parameters))
+        step[i] = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < 2 * len(INTRINSICS) else POSE_STEP
+        plus, minus = (_pixels(moved_rig(rig, sign * step), points) for sign in (1.0, -1.0))
+        D.append((plus - minus) / (2.0 * step[i]))
+    return np.stack(J, axis=-1), np.stack(D, axis=-1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linear:
+    """One place: of the k lights seen d pixel / d point J (k, 2, 2, 3), d pixel / d rig D (k, 2, 2, 26), the weights W
+    (k, 2, 2), their places X (k, 3) in target axes and their index among all n; R (3, 3) of T_rig_target."""
+
+    J: Array
+    D: Array
+    W: Array
+    R: Array
+    X: Array
+    index: NDArray[np.intp]
+    n: int
+
+    def pose(self) -> tuple[Array, Array]:
+        """Return C (6, 6) of the spots' noise, and A (6, 26 + 3 n) = -C G' W D."""
+        # t + dt, Exp(dw) R: d point = dt + dw x R X, and R d X of the target's own places
+        G = np.concatenate([self.J, self.J @ -skew(self.X @ self.R.T)[:, None]], axis=-1)  # (k, 2, 2, 6)
+        GW = G * self.W[..., None]
+        C = np.linalg.inv(np.einsum("ksia,ksib->ab", GW, G))
+        of_rig = -C @ np.einsum("ksia,ksip->ap", GW, self.D)
+        of_lights = -C @ np.einsum("ksia,ksij->kaj", GW, self.J @ self.R)  # (k, 6, 3)
+        return C, np.concatenate([of_rig, self._spread(of_lights)], axis=1)
+
+    def points(self) -> tuple[Array, Array]:
+        """Return the same (3, .) of the mean of the points by themselves: what is left without an orientation."""
+        JW = self.J * self.W[..., None]
+        S = np.linalg.inv(np.einsum("ksia,ksib->kab", JW, self.J))
+        of_rig = -(S @ np.einsum("ksia,ksip->kap", JW, self.D)).mean(axis=0)
+        k = len(S)
+        # the mean of the lights stands where they are, not where they are said to be
+        of_lights = np.tile(-self.R / k, (k, 1, 1))
+        return S.sum(axis=0) / k**2, np.concatenate([of_rig, self._spread(of_lights)], axis=1)
+
+    def _spread(self, of_seen: Array) -> Array:
+        """Return slopes (a, 3 n) by all lights from those (k, a, 3) of the lights seen."""
+        out = np.zeros((of_seen.shape[1], self.n, 3))
+        out[:, self.index] = of_seen.transpose(1, 0, 2)
+        return out.reshape(len(out), -1)

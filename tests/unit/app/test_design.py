@@ -1,0 +1,316 @@
+"""A plan from its request to its map: figures and parts, changes worked out, the frame asked for, and bad requests."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import dask
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+import armsight
+from armsight.app.design.changes import CHANGES, _doubled, reaches
+from armsight.app.design.plan import plan_of
+from armsight.app.design.run import run_design
+from armsight.app.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, foretell, moving, rigid_part
+from armsight.app.requests.design import DesignJob, mount_of, volume_of
+from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
+from armsight.measure.poses.setup import symmetries
+from armsight.optics import Camera, LensKind, parallel_rig
+from armsight.optics.mirrors import Mirrors
+from armsight.records.target import spot_target, unmeasured_target
+from armsight.store import write_rig, write_target
+from armsight.store.worlds import World, write_world
+from armsight.units import DEG
+from refusals import refuses
+
+LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
+NEAR = ((-0.1, 0.2), (-0.1, 0.1), (0.5, 0.8))
+BEFORE_ARM = np.array([[0.0, 0.0, -1.0, 1.6], [1.0, 0.0, 0.0, -0.06], [0.0, -1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> DesignJob:
+    write_target(tmp_path / "target.yaml", spot_target(LIGHTS, diameter_m=0.006))
+    return DesignJob(
+        out=tmp_path / "out",
+        target=tmp_path / "target.yaml",
+        volume=NEAR,
+        size=(1280, 720),
+        focal_px=950.0,
+        baseline_m=0.12,
+        board="checkerboard:9x6:0.025",
+        cells=5,
+    )
+
+
+def with_arm(job: DesignJob) -> DesignJob:
+    world = job.target.parent / "world.yaml"
+    write_world(world, World(parent="base", T_parent_rig=RigidTransform.from_matrix(BEFORE_ARM)))
+    return replace(job, arm="ur10e", world=world, volume=((0.7, 1.0), (-0.2, 0.2), (0.35, 0.65)), cells=3)
+
+
+def test_what_is_written_says_what_is_returned(job: DesignJob) -> None:
+    done = run_design(replace(job, wanted_m=5e-4))
+    told = json.loads((job.out / "design.json").read_text())
+    assert told == json.loads(json.dumps(done.to_dict()))
+    rows = list(csv.DictReader((job.out / "map.csv").read_text().splitlines()))
+    assert len(rows) == done.n_cells
+    values = [float(row["position_m"]) for row in rows if row["status"] == "ok"]
+    assert done.position.worst == pytest.approx(max(values))
+    assert done.position.median == pytest.approx(np.median(values))
+    assert sum(part.share for part in done.parts) == pytest.approx(1.0)
+    assert [one.name for one in done.points] == ["A", "B", "C"]
+    assert done.points[0].median_m > done.position.median  # the mean of three is surer than one
+    page = (job.out / "report.html").read_text()
+    assert "z = 0.575 m" in page
+    assert done.reached is False and done.changes[0].sufficient
+    assert done.changes[0].change in done.verdict
+
+
+def test_a_change_is_what_its_own_plan_leads_to(job: DesignJob) -> None:
+    changes = {one.change: one for one in run_design(job).changes}
+    more = run_design(replace(job, out=job.out / "more", views=40))
+    longer = run_design(replace(job, out=job.out / "longer", baseline_m=0.18))
+    assert changes["twice as many pictures of the board"].position_m == pytest.approx(more.position.p95)
+    assert changes["a baseline 1.5 times as long"].position_m == pytest.approx(longer.position.p95, rel=1e-6)
+    assert changes["a baseline 1.5 times as long"].measured == pytest.approx(longer.measured)
+    assert all(one.sufficient is None for one in changes.values())
+
+
+def test_the_mean_of_frames_lowers_their_noise_alone(job: DesignJob) -> None:
+    one, ten = (foretell(plan_of(replace(job, average=n))) for n in (1, 10))
+    np.testing.assert_allclose(ten.parts[NOISE], one.parts[NOISE] / 10.0)
+    np.testing.assert_allclose(ten.parts[RIG], one.parts[RIG])
+
+
+def test_within_the_volume_what_moves_all_of_it_is_no_deviation(job: DesignJob) -> None:
+    found, aligned = (foretell(plan_of(replace(job, relative=relative))) for relative in (False, True))
+    np.testing.assert_allclose(aligned.position_m, found.within_volume().position_m)
+    assert np.median(aligned.position_m) < 0.7 * np.median(found.position_m)
+    # what is left of a rig whose axes alone are off is nothing
+    places = np.random.default_rng(1).normal(size=(5, 3))
+    np.testing.assert_allclose(rigid_part(moving(places), places, np.ones(5, bool)), np.eye(6), atol=1e-12)
+
+
+def test_cells_out_of_view_are_never_good(job: DesignJob) -> None:
+    done = run_design(replace(job, volume=((-0.1, 1.5), (-0.1, 0.1), (0.5, 0.8)), cells=8))
+    found = foretell(plan_of(replace(job, volume=((-0.1, 1.5), (-0.1, 0.1), (0.5, 0.8)))))
+    assert 0.0 < done.measured < 0.6
+    assert done.position.worst < 0.01 and not reaches(found, 0.01)  # all that is measured is fine: not enough of it is
+    assert {one.why for one in done.not_measured} >= {"outside the left image"}
+    rows = list(csv.DictReader((job.out / "map.csv").read_text().splitlines()))
+    lost = [row for row in rows if row["status"] == "not_measured"]
+    assert lost and all(row["why"] and not row["position_m"] for row in lost)
+
+
+def test_an_accuracy_that_nothing_reaches_is_answered_with_the_best(job: DesignJob) -> None:
+    done = run_design(replace(job, wanted_m=1e-6, cells=3))
+    assert done.reached is False and not any(one.sufficient for one in done.changes)
+    assert done.best_m == min(one.position_m for one in done.changes)
+    assert " + " in done.changes[0].change and "cannot be reached" in done.verdict
+
+
+def test_a_light_alone_tells_its_position(job: DesignJob) -> None:
+    write_target(job.target, spot_target({"A": (0.0, 0.0, 0.0)}))
+    done = run_design(replace(job, cells=3))
+    assert done.orientation is None and done.whole == 0.0 and done.measured == 1.0
+    assert any("position alone" in text for text in done.advice)
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_point_is_told_as_a_target_of_it_alone(job: DesignJob, relative: bool) -> None:
+    write_target(job.target, spot_target({"A": (0.0, 0.0, 0.0)}))
+    found = foretell(plan_of(replace(job, relative=relative, volume=((-0.1, 0.6), *NEAR[1:]))))
+    np.testing.assert_allclose(found.point_m()[:, 0], found.position_m, rtol=1e-9)
+
+
+def test_points_stand_in_the_base_of_an_arm(job: DesignJob) -> None:
+    found = foretell(plan_of(replace(with_arm(job), poses=400, arm_noise_m=1e-6, arm_turn_rad=1e-6)))
+    noise = np.sqrt(np.trace(found.expected.points.random, axis1=2, axis2=3))
+    beside = found.point_m() / noise
+    assert (beside > 1.0).all() and np.median(beside) < 1.2  # most of the calibration is taken up by the rig's place
+    assert np.median(foretell(plan_of(with_arm(job))).point_m() / noise) > np.median(beside)
+
+
+def test_a_board_is_measured_like_lights(job: DesignJob) -> None:
+    lights, board = (foretell(plan_of(one)) for one in (job, replace(job, target=Path("checkerboard:7x5:0.015"))))
+    assert board.whole.all()
+    assert np.median(board.orientation_rad) < 0.5 * np.median(lights.orientation_rad)
+
+
+def test_a_tool_in_the_arm_s_base(job: DesignJob) -> None:
+    assert set(foretell(plan_of(with_arm(job))).parts) == {NOISE, RIG, ARM}
+    few, many = (foretell(plan_of(replace(with_arm(job), poses=n))) for n in (25, 400))
+    ratio = np.trace(few.parts[ARM], axis1=1, axis2=2) / np.trace(many.parts[ARM], axis1=1, axis2=2)
+    assert np.sqrt(np.median(ratio)) == pytest.approx(4.0, rel=0.25)
+
+
+def test_twice_as_many_lights_can_still_be_named() -> None:
+    for spots in (LIGHTS, {"A": (0.0, 0.0, 0.0), "B": (0.08, 0.0, 0.0), "C": (0.0, 0.05, 0.0), "D": (0.06, 0.06, 0.0)}):
+        assert symmetries(_doubled(spot_target(spots))) == ()
+
+
+def test_every_change_is_told_once() -> None:
+    assert len({one.name for one in CHANGES}) == len(CHANGES)
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "named"),
+    [
+        ({"volume": ((0.2, -0.1), *NEAR[1:])}, UsageError, ("reversed", "x")),
+        ({"volume": (NEAR[0], (0.1, 0.1), NEAR[2])}, UsageError, ("empty", "y")),
+        ({"volume": ((-100.0, 200.0), (-100.0, 100.0), (500.0, 800.0))}, Inconsistent, "millimetres"),
+        ({"volume": ((0.0, 1e-5), (0.0, 1e-5), (0.5, 0.50001))}, Inconsistent, "micrometres"),
+        ({"volume": (*NEAR[:2], (-0.8, -0.5))}, Inconsistent, ("behind", "left")),
+        ({"volume": ((3.0, 4.0), *NEAR[1:])}, Inconsistent, "outside"),
+        ({"views": 0}, NotEnoughData, "0 views"),
+        ({"board": None}, UsageError, "board"),
+        ({"board": "checkerboard:9x6"}, UsageError, "checkerboard"),
+        ({"baseline_m": None}, UsageError, "baseline"),
+        ({"baseline_m": 120.0}, Inconsistent, "millimetres"),
+        ({"focal_px": None, "focal_m": 4e-3}, UsageError, "go together"),
+        ({"focal_m": 4e-3, "pixel_m": 3e-6}, UsageError, "twice"),
+        ({"focal_px": None, "focal_m": 4e-3, "pixel_m": 3e-9}, Inconsistent, "a unit is wrong"),
+        ({"focal_px": 12.0}, Inconsistent, "a unit is wrong"),
+        ({"mount": (0.0, 0.0, 0.1)}, UsageError, "arm"),
+        ({"arm": "ur10e"}, UsageError, "world"),
+        ({"simulate": 2}, UsageError, "2 runs"),
+    ],
+)
+def test_what_cannot_be_is_refused(job: DesignJob, change: dict, kind: type, named: object) -> None:
+    with refuses(kind, named):
+        run_design(replace(job, **change))
+    assert not job.out.exists()
+
+
+def test_an_arm_that_does_not_reach_is_refused(job: DesignJob) -> None:
+    with refuses(Inconsistent, "reach"):
+        run_design(replace(with_arm(job), volume=((3.0, 3.3), (-0.2, 0.2), (0.35, 0.65))))
+    with refuses(UsageError, "2 poses"):
+        run_design(replace(with_arm(job), poses=2))
+
+
+def test_what_the_arm_does_not_reach_is_not_measured(job: DesignJob) -> None:
+    short = replace(with_arm(job), arm="ur5e", volume=((0.5, 1.1), (-0.1, 0.1), (0.35, 0.65)))
+    found = foretell(plan_of(short))
+    beyond = np.array([why == OUT_OF_REACH for why in found.why])
+    assert beyond.any() and not beyond.all()
+    assert not found.measured[beyond].any() and np.isnan(found.position_m[beyond]).all()
+    assert found.expected.placed[beyond].all()  # the cameras see it there
+
+
+def test_a_target_that_nobody_measured_is_refused(job: DesignJob) -> None:
+    write_target(job.target, unmeasured_target())
+    with refuses(Inconsistent, "target.yaml"):
+        run_design(job)
+
+
+def test_a_rig_that_is_there(job: DesignJob) -> None:
+    folder = job.target.parent
+    camera = Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5)
+    write_rig(folder / "rig.yaml", parallel_rig(camera, 0.12))
+    there = replace(job, rig=folder / "rig.yaml", size=None, focal_px=None, baseline_m=None)
+    found = foretell(plan_of(there))
+    np.testing.assert_allclose(found.position_m, foretell(plan_of(job)).position_m)
+    assert plan_of(replace(there, baseline_m=0.2)).rig.baseline_m == pytest.approx(0.2)
+    write_rig(folder / "known.yaml", found.rig)
+    taken = replace(there, rig=folder / "known.yaml", board=None)
+    np.testing.assert_allclose(foretell(plan_of(taken)).position_m, found.position_m, rtol=1e-6)
+    with refuses(UsageError, "anew"):
+        run_design(replace(taken, focal_px=1200.0))
+    with refuses(UsageError, "simulate"):
+        run_design(replace(taken, simulate=10))
+    with refuses(UsageError, "toe-in-deg"):
+        run_design(replace(there, toe_in_rad=5.0 * DEG))
+
+
+def test_a_rig_of_fisheye_lenses(job: DesignJob) -> None:
+    k = np.array([400.0, 400.0, 639.5, 359.5, 0.0, -0.02, 0.003, -0.001, 0.0002, 0.0])
+    write_rig(
+        job.out.parent / "rig.yaml",
+        parallel_rig(Camera(width=1280, height=720, intrinsics=k, lens=LensKind.FISHEYE), 0.12),
+    )
+    plan = plan_of(replace(job, rig=job.out.parent / "rig.yaml", size=None, focal_px=None, baseline_m=None))
+    found = foretell(plan)
+    assert found.measured.all() and (found.point_m() > 0.0).all()
+    names = found.rig.covariance.names
+    assert {"left.k1", "left.k2", "right.k2"} <= set(names) and not any(
+        name.endswith((".p1", ".none")) for name in names
+    )
+
+
+def test_a_mirror_rig_needs_its_plate_and_its_baseline_grows_by_both_mirrors(job: DesignJob) -> None:
+    folder = job.target.parent
+    camera = Camera.pinhole(768, 576, 1000.0, 1000.0, 383.5, 287.5)
+    rig = Mirrors(baseline_m=0.12).rig(camera)
+    write_rig(folder / "rig.yaml", rig)
+    write_rig(folder / "bare.yaml", replace(rig, left=replace(rig.left, plate=None)))
+    small = replace(
+        job,
+        rig=folder / "rig.yaml",
+        size=None,
+        focal_px=None,
+        baseline_m=None,
+        board="checkerboard:7x5:0.015",
+        volume=((-0.05, 0.05), (-0.05, 0.05), (0.5, 0.7)),
+    )
+    assert foretell(plan_of(small)).measured.mean() > 0.5
+    longer = plan_of(replace(small, baseline_m=0.18)).rig
+    assert longer.baseline_m == pytest.approx(0.18, rel=1e-4)
+    true = Mirrors(baseline_m=2.0 * float(longer.T_rig_right.translation[0])).rig(camera)
+    for side in ("left", "right"):
+        moved = longer.T_rig_camera(side).translation - true.T_rig_camera(side).translation
+        assert np.abs(moved).max() < 1e-9
+    with refuses(Inconsistent, "plate"):
+        plan_of(replace(small, rig=folder / "bare.yaml"))
+
+
+@pytest.mark.parametrize("text", ["-0.1:0.2,-0.1:0.1", "a:b,c:d,e:f", "1,2,3", "0:1:2,0:1,0:1", ""])
+def test_a_volume_that_is_none_is_refused(text: str) -> None:
+    with refuses(UsageError, "XMIN:XMAX,YMIN:YMAX,ZMIN:ZMAX"):
+        volume_of(text)
+
+
+def test_volumes_and_mounts_are_read() -> None:
+    assert volume_of("-100mm:200mm,-0.1:0.1,500mm:0.8m") == ((-0.1, 0.2), (-0.1, 0.1), (0.5, 0.8))
+    assert mount_of("0,0,0.1,0,90,0") == (0.0, 0.0, 0.1, 0.0, 90.0, 0.0)
+    with refuses(UsageError, "X,Y,Z"):
+        mount_of("0,0")
+
+
+def test_python_gives_what_the_command_does(job: DesignJob) -> None:
+    done = armsight.design(
+        spot_target(LIGHTS, diameter_m=0.006),
+        NEAR,
+        size=(1280, 720),
+        focal_px=950.0,
+        baseline_m=0.12,
+        board="checkerboard:9x6:0.025",
+        cells=3,
+    )
+    assert done.position.worst == pytest.approx(foretell(plan_of(replace(job, cells=3))).position_m.max())
+    with refuses(UsageError, "volume"):
+        armsight.design(spot_target(LIGHTS), [1.0, 2.0, 3.0], focal_px=950.0)
+    with pytest.raises(DataRefused):
+        armsight.design(
+            spot_target(LIGHTS),
+            NEAR,
+            size=(1280, 720),
+            focal_px=950.0,
+            baseline_m=0.12,
+            board="checkerboard:9x6:0.025",
+            views=1,
+        )
+
+
+def test_simulated_runs_are_a_batch_and_beside_the_forecast(job: DesignJob) -> None:
+    done = run_design(replace(job, cells=2, simulate=5, workers=1))
+    one = done.simulation
+    assert one is not None and one.n_runs == 5 and one.n_failed == 0
+    assert one.n_poses + one.n_lost == 5 * len(one.places)
+    assert sum(1 for path in (job.out / "runs").iterdir() if path.is_dir()) == 5
+    # what Dask is told for a batch does not take its own defaults away from the next one
+    assert dask.config.get("distributed.comm.tls.ciphers", default="lost") != "lost"
