@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.geometry.poses import skew
-from armsight.measure.poses.pose import FOLDED, NamedSpots, solve_pose
+from armsight.measure.poses.kernels.whole_pose import FOLDED_FROM
+from armsight.measure.poses.pose import NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup, symmetries
 from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, SIDES, Rig, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
@@ -203,7 +204,7 @@ def _widened(pose: TargetPose, bound: Array) -> Array:
     if pose.covariance is None:
         return bound
     own = pose.covariance if pose.systematic_covariance is None else pose.covariance - pose.systematic_covariance
-    return own if np.trace(own[3:, 3:]) > FOLDED * np.trace(bound[3:, 3:]) else bound
+    return own if np.trace(own[3:, 3:]) > FOLDED_FROM * np.trace(bound[3:, 3:]) else bound
 
 
 def _points(target: Target, poses: RigidTransform) -> Array:
