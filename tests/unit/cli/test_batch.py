@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,8 +12,10 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from armsight.app import compilation
 from armsight.app.batch import cluster as batch_cluster
 from armsight.app.batch import run as batch_run
+from armsight.app.batch import warm
 from armsight.app.batch.cluster import Workers, connected
 from armsight.app.batch.jobs import Job
 from armsight.cli.batch_commands import NOBODY, OUTPUTS, checked_job, parameters, run_command
@@ -111,6 +114,13 @@ def test_every_command_of_a_batch_is_one_and_says_what_moves() -> None:
     for command, words in (("verify", ("--live",)), ("identify", ("--live", "sim:x"))):
         with refuses(UsageError, command, "--live", "a person"):
             checked_job("a", command, words, NO_SETTINGS, "row 1")
+
+
+def test_what_is_compiled_ahead_is_of_commands_groups_and_folders_that_there_are() -> None:
+    for command, (folder, groups) in warm.GROUPS.items():
+        assert command in OUTPUTS and set(groups) <= set(compilation.GROUPS), command
+        sources = (warm.PACKAGE / folder).rglob("*.py")
+        assert any(re.search(r"^@(fast_|sum_|parallel_)?kernel", path.read_text(), re.MULTILINE) for path in sources)
 
 
 CSV = "name,command,arm,joints,as-stated\n"

@@ -6,9 +6,9 @@ import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-import armsight
 from armsight.records import Progress
 
+PACKAGE = Path(__file__).parents[2]
 CAMERAS = ("boards", "cameras")
 GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "measure": ("measure/poses", ("spots", "boards", "poses", "motion", "measure")),
@@ -20,7 +20,7 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "calibrate mirrors": ("calibrate/cameras", CAMERAS),
     "calibrate zoom-rig": ("calibrate/cameras", CAMERAS),
     "calibrate target": ("calibrate/light_target", ("spots", "light target")),
-    "calibrate timing": ("calibrate/timing", ("spots", "poses", "motion")),
+    "calibrate timing": ("measure/poses", ("spots", "poses", "motion")),
     "calibrate handeye": ("calibrate/handeye", ("boards", "hand-eye")),
     "calibrate arm": ("kinematics", ("kinematics", "arm")),
     "kinematics fk": ("kinematics", ("kinematics",)),
@@ -49,4 +49,4 @@ def _kept(folder: str) -> bool:
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
         return any(Path(given).rglob("*.nbi"))
-    return any((Path(armsight.__file__).parent / folder).rglob("*.nbi"))
+    return any((PACKAGE / folder).rglob("*.nbi"))
