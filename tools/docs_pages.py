@@ -93,6 +93,7 @@ HEADINGS = {
     "armsight.api.tracks": "Tracks",
     "armsight.api.cameras": "Cameras and rigs",
     "armsight.api.runs": "Measure, record, verify, compare, join",
+    "armsight.api.batch": "Many runs",
     "armsight.api.design": "Rigs planned",
     "armsight.api.light": "Targets, timing, noise, zoom, mirrors",
     "armsight.api.hand_eye": "Hand-eye",
