@@ -45,7 +45,7 @@ class ArmsightError(Exception):
         return " ".join(_sentence(part) for part in (self.cause, self.consequence, self.cure) if part)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (_rebuild, (type(self), self.cause, self.consequence, self.cure), self.__dict__)
+        return (rebuilt, (type(self), self.cause, self.consequence, self.cure), self.__dict__)
 
 
 def _sentence(text: str) -> str:
@@ -53,7 +53,7 @@ def _sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?")) else text + "."
 
 
-def _rebuild(kind: type[ArmsightError], cause: str, consequence: str, cure: str) -> ArmsightError:
+def rebuilt(kind: type[ArmsightError], cause: str, consequence: str, cure: str) -> ArmsightError:
     """Unpickle an error that crossed a process border, whatever its constructor."""
     error = kind.__new__(kind)
     ArmsightError.__init__(error, cause, consequence=consequence, cure=cure)

@@ -220,7 +220,9 @@ def test_no_command_takes_a_token_where_ps_shows_it() -> None:
             for one in command.params
             if any(word in str(one.name) for word in ("token", "password", "secret"))
         ]
-    assert {name for _, name in found} <= {"tokens", "add_token"}, "a file's name, and a name with a role"
+    assert {name for _, name in found} <= {"tokens", "add_token", "mqtt_password_file"}, (
+        "names of files, and a name with a role"
+    )
 
 
 def test_an_address_holds_no_secret() -> None:

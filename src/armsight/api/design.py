@@ -9,7 +9,8 @@ from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, Targ
 from armsight.app.design.run import run_design
 from armsight.app.requests.design import CELLS, POSES, VIEWS, Box, DesignJob
 from armsight.errors import UsageError
-from armsight.records import Progress, Target
+from armsight.records import Progress, Target, require_kind
+from armsight.records.checks import real_array, require_count
 from armsight.records.design import DesignOutput
 from armsight.records.output import extended
 from armsight.units import DEG, MM
@@ -72,12 +73,37 @@ def design(
     'calibration of the rig'
     """
     values = dict(locals())
-    values["volume"] = _box(volume)
-    values["mount"] = None if mount is None else tuple(float(value) for value in mount)
+    values |= {"volume": _box(volume), "size": _size(size), "mount": _mount(mount)}
     values.pop("progress")
     with Given(values.pop("out"), name="design") as given:
         done = run_design(given.job(DesignJob, values), progress)
         return extended(done, DesignOutput, **({} if out is not None else {"report": ""}))
+
+
+def _size(size: Sequence[int] | None) -> tuple[int, int] | None:
+    if size is None:
+        return None
+    require_kind("size", size, Sequence, cure="Give (width, height) in px")
+    if len(size) != 2:
+        raise UsageError(
+            f"the size {size!r} is not two numbers", consequence="There is no image", cure="Give (width, height) in px"
+        )
+    for name, value in zip(("width", "height"), size, strict=True):
+        require_count(name, value, 1)
+    return size[0], size[1]
+
+
+def _mount(mount: Sequence[float] | None) -> tuple[float, ...] | None:
+    if mount is None:
+        return None
+    values = real_array("mount", mount)
+    if values.shape not in ((3,), (6,)):
+        raise UsageError(
+            f"the mount {mount!r} is not three or six numbers",
+            consequence="It is not known where the target is on the flange",
+            cure="Give (x, y, z) in m, or (x, y, z, rx, ry, rz) with degrees",
+        )
+    return tuple(values.tolist())
 
 
 def _box(volume: Sequence[Sequence[float]]) -> Box:

@@ -135,7 +135,7 @@ class Command:
 
     def _filing(self, given: dict[str, Any]) -> Filing | None:
         """Return what files the result where a cell is named. Raises UsageError, before any work is done."""
-        cell, place = given.pop("cell"), given.pop("history")
+        cell, place = given.pop("cell", None), given.pop("history", None)
         if cell is None:
             if place is not None:
                 raise UsageError("--history says where to file, and no cell is named", cure="Add --cell NAME")

@@ -272,6 +272,11 @@ def _begun(*args: Any, **given: Any) -> str:
 
 
 JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "batch": (armsight.batch, {"function": armsight.measure, "jobs": {"a": {}}, "out": AWAY}),
+    "design": (
+        armsight.design,
+        {"target": TARGET, "volume": [(-0.1, 0.1), (-0.1, 0.1), (0.6, 0.8)], "rig": RIG, "board": BOARD},
+    ),
     "measure": (armsight.measure, PAIR),
     "record": (armsight.record, {"out": AWAY, "cell": "hand-cell"}),
     "repair_recording": (armsight.repair_recording, {"path": MCAP}),
@@ -762,7 +767,7 @@ MADE_BY_US = (
     *("RobotWorldResult", "ToolTipResult", "MeasureResult", "VerifyResult", "JoinResult", "TargetResult"),
     *("TimingResult", "NoiseResult", "ZoomRigResult", "TeachResult", "LiveIdentification", "SimulatedFrame"),
     *("RobotConnection", "RobotDriver", "RemoteState", "Simulation", "PoseStatus", "Inverse", "JointPath", "World"),
-    "RobotState",
+    *("RobotState", "BatchResult"),
 )
 """Results, errors and names that people read but do not make: their constructors check nothing."""
 

@@ -44,6 +44,7 @@ STAND_INS = (
     ("", "checkerboard:9x6:0.025", "checkerboard:7x5:0.02"),
     ("", "circles:7x11:0.02", "checkerboard:7x5:0.02"),
     ("report", "rig.report.html", "rig-before.report.html"),
+    ("design --rig", "rig.yaml", "rig-before.yaml"),
     ("", "camera:0", "camera:sim:webcam-cell:left"),
     ("", "camera:1", "camera:sim:webcam-cell:right"),
     ("", "--robot rtde:192.168.1.10", "--robot sim:webcam-cell --play"),
@@ -114,6 +115,7 @@ def given(tmp_path_factory: pytest.TempPathFactory, boards, mirror_boards) -> Pa
         make_foreign()
         make_paths()
         make_history()
+        make_batch()
     return folder
 
 
@@ -196,6 +198,12 @@ def make_history() -> None:
     for week in range(6):
         when = histories.START + timedelta(days=7 * week, hours=1)
         file_entry(place, histories.handeye_run("weld-3", (0.1, 0.0, 0.05), Rotation.identity(), when))
+
+
+def make_batch() -> None:
+    Path("recordings").mkdir()
+    shutil.copy("recording.mcap", "recordings/monday.mcap")
+    Path("jobs.csv").write_text("name,command,arm,joints\nmonday,kinematics fk,ur10,joints.csv\n")
 
 
 @pytest.mark.parametrize("example", [text for texts in EXAMPLES.values() for text in texts])

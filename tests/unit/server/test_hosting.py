@@ -14,7 +14,7 @@ from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
 from armsight.clock import ManualClock
 from armsight.control.guard.limits import ENABLE_AGE_S
-from armsight.control.session.channels import Newest, Queue
+from armsight.control.session.channels import Newest, Queue, error_of, put_error
 from armsight.control.session.loop_host import LoopCommand, LoopEvent
 from armsight.control.session.loop_side import Channels, CountedClock, lateness_s
 from armsight.control.setpoints import JointGoal, JointVelocity
@@ -297,3 +297,12 @@ def test_an_enable_of_the_line_counts_only_while_its_key_is_granted():
             loop.host.line.orders.put(pickle.dumps(("beat", (False, None), loop.clock.now_s(), 0, "old")))
             loop.advance(2 * CYCLE_S)
             assert not loop.host.status().enabled, "letting go counts by whatever key"
+
+
+@pytest.mark.parametrize("letter", ["x", "ä", "環"])
+def test_an_error_fits_into_a_message_however_long_its_texts_are(letter):
+    queue = Queue(4, 512)
+    put_error(queue, DeviceLost(letter * 4000, consequence=letter * 4000, cure=letter * 4000))
+    told = error_of(pickle.loads(queue.get()))
+    assert type(told) is DeviceLost and told.cause.startswith(letter) and told.cure.startswith(letter)
+    assert error_of(("described", {})) is None

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from armsight.app.robot.opening import open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
-from armsight.control.session.channels import JointTrack, LineChannels
+from armsight.control.session.channels import JointTrack, LineChannels, error_of, put_error
 from armsight.control.session.loop_host import LoopEvent, LoopRecord
 from armsight.control.session.loop_side import Channels, lateness_s, run_loop
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
@@ -168,8 +168,8 @@ class _SharedMemoryHost:
         return True
 
     def _take(self, record: Any) -> None:
-        if isinstance(record, ArmsightError):
-            self._ended = str(record)
+        if (error := error_of(record)) is not None:
+            self._ended = str(error)
             self._kept.append(LoopEvent(t_s=self.now_s(), level="error", message=self._ended))
         elif isinstance(record, tuple):
             self._description = RobotDescription.model_validate(record[1])
@@ -194,8 +194,8 @@ class _SharedMemoryHost:
     def _fetch_start(self) -> None:
         while (data := self._channels.records.get()) is not None:
             record = pickle.loads(data)
-            if isinstance(record, ArmsightError):
-                raise record
+            if (error := error_of(record)) is not None:
+                raise error
             self._take(record)
 
     def _runs(self) -> bool:
@@ -300,6 +300,6 @@ def _loop_process(channels: Channels, spec: RobotSpec, parent: int) -> None:
     try:
         robot = open_robot(spec.robot, clock, spec.settings)
     except ArmsightError as error:
-        channels.records.put(pickle.dumps(error))
+        put_error(channels.records, error)
         return
     run_loop(channels, robot, spec.arm, spec.limits, clock, driver=spec.robot, parent=parent)

@@ -7,6 +7,7 @@ left out, so that no lock is needed and a process that dies holds nobody up.
 from __future__ import annotations
 
 import json
+import pickle
 import zlib
 from dataclasses import dataclass, field
 from multiprocessing import RawArray
@@ -15,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import StaleData, UsageError
+from armsight.errors import ArmsightError, StaleData, UsageError, rebuilt
 
 Array = NDArray[np.float64]
 
+FAILED = "failed"
 _HEAD = 16
 """Bytes before a slot's content: its number (8), its length (4), its checksum (4)."""
 
@@ -94,6 +96,7 @@ class Queue:
 
     def __init__(self, slots: int = 256, size: int = 1024) -> None:
         self._slots = _Slots(slots, size)
+        self.size = size
 
     def put(self, data: bytes) -> bool:
         """Add a message; False where the queue is full."""
@@ -114,6 +117,24 @@ class Queue:
             self._slots.set_taken(number)
             return data
         return None
+
+
+def put_error(queue: Queue, error: ArmsightError) -> None:
+    """Write an error's kind and texts, cut to what a message holds; `error_of` reads it.
+
+    Not the error itself: where tblib is loaded (Dask does), pickle takes its traceback along, which no message holds.
+    """
+    for letters in (400, 150, 40):
+        texts = [text[:letters] for text in (error.cause, error.consequence, error.cure)]
+        data = pickle.dumps((FAILED, type(error), *texts))
+        if len(data) <= queue.size:
+            break
+    queue.put(data)
+
+
+def error_of(record: Any) -> ArmsightError | None:
+    """Return the error that a message of put_error tells, None of any other."""
+    return rebuilt(*record[1:]) if isinstance(record, tuple) and record[0] == FAILED else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
-from armsight.control.session.channels import JointTrack, LineChannels, Newest, Queue, granted
+from armsight.control.session.channels import JointTrack, LineChannels, Newest, Queue, granted, put_error
 from armsight.control.session.loop_host import SETPOINT_S, LoopCommand, LoopEvent
 from armsight.control.setpoints import CycleState, JointGoal, SetPoint
 from armsight.control.sources import ClientSource
@@ -259,10 +259,10 @@ def run_loop(
             publish = StatusPublisher(channels.state, source).publish
             loop.run(until=publish if channels.track is None else tracked(publish, robot, channels.track, clock))
     except ArmsightError as error:
-        channels.records.put(pickle.dumps(error))
+        put_error(channels.records, error)
     except Exception as error:  # whatever ended it, the server tells it
         text = f"the loop failed: {type(error).__name__}: {error}"[:300]
-        channels.records.put(pickle.dumps(ArmsightError(text, consequence="The robot was stopped")))
+        put_error(channels.records, ArmsightError(text, consequence="The robot was stopped"))
 
 
 def tracked(
