@@ -311,6 +311,17 @@ def test_everyone_reads_where_that_is_allowed_and_nothing_else(open_to_all):
     open_to_all(body)
 
 
+def test_without_security_no_token_is_asked_for(open_to_all):
+    async def body(served):
+        offered = await Client(served.url).connect_and_get_server_endpoints()
+        named = {
+            one.SecurityMode for one in offered for kind in one.UserIdentityTokens if kind.TokenType.name != "Anonymous"
+        }
+        assert named == {SIGN, BOTH} and len(offered) == 3
+
+    open_to_all(body)
+
+
 def test_a_token_counts_on_a_secured_channel_alone(open_to_all):
     async def body(served):
         with pytest.raises(UaError):

@@ -59,6 +59,7 @@ READS = _ids(
 )
 CALLS = _ids("Call")
 ACTIVATE = _ids("ActivateSession")
+ANONYMOUS = ua.UserTokenType.Anonymous
 
 
 @dataclass
@@ -275,6 +276,9 @@ async def start_guarded(
         server.iserver.endpoints[:] = [
             one for one in server.iserver.endpoints if one.SecurityMode is not ua.MessageSecurityMode.None_
         ]
+    for one in server.iserver.endpoints:
+        if one.SecurityMode is ua.MessageSecurityMode.None_:  # nobody is asked for a token that is refused there
+            one.UserIdentityTokens = [kind for kind in one.UserIdentityTokens if kind.TokenType is ANONYMOUS]
     await server.iserver.start()
 
     def make(*given: Any) -> UaProcessor:
