@@ -68,6 +68,12 @@ def test_a_rotation_without_a_level_is_not_asked_for():
     assert tolerance(state(seen=narrow))[0] is None
 
 
+def test_a_direction_that_is_known_badly_is_doubt_though_the_error_points_elsewhere():
+    deep = replace(seen().compared, random=np.diag([1e-8, 1e-8, 0.005**2, 1e-8, 1e-8, 1e-8]))
+    assert deep.error_m + 2 * deep.std_m < states.LIMITS.warn_m  # along the error it is known well
+    assert tolerance(state(seen=replace(seen(), compared=deep))) == (None, Quality.UNDECIDED)
+
+
 def test_a_measurement_that_stops_is_stale_and_says_nothing_of_tolerance():
     going = replace(state(at_s=101.5), seen=seen(at_s=100.0), robot=robot(101.5))
     values = told(going, 101.6, STALE_S)
