@@ -118,7 +118,7 @@ def trust(state: PlantState | None, now_s: float, stale_s: float = STALE_S) -> T
 def _age(at_s: float, now_s: float, stale_s: float) -> Quality:
     if math.isnan(at_s):
         return Quality.WAITING
-    return Quality.GOOD if now_s - at_s <= stale_s else Quality.STALE
+    return Quality.GOOD if abs(now_s - at_s) <= stale_s else Quality.STALE  # what is yet to come is of a wrong clock
 
 
 def conditions(state: PlantState, stale_s: float = STALE_S) -> list[Condition]:

@@ -74,6 +74,12 @@ def test_a_direction_that_is_known_badly_is_doubt_though_the_error_points_elsewh
     assert tolerance(state(seen=replace(seen(), compared=deep))) == (None, Quality.UNDECIDED)
 
 
+@pytest.mark.parametrize("part", ["seen", "robot"])
+def test_what_is_of_a_time_to_come_is_not_new(part):
+    quality = getattr(trust(state(**{part: {"seen": seen, "robot": robot}[part](at_s=150.0)}), 100.0, STALE_S), part)
+    assert quality is Quality.STALE
+
+
 def test_a_measurement_that_stops_is_stale_and_says_nothing_of_tolerance():
     going = replace(state(at_s=101.5), seen=seen(at_s=100.0), robot=robot(101.5))
     values = told(going, 101.6, STALE_S)
