@@ -12,6 +12,8 @@ from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 
 from armsight._version import __version__
 from armsight.errors import BadFile
@@ -25,6 +27,8 @@ EVERY_S = 0.1
 """The state is published so often at the most."""
 STILL_S = 1.0
 """... and so often at the least, though nothing changes."""
+EXPIRES_S = 5
+"""A broker throws a state away that is older: one that was off, and we with it, must not tell what was before."""
 KEEPALIVE_S = 5
 """A broker that has heard nothing for one and a half of this tells our last will."""
 RETRY_S = 1, 10
@@ -72,6 +76,12 @@ def offline_json() -> dict[str, Any]:
     }
 
 
+def _expiring() -> Properties:
+    found = Properties(PacketTypes.PUBLISH)
+    found.MessageExpiryInterval = EXPIRES_S
+    return found
+
+
 def _time(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
@@ -101,7 +111,7 @@ class MqttPublisher:
         self._next_s, self._last = 0.0, ""
         self._said = ""
         self._up = threading.Event()
-        client = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv311)
+        client = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         client.will_set(self._topic, json.dumps(offline_json()), qos=1, retain=True)
         client.reconnect_delay_set(*RETRY_S)
         client.max_queued_messages_set(QUEUED)
@@ -132,7 +142,7 @@ class MqttPublisher:
         if text == self._last and now_s < self._next_s + STILL_S - EVERY_S:
             return
         self._next_s, self._last = now_s + EVERY_S, text
-        self._client.publish(self._topic, text, qos=0, retain=True)
+        self._client.publish(self._topic, text, qos=0, retain=True, properties=_expiring())
 
     async def stop(self) -> None:
         """Say that nothing comes any more, and go."""
@@ -145,7 +155,8 @@ class MqttPublisher:
 
     def _connected(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
-            self._say("warning", f"MQTT: the broker {self._broker} refused: {reason}")
+            cure = "; it must speak MQTT 5" if "protocol version" in str(reason) else ""
+            self._say("warning", f"MQTT: the broker {self._broker} refused: {reason}{cure}")
             return
         self._last = ""
         self._up.set()
