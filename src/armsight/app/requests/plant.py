@@ -101,6 +101,12 @@ class PlantFlags:
                     consequence="Nothing is published",
                     cure=f"Give --{main} URL",
                 )
+        if self.stale_after_s != STALE_S and self.opcua is None and self.mqtt is None and self.foxglove is None:
+            raise UsageError(
+                "--stale-after is of what is published, and nothing is",
+                consequence="It would change nothing",
+                cure="Give --opcua, --mqtt or --foxglove, or leave it away",
+            )
         if self.opcua_certificate is None and (self.opcua_users or self.opcua_trusted):
             raise UsageError(
                 "--opcua-users and --opcua-trusted need a certificate of the server",
