@@ -16,8 +16,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from armsight._version import __version__
-from armsight.errors import BadFile
-from armsight.publish.options import NOTHING, MqttOptions
+from armsight.publish.certificates import tls_context
+from armsight.publish.options import MqttOptions
 from armsight.publish.requests import Note, Tell
 from armsight.publish.state import PlantState, Quality
 from armsight.publish.values import IN_TOLERANCE, Given, Told, alarm_values, told
@@ -121,7 +121,7 @@ class MqttPublisher:
         if options.user:
             client.username_pw_set(options.user, options.password or None)
         if options.tls:
-            client.tls_set_context(_context(options))
+            client.tls_set_context(tls_context(options.ca))
         self._client = client
 
     @property
@@ -177,7 +177,7 @@ class MqttPublisher:
         try:
             with socket.create_connection((self._options.host, self._options.port), timeout=2.0) as line:
                 if self._options.tls:
-                    with _context(self._options).wrap_socket(line, server_hostname=self._options.host):
+                    with tls_context(self._options.ca).wrap_socket(line, server_hostname=self._options.host):
                         pass
         except ssl.SSLCertVerificationError as error:
             return f": its certificate is not trusted ({error.verify_message})"
@@ -190,16 +190,3 @@ class MqttPublisher:
         if message != self._said:
             self._said = message
             self._tell(Note(level=level, message=message))
-
-
-def _context(options: MqttOptions) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context(cafile=options.ca)
-    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-        raise BadFile(
-            f"{options.ca} is no certificate: {getattr(error, 'strerror', None) or error}",
-            consequence=NOTHING,
-            cure="Give the broker's certificate authority as PEM",
-        ) from error
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    return context

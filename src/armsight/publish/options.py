@@ -21,6 +21,7 @@ LOOPBACK = "127.0.0.1"
 LONGEST_SECRET = 4096
 LONGEST_PREFIX = 200
 NOTHING = "Nothing is published, and nothing was started"
+ENDS = "Nothing is published, and what was begun ends"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,7 @@ from armsight.control.session.channels import Newest, Queue
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.priority import BEHIND, give_way
 from armsight.publish.certificates import missing
-from armsight.publish.options import NOTHING, PlantOptions
+from armsight.publish.options import ENDS, PlantOptions
 from armsight.publish.requests import Request, Tell, decode, encode
 from armsight.publish.state import PlantState
 
@@ -116,7 +116,7 @@ class PlantProcess:
         until_s = time.monotonic() + BEGIN_S
         while (data := self._channels.begun.read()) is None:
             if time.monotonic() > until_s or not self.alive:
-                raise DeviceFailed("the process that publishes did not begin", consequence=NOTHING)
+                raise DeviceFailed("the process that publishes did not begin", consequence=ENDS)
             time.sleep(POLL_S)
         came = pickle.loads(data)
         if isinstance(came, ArmsightError):

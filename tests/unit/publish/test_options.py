@@ -215,6 +215,16 @@ def test_a_folder_that_trusts_nobody_is_refused(tmp_path):
         read_trusted(tmp_path)
 
 
+def test_certificates_are_looked_at_before_anything_is_opened(keys, tmp_path):
+    own = {"opcua": URL, "opcua_certificate": keys.server[0], "opcua_users": keys.tokens}
+    with pytest.raises(BadFile, match="is not the key"):
+        PlantFlags(**own, opcua_key=keys.client[1]).made(print)
+    with pytest.raises(BadFile, match="holds no certificate"):
+        PlantFlags(**own, opcua_key=keys.server[1], opcua_trusted=tmp_path).made(print)
+    with pytest.raises(BadFile, match="is no certificate"):
+        PlantFlags(mqtt="mqtts://broker/a", mqtt_ca=keys.tokens).made(print)
+
+
 def test_an_authority_that_is_none_is_refused(tmp_path):
     file = tmp_path / "ca.pem"
     file.write_text("no certificate")

@@ -65,7 +65,7 @@ class PlantFlags:
         self._check_alone()
         if self.opcua is None and self.mqtt is None and self.foxglove is None:
             return None
-        from armsight.publish import options
+        from armsight.publish import certificates, options
 
         opcua = mqtt = foxglove = None
         if self.opcua is not None:
@@ -86,7 +86,9 @@ class PlantFlags:
         if self.foxglove is not None:
             foxglove = options.foxglove_options(self.foxglove)
             notify("Note: Foxglove's protocol knows no passwords: whoever reaches its port may watch.")
-        return options.PlantOptions(opcua=opcua, mqtt=mqtt, foxglove=foxglove, stale_s=self.stale_after_s)
+        made = options.PlantOptions(opcua=opcua, mqtt=mqtt, foxglove=foxglove, stale_s=self.stale_after_s)
+        certificates.check(made)
+        return made
 
     def _check_alone(self) -> None:
         """Raise UsageError for a flag of something that is not published."""

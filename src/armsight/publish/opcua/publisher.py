@@ -18,7 +18,7 @@ from armsight.errors import DeviceFailed
 from armsight.publish.alarms import NAMES
 from armsight.publish.certificates import read_pair, read_trusted
 from armsight.publish.opcua.guarded import CALLER, Door, GuardedInternalServer, start_guarded
-from armsight.publish.options import NOTHING, OpcUaOptions
+from armsight.publish.options import ENDS, OpcUaOptions
 from armsight.publish.requests import Acknowledge, Note, Tell
 from armsight.publish.state import PlantState, Quality
 from armsight.publish.values import VALUES, Given, alarm_values, told
@@ -114,7 +114,7 @@ class OpcUaPublisher:
     def _cannot_listen(self, error: Exception) -> DeviceFailed:
         return DeviceFailed(
             f"OPC UA cannot listen at {self._options.host}, port {self._options.port}: {error}",
-            consequence=NOTHING,
+            consequence=ENDS,
             cure="Choose another port or address with --opcua",
         )
 
