@@ -90,6 +90,12 @@ class PlantProcess:
         """Whether it runs."""
         return self._process is not None and self._process.is_alive()
 
+    @property
+    def came(self) -> dict[str, int] | ArmsightError | None:
+        """What its start came to: the ports, or what kept it from starting; None before that is known."""
+        data = self._channels.begun.read()
+        return None if data is None else pickle.loads(data)  # type: ignore[no-any-return]  # of our own process
+
     def show(self, state: PlantState) -> None:
         """Replace what is published; never waits."""
         self._channels.state.write(pickle.dumps(state, protocol=5))
@@ -114,11 +120,10 @@ class PlantProcess:
 
     def _wait(self) -> None:
         until_s = time.monotonic() + BEGIN_S
-        while (data := self._channels.begun.read()) is None:
+        while (came := self.came) is None:
             if time.monotonic() > until_s or not self.alive:
                 raise DeviceFailed("the process that publishes did not begin", consequence=ENDS)
             time.sleep(POLL_S)
-        came = pickle.loads(data)
         if isinstance(came, ArmsightError):
             raise came
         self.ports = came
