@@ -156,7 +156,7 @@ class MqttPublisher:
     def _connected(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
             cure = "; it must speak MQTT 5" if "protocol version" in str(reason) else ""
-            self._say("warning", f"MQTT: the broker {self._broker} refused: {reason}{cure}")
+            self._say("error", f"MQTT: the broker {self._broker} refused: {reason}{cure}")
             return
         self._last = ""
         self._up.set()
@@ -164,11 +164,11 @@ class MqttPublisher:
 
     def _gone(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if self._up.is_set():
-            self._say("warning", f"MQTT: the broker {self._broker} is gone ({reason}); it is looked for")
+            self._say("error", f"MQTT: the broker {self._broker} is gone ({reason}); it is looked for")
         self._up.clear()
 
     def _failed(self, client: Any, data: Any) -> None:
-        self._say("warning", f"MQTT: the broker {self._broker} cannot be reached{self._why()}; it is looked for")
+        self._say("error", f"MQTT: the broker {self._broker} cannot be reached{self._why()}; it is looked for")
 
     def _why(self) -> str:
         """Return why a connection fails, found by one try of our own: paho keeps it to itself."""
