@@ -147,6 +147,8 @@ def test_the_words_of_a_condition_do_not_change_from_cycle_to_cycle():
         for ms in (120, 130)
     )
     assert one == two
+    lost, still = (conditions(state(robot=None, why=f"no answer for {ms} ms")) for ms in (120, 130))
+    assert lost == still
 
 
 def test_json_says_what_is_stale():
