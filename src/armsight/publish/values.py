@@ -33,12 +33,6 @@ class Value:
     get: Callable[[Any], Given]
     unit: str = ""
 
-    @property
-    def empty(self) -> Given:
-        """What stands where there is nothing, of the kind."""
-        made: Given = self.kind()
-        return float("nan") if self.kind is float else made
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Told:
