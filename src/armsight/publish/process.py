@@ -94,7 +94,7 @@ class PlantProcess:
     def came(self) -> dict[str, int] | ArmsightError | None:
         """What its start came to: the ports, or what kept it from starting; None before that is known."""
         data = self._channels.begun.read()
-        return None if data is None else pickle.loads(data)  # type: ignore[no-any-return]  # of our own process
+        return None if data is None else pickle.loads(data)
 
     def show(self, state: PlantState) -> None:
         """Replace what is published; never waits."""

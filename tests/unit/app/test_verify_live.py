@@ -205,7 +205,7 @@ def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
     assert last.seen is not None and last.seen.pose.status.value == "ok"
     assert last.robot is not None and last.robot.reading is not None
     assert said[:2] == ["Foxglove: ws://127.0.0.1:8767", NOTE]
-    assert said[-1].endswith("more warnings were left out") and len(said) < 30
+    assert "more warnings" in said[-1] and len(said) < 30
     with Recording(tmp_path / "out" / "live.mcap") as recording:
         assert NOTE in [item.message for item in recording.events()]
 

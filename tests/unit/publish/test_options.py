@@ -217,7 +217,7 @@ def test_a_folder_that_trusts_nobody_is_refused(tmp_path):
 
 def test_certificates_are_looked_at_before_anything_is_opened(keys, tmp_path):
     own = {"opcua": URL, "opcua_certificate": keys.server[0], "opcua_users": keys.tokens}
-    with pytest.raises(BadFile, match="is not the key"):
+    with pytest.raises(BadFile, match="the key of"):
         PlantFlags(**own, opcua_key=keys.client[1]).made(print)
     with pytest.raises(BadFile, match="holds no certificate"):
         PlantFlags(**own, opcua_key=keys.server[1], opcua_trusted=tmp_path).made(print)
