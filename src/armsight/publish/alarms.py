@@ -68,7 +68,8 @@ class AlarmBook:
 
     raised: active, not acknowledged. It goes with its cause where it is acknowledged or not latched; a latched one that
     nobody acknowledged stays, no longer active. A cause that comes back meanwhile makes the same occurrence active;
-    one that comes back after it has gone is another occurrence, to be acknowledged anew.
+    one that comes back after it has gone is another occurrence, to be acknowledged anew. So is a latched one whose why
+    becomes another: a robot that was seen to be stopped and then is lost was not seen to be lost.
     """
 
     def __init__(self) -> None:
@@ -93,7 +94,7 @@ class AlarmBook:
                     del self._alarms[name]
         for name, one in wrong.items():
             before = self._alarms.get(name)
-            if before is None:
+            if before is None or (before.latched and before.why != one.why):
                 before = Alarm(id=self._new_id(name, now_s), name=name, why=one.why, since_s=now_s, active=False)
             if not before.active:
                 told.append(f"alarm {before.id}: {one.why}")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import socket
+import ssl
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.errors import BadFile, DeviceNotFound, UsageError
-from armsight.publish.options import NOTHING
+from armsight.publish.options import NOTHING, PlantOptions
 from armsight.store.atomic import disk_errors
 
 if TYPE_CHECKING:
@@ -111,6 +112,31 @@ def read_trusted(folder: Path) -> frozenset[bytes]:
             cure="Copy the certificate of each client into it",
         )
     return frozenset(read_certificate(one).public_bytes(Encoding.DER) for one in files)
+
+
+def tls_context(ca: Path | None) -> ssl.SSLContext:
+    """Return what trusts the certificates of an authority, None: the system's. Raises BadFile."""
+    try:
+        context = ssl.create_default_context(cafile=ca)
+    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+        raise BadFile(
+            f"{ca} is no certificate: {getattr(error, 'strerror', None) or error}",
+            consequence=NOTHING,
+            cure="Give the broker's certificate authority as PEM",
+        ) from error
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    return context
+
+
+def check(options: PlantOptions) -> None:
+    """Raise BadFile for certificates that cannot be used, before a robot or a recording is opened."""
+    opcua, mqtt = options.opcua, options.mqtt
+    if opcua is not None and opcua.certificate is not None and opcua.key is not None:
+        read_pair(opcua.certificate, opcua.key)
+    if opcua is not None and opcua.trusted is not None:
+        read_trusted(opcua.trusted)
+    if mqtt is not None and mqtt.tls:
+        tls_context(mqtt.ca)
 
 
 def make_pair(folder: Path, host: str = "") -> tuple[Path, Path]:

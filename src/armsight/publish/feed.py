@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
-from armsight.errors import UsageError
+from armsight.errors import ArmsightError, UsageError
 from armsight.publish.alarms import AlarmBook
 from armsight.publish.options import PlantOptions
 from armsight.publish.process import PlantProcess
@@ -62,6 +62,7 @@ class _FeedThread(threading.Thread):
         self._feed = Feed(log, stale_s)
         self._end = threading.Event()
         self._ended_s: float | None = None
+        self._said = ""
 
     def run(self) -> None:
         """Hand on what is new."""
@@ -77,12 +78,19 @@ class _FeedThread(threading.Thread):
         self.join()
 
     def _look_after(self) -> None:
+        came = self._process.came
         if self._process.alive:
+            if self._said and isinstance(came, dict):
+                self._said = ""
+                self._log("info", f"published again{''.join(f', {name}: port {port}' for name, port in came.items())}")
             return
         now_s = time.monotonic()
         if self._ended_s is None:
             self._ended_s = now_s
-            self._log("error", f"nothing is published: that process has ended; it is started anew in {AGAIN_S:g} s")
+            why = came.cause if isinstance(came, ArmsightError) else "that process has ended"
+            if why != self._said:  # once, not with every try
+                self._said = why
+                self._log("error", f"nothing is published: {why}; it is started anew every {AGAIN_S:g} s")
         elif now_s - self._ended_s > AGAIN_S:
             self._ended_s = None
             self._process.restart()

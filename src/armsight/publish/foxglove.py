@@ -8,7 +8,7 @@ import foxglove
 
 from armsight._version import __version__
 from armsight.errors import DeviceFailed
-from armsight.publish.options import NOTHING, FoxgloveOptions
+from armsight.publish.options import ENDS, FoxgloveOptions
 from armsight.publish.requests import Tell
 from armsight.publish.state import PlantState
 from armsight.publish.values import IN_TOLERANCE, told
@@ -65,7 +65,7 @@ class FoxglovePublisher:
         except Exception as error:  # the SDK has errors of its own kinds for what the system refuses
             raise DeviceFailed(
                 f"Foxglove's WebSocket cannot listen at {self._options.host}, port {self._options.port}: {error}",
-                consequence=NOTHING,
+                consequence=ENDS,
                 cure="Choose another port or address with --foxglove",
             ) from error
         self.port = self._server.port

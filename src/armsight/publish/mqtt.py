@@ -12,10 +12,12 @@ from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 
 from armsight._version import __version__
-from armsight.errors import BadFile
-from armsight.publish.options import NOTHING, MqttOptions
+from armsight.publish.certificates import tls_context
+from armsight.publish.options import MqttOptions
 from armsight.publish.requests import Note, Tell
 from armsight.publish.state import PlantState, Quality
 from armsight.publish.values import IN_TOLERANCE, Given, Told, alarm_values, told
@@ -25,6 +27,8 @@ EVERY_S = 0.1
 """The state is published so often at the most."""
 STILL_S = 1.0
 """... and so often at the least, though nothing changes."""
+EXPIRES_S = 5
+"""A broker throws a state away that is older: one that was off, and we with it, must not tell what was before."""
 KEEPALIVE_S = 5
 """A broker that has heard nothing for one and a half of this tells our last will."""
 RETRY_S = 1, 10
@@ -72,6 +76,12 @@ def offline_json() -> dict[str, Any]:
     }
 
 
+def _expiring() -> Properties:
+    found = Properties(PacketTypes.PUBLISH)
+    found.MessageExpiryInterval = EXPIRES_S
+    return found
+
+
 def _time(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
@@ -101,7 +111,7 @@ class MqttPublisher:
         self._next_s, self._last = 0.0, ""
         self._said = ""
         self._up = threading.Event()
-        client = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv311)
+        client = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         client.will_set(self._topic, json.dumps(offline_json()), qos=1, retain=True)
         client.reconnect_delay_set(*RETRY_S)
         client.max_queued_messages_set(QUEUED)
@@ -111,7 +121,7 @@ class MqttPublisher:
         if options.user:
             client.username_pw_set(options.user, options.password or None)
         if options.tls:
-            client.tls_set_context(_context(options))
+            client.tls_set_context(tls_context(options.ca))
         self._client = client
 
     @property
@@ -132,7 +142,7 @@ class MqttPublisher:
         if text == self._last and now_s < self._next_s + STILL_S - EVERY_S:
             return
         self._next_s, self._last = now_s + EVERY_S, text
-        self._client.publish(self._topic, text, qos=0, retain=True)
+        self._client.publish(self._topic, text, qos=0, retain=True, properties=_expiring())
 
     async def stop(self) -> None:
         """Say that nothing comes any more, and go."""
@@ -145,7 +155,8 @@ class MqttPublisher:
 
     def _connected(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
-            self._say("warning", f"MQTT: the broker {self._broker} refused: {reason}")
+            cure = "; it must speak MQTT 5" if "protocol version" in str(reason) else ""
+            self._say("error", f"MQTT: the broker {self._broker} refused: {reason}{cure}")
             return
         self._last = ""
         self._up.set()
@@ -153,11 +164,11 @@ class MqttPublisher:
 
     def _gone(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if self._up.is_set():
-            self._say("warning", f"MQTT: the broker {self._broker} is gone ({reason}); it is looked for")
+            self._say("error", f"MQTT: the broker {self._broker} is gone ({reason}); it is looked for")
         self._up.clear()
 
     def _failed(self, client: Any, data: Any) -> None:
-        self._say("warning", f"MQTT: the broker {self._broker} cannot be reached{self._why()}; it is looked for")
+        self._say("error", f"MQTT: the broker {self._broker} cannot be reached{self._why()}; it is looked for")
 
     def _why(self) -> str:
         """Return why a connection fails, found by one try of our own: paho keeps it to itself."""
@@ -166,7 +177,7 @@ class MqttPublisher:
         try:
             with socket.create_connection((self._options.host, self._options.port), timeout=2.0) as line:
                 if self._options.tls:
-                    with _context(self._options).wrap_socket(line, server_hostname=self._options.host):
+                    with tls_context(self._options.ca).wrap_socket(line, server_hostname=self._options.host):
                         pass
         except ssl.SSLCertVerificationError as error:
             return f": its certificate is not trusted ({error.verify_message})"
@@ -179,16 +190,3 @@ class MqttPublisher:
         if message != self._said:
             self._said = message
             self._tell(Note(level=level, message=message))
-
-
-def _context(options: MqttOptions) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context(cafile=options.ca)
-    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-        raise BadFile(
-            f"{options.ca} is no certificate: {getattr(error, 'strerror', None) or error}",
-            consequence=NOTHING,
-            cure="Give the broker's certificate authority as PEM",
-        ) from error
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    return context

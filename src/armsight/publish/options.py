@@ -19,7 +19,9 @@ MQTT_PORTS = {"mqtts": 8883, "mqtt": 1883}
 OPCUA_PORT, FOXGLOVE_PORT = 4840, 8767
 LOOPBACK = "127.0.0.1"
 LONGEST_SECRET = 4096
+LONGEST_PREFIX = 200
 NOTHING = "Nothing is published, and nothing was started"
+ENDS = "Nothing is published, and what was begun ends"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,10 +131,20 @@ def mqtt_options(url: str, *, ca: Path | None, user: str, password_file: Path | 
     host, port, path = _address(url, MQTT_PORTS, "--mqtt", shown)
     tls = url.lower().startswith("mqtts:")
     prefix = path.strip("/")
-    if not prefix or any(letter in prefix for letter in "+#\0") or len(prefix) > 200:
+    if not prefix or len(prefix) > LONGEST_PREFIX:
         raise UsageError(
-            f"--mqtt {url} says no topic to begin with", consequence=NOTHING, cure=f"Give for instance {shown}"
+            f"--mqtt {url[:LONGEST_PREFIX]} says no topic to begin with, or too long a one",
+            consequence=NOTHING,
+            cure=f"Give for instance {shown}",
         )
+    if prefix.startswith("$") or not prefix.isprintable() or any(letter in prefix for letter in "+#\ufffd"):
+        raise UsageError(
+            f"--mqtt {url}: no topic may begin with $, nor hold +, # or what cannot be printed",
+            consequence=f"A broker takes nothing there. {NOTHING}",
+            cure=f"Give for instance {shown}",
+        )
+    if port == 0:
+        raise UsageError(f"--mqtt {url}: no broker listens at port 0", consequence=NOTHING, cure=f"As {shown}")
     if not tls and not _loopback(host):
         raise UsageError(
             f"--mqtt {url} goes to another machine in plain text",
@@ -152,7 +164,7 @@ def mqtt_options(url: str, *, ca: Path | None, user: str, password_file: Path | 
 def foxglove_options(where: str) -> FoxgloveOptions:
     """Return the options of [HOST:]PORT. Raises UsageError."""
     host, _, port = where.rpartition(":")
-    if not port.isdigit() or not 0 <= int(port) <= 65535 or "/" in host:
+    if not (port.isascii() and port.isdigit()) or not 0 <= int(port) <= 65535 or "/" in host:
         raise UsageError(
             f"--foxglove {where} is not [HOST:]PORT", consequence=NOTHING, cure=f"Give for instance {FOXGLOVE_PORT}"
         )
@@ -178,13 +190,16 @@ def _password(file: Path | None) -> str:
     if file is None:
         return os.environ.get(MQTT_PASSWORD, "")
     check_private(file, "the password")
-    text = file.read_bytes()[: LONGEST_SECRET + 1]
+    cure = "Keep the password in it, and nothing else"
+    with file.open("rb") as opened:
+        data = opened.read(LONGEST_SECRET + 1)
     try:
-        return text.decode("utf-8").strip("\r\n")
+        password = data.decode("utf-8").strip("\r\n")
     except UnicodeDecodeError as error:
-        raise BadFile(
-            f"{file}: no text", consequence=NOTHING, cure="Keep the password in it, and nothing else"
-        ) from error
+        raise BadFile(f"{file}: no text", consequence=NOTHING, cure=cure) from error
+    if not password or len(data) > LONGEST_SECRET:
+        raise BadFile(f"{file}: {'no' if not password else 'too long for a'} password", consequence=NOTHING, cure=cure)
+    return password
 
 
 def _address(url: str, ports: dict[str, int], flag: str, shown: str) -> tuple[str, int, str]:

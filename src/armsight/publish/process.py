@@ -20,7 +20,7 @@ from armsight.control.session.channels import Newest, Queue
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.priority import BEHIND, give_way
 from armsight.publish.certificates import missing
-from armsight.publish.options import NOTHING, PlantOptions
+from armsight.publish.options import ENDS, PlantOptions
 from armsight.publish.requests import Request, Tell, decode, encode
 from armsight.publish.state import PlantState
 
@@ -90,6 +90,12 @@ class PlantProcess:
         """Whether it runs."""
         return self._process is not None and self._process.is_alive()
 
+    @property
+    def came(self) -> dict[str, int] | ArmsightError | None:
+        """What its start came to: the ports, or what kept it from starting; None before that is known."""
+        data = self._channels.begun.read()
+        return None if data is None else pickle.loads(data)
+
     def show(self, state: PlantState) -> None:
         """Replace what is published; never waits."""
         self._channels.state.write(pickle.dumps(state, protocol=5))
@@ -114,11 +120,10 @@ class PlantProcess:
 
     def _wait(self) -> None:
         until_s = time.monotonic() + BEGIN_S
-        while (data := self._channels.begun.read()) is None:
+        while (came := self.came) is None:
             if time.monotonic() > until_s or not self.alive:
-                raise DeviceFailed("the process that publishes did not begin", consequence=NOTHING)
+                raise DeviceFailed("the process that publishes did not begin", consequence=ENDS)
             time.sleep(POLL_S)
-        came = pickle.loads(data)
         if isinstance(came, ArmsightError):
             raise came
         self.ports = came

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.control.guard import GuardState
-from armsight.control.status import RobotStatus
+from armsight.control.status import HOW_LONG, RobotStatus
 from armsight.drivers import RobotState
 from armsight.publish.alarms import Alarm, Condition
 from armsight.records import JointReading, TargetPose
@@ -118,7 +118,7 @@ def trust(state: PlantState | None, now_s: float, stale_s: float = STALE_S) -> T
 def _age(at_s: float, now_s: float, stale_s: float) -> Quality:
     if math.isnan(at_s):
         return Quality.WAITING
-    return Quality.GOOD if now_s - at_s <= stale_s else Quality.STALE
+    return Quality.GOOD if abs(now_s - at_s) <= stale_s else Quality.STALE  # what is yet to come is of a wrong clock
 
 
 def conditions(state: PlantState, stale_s: float = STALE_S) -> list[Condition]:
@@ -126,7 +126,7 @@ def conditions(state: PlantState, stale_s: float = STALE_S) -> list[Condition]:
     wrong = []
     status = None if state.robot is None else state.robot.status
     if state.robot is None:
-        wrong.append(Condition(name="robot", why=state.why or "nothing is known of it"))
+        wrong.append(Condition(name="robot", why=HOW_LONG.sub("", state.why) or "nothing is known of it"))
     if status is not None and status.robot not in (RobotState.READY, RobotState.MOVING):
         wrong.append(Condition(name="link", why=f"the robot is {status.robot.value}"))
     if status is not None and status.guard is GuardState.STOPPED:

@@ -33,12 +33,6 @@ class Value:
     get: Callable[[Any], Given]
     unit: str = ""
 
-    @property
-    def empty(self) -> Given:
-        """What stands where there is nothing, of the kind."""
-        made: Given = self.kind()
-        return float("nan") if self.kind is float else made
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Told:
@@ -211,13 +205,20 @@ VALUES: tuple[Value, ...] = (
         name=IN_TOLERANCE,
         kind=bool,
         part="seen",
-        text="true: within every level by more than twice the doubt. false: beyond one. Else not known.",
+        text="true: within every level by twice the doubt in any direction. false: beyond one. Else not known.",
         get=lambda s: s.in_tolerance,
     ),
     Value(name=LEVEL, kind=str, part="seen", text="good, warn or stop: raised so far.", get=_level),
     Value(name="verdict.why", kind=str, part="seen", text="Why not good, or why not known.", get=_why),
     Value(name="verdict.error_m", kind=float, part="seen", unit="m", text="Error of place.", get=_compared("error_m")),
-    Value(name="verdict.std_m", kind=float, part="seen", unit="m", text="Its doubt, 1 sigma.", get=_compared("std_m")),
+    Value(
+        name="verdict.std_m",
+        kind=float,
+        part="seen",
+        unit="m",
+        text="Its doubt along the error, 1 sigma.",
+        get=_compared("std_m"),
+    ),
     Value(
         name="verdict.error_rad",
         kind=float,
@@ -231,7 +232,7 @@ VALUES: tuple[Value, ...] = (
         kind=float,
         part="seen",
         unit="rad",
-        text="Its doubt, 1 sigma.",
+        text="Its doubt along the error, 1 sigma.",
         get=_compared("std_rad"),
     ),
 )

@@ -253,21 +253,28 @@ class Watch:
 
 
 def surely_within(seen: Compared, limits: Limits) -> bool:
-    """Tell whether the newest error is below every level that is set by more than its doubt.
+    """Tell whether the newest error is below every level that is set by more than its doubt, in whatever direction.
 
+    The doubt along a small error says nothing of the error across, where two cameras see far less well into the depth.
     That no level is raised says less: a measurement worth nothing raises none. Without any level: False.
     """
-    sizes = ((seen.error_m, seen.std_m), (seen.error_rad, seen.std_rad))
+    doubt = seen.random + seen.systematic  # (6, 6)
+    sizes = ((seen.error_m, _widest(doubt[:3, :3])), (seen.error_rad, _widest(doubt[3:, 3:])))
     return bool(limits.all) and all(
         sizes[half][0] + COVERAGE * sizes[half][1] <= limit for _, half, limit in limits.all
     )
+
+
+def _widest(covariance: Array) -> float:
+    """Return the standard deviation of a vector (3,) in the direction in which it is known worst."""
+    return float(np.sqrt(np.linalg.norm(covariance, 2)))
 
 
 def _along(error: Array, covariance: Array) -> float:
     """Return the standard deviation of a vector (3,) along itself; across where it is zero, the largest."""
     size = float(np.linalg.norm(error))
     if not size > 0.0:
-        return float(np.sqrt(np.linalg.norm(covariance, 2)))
+        return _widest(covariance)
     variance = float(error @ covariance @ error)
     return float(np.sqrt(max(variance, 0.0)) / size)
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.operator.supervise import StationSupervisor, limits_of
 from armsight.errors import NotEnoughData, UsageError
+from armsight.publish.state import PlantState, conditions
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
@@ -103,6 +104,16 @@ def test_an_arm_that_is_where_it_says_raises_nothing_and_one_that_is_not_is_stop
     assert done.stopped and done.level == "stop" and done.n_compared == done.n == 9
     assert {path.name for path in run.out.iterdir()} == {"verify.json", "errors.csv", "report.html"}
     assert json.loads((run.out / "verify.json").read_text())["errors"]["max_m"] == pytest.approx(0.009, abs=1e-6)
+
+
+def test_cameras_that_show_nothing_from_the_beginning_make_the_plant_blind(cell):
+    run = cell.supervised()
+    assert run.seen.in_tolerance is None and run.seen.lost
+    told = PlantState(source="", made_s=run.seen.at_s + 2.0, made_unix_s=0.0, why="x", seen=run.seen, measures=True)
+    assert {one.name for one in conditions(told)} == {"robot", "blind"}
+    cell.show(run)
+    assert run.seen.in_tolerance is True
+    run.end()
 
 
 def test_a_target_that_is_hidden_is_told_and_compared_with_nothing(cell):

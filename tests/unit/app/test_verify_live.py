@@ -171,9 +171,9 @@ class Told:
         monkeypatch.setattr("armsight.publish.feed.published", self.published)
 
     @contextmanager
-    def published(self, options: PlantOptions, source: Callable[[], PlantState], log: Any) -> Iterator[None]:
+    def published(self, options: PlantOptions, source: Callable[[], PlantState], log: Any) -> Iterator[dict[str, int]]:
         self.source, self.log = source, log
-        yield
+        yield {"foxglove": 8767}
 
     def look(self, *_: Any) -> None:
         self.states.append(self.source())
@@ -190,6 +190,11 @@ def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
         told.look()
         if len(told.states) == 3:
             told.log("warning", NOTE)
+        if len(told.states) == 6:
+            for number in range(1000):
+                told.log("warning", f"{number}")
+        if len(told.states) == 29:
+            told.log("info", "later")
 
     cell.run(limits=Limits(warn_m=2e-3), limit=30, plant=told_of, show=show, tell=said.append)
     tolerances = [one.seen.in_tolerance for one in told.states if one.seen is not None]
@@ -199,7 +204,8 @@ def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
     assert [one.name for one in conditions(last, stale_s=60.0)] == ["beyond-warn"]
     assert last.seen is not None and last.seen.pose.status.value == "ok"
     assert last.robot is not None and last.robot.reading is not None
-    assert said == [NOTE]
+    assert said[:2] == ["Foxglove: ws://127.0.0.1:8767", NOTE]
+    assert "more warnings" in said[-1] and len(said) < 30
     with Recording(tmp_path / "out" / "live.mcap") as recording:
         assert NOTE in [item.message for item in recording.events()]
 

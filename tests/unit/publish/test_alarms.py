@@ -73,6 +73,15 @@ def test_an_acknowledgement_does_not_hold_for_the_next_occurrence():
         book.acknowledge(alarm.id, "anna")
 
 
+def test_an_acknowledgement_does_not_hold_for_what_the_same_alarm_says_next():
+    book, alarm = raised(Condition(name="link", why="the robot is stopped"))
+    book.acknowledge(alarm.id, "anna")
+    told = book.update([Condition(name="link", why="the robot is lost")], 1001.0)
+    (lost,) = book.alarms
+    assert told == [f"alarm {lost.id}: the robot is lost"]
+    assert lost.id != alarm.id and lost.active and not lost.acknowledged
+
+
 def test_the_gravest_stands_first():
     book = AlarmBook()
     book.update([PASSING, LATCHED], 1.0)

@@ -12,7 +12,7 @@ import pytest
 
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
-from armsight.publish.feed import Feed, addresses, published
+from armsight.publish.feed import Feed, _FeedThread, addresses, published
 from armsight.publish.options import FoxgloveOptions, MqttOptions, OpcUaOptions, PlantOptions
 from armsight.publish.process import STATE_BYTES, PlantProcess
 from armsight.publish.requests import LONGEST, Acknowledge, Note, decode, encode
@@ -90,7 +90,29 @@ def test_a_process_that_ended_is_started_anew(monkeypatch):
         until_s = time.monotonic() + 30
         while not begun and time.monotonic() < until_s:
             pass
-    assert begun and ("error", "nothing is published: that process has ended; it is started anew in 0 s") in log.said
+    assert begun and ("error", "nothing is published: that process has ended; it is started anew every 0 s") in log.said
+
+
+def test_why_it_cannot_be_started_anew_is_told_once_and_that_it_can_again(monkeypatch):
+    class Process:
+        alive, came = False, DeviceFailed("OPC UA cannot listen at here, port 4840")
+
+        def restart(self):
+            self.began = True
+
+    monkeypatch.setattr("armsight.publish.feed.AGAIN_S", -1.0)
+    log, process = Log(), Process()
+    thread = _FeedThread(process, state, log, 1.0)
+    for _ in range(6):
+        thread._look_after()
+    assert process.began
+    assert [message for _, message in log.said] == [
+        "nothing is published: OPC UA cannot listen at here, port 4840; it is started anew every -1 s"
+    ]
+    process.alive, process.came = True, {"opcua": 4840}
+    for _ in range(2):
+        thread._look_after()
+    assert log.said[1:] == [("info", "published again, opcua: port 4840")]
 
 
 def test_addresses_are_told_as_they_are_typed():

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 from paho.mqtt import client as paho
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from armsight.publish.mqtt import MqttPublisher
+from armsight.publish.mqtt import EXPIRES_S, MqttPublisher
 from armsight.publish.options import PlantOptions, mqtt_options
 from armsight.publish.process import PlantProcess
 from armsight.publish.requests import Note
@@ -48,16 +48,20 @@ class Listener:
 
     def __init__(self, broker, *, clear=False):
         self.heard = queue.Queue()
-        self._client = paho.Client(CallbackAPIVersion.VERSION2)
+        self._client = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         self._client.username_pw_set(USER, PASSWORD)
         self._client.tls_set(str(broker.ca))
-        self._client.on_message = lambda client, data, message: self.heard.put((message.retain, message.payload))
+        self._client.on_message = lambda client, data, message: self._hear(message)
         self._client.connect("127.0.0.1", broker.port)
         self._client.loop_start()
         if clear:
             self._client.publish(TOPIC, b"", qos=1, retain=True).wait_for_publish(WAIT_S)
         else:
             self._client.subscribe(TOPIC, qos=1)
+
+    def _hear(self, message):
+        self.expires_s = getattr(message.properties, "MessageExpiryInterval", None)
+        self.heard.put((message.retain, message.payload))
 
     def next(self):
         """Return whether it was retained, and what it says."""
@@ -133,6 +137,18 @@ def test_who_comes_later_hears_the_newest_state(broker, monkeypatch, published):
         one.close()
 
 
+def test_a_broker_keeps_no_old_state_and_for_ever_that_there_is_none(broker, monkeypatch, published):
+    ours = published(options(broker, monkeypatch))
+    listener = Listener(broker)
+    ours.show(state(), 100.0)
+    assert listener.next()[1]["online"] is True
+    assert 0 < listener.expires_s <= EXPIRES_S
+    ours.close()
+    assert listener.next()[1]["online"] is False
+    assert listener.expires_s is None
+    listener.close()
+
+
 def test_a_silent_source_is_stale_at_the_broker(broker, monkeypatch, published):
     ours = published(options(broker, monkeypatch))
     ours.show(state(), 100.0)
@@ -198,7 +214,7 @@ def test_what_the_broker_refuses_is_told_and_tried_again(broker, monkeypatch, pu
     given = {name: getattr(broker, value) if value == "other_ca" else value for name, value in wrong.items()}
     ours = published(options(broker, monkeypatch, **given))
     if why:
-        assert ours.note(why).level in ("warning", "error")
+        assert ours.note(why).level == "error"  # which a person at the terminal is told
     asyncio.run(ours.publisher.show(state(), 100.0))  # which must not wait, nor fail
     assert not ours.publisher._up.is_set()
     ours.close()

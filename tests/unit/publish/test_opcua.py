@@ -34,8 +34,8 @@ TOLERANCE = "verdict.in_tolerance"
 class Served:
     """A server, what it sent back, and clients for it."""
 
-    def __init__(self, publisher, keys, sent):
-        self.publisher, self.keys, self.sent = publisher, keys, sent
+    def __init__(self, publisher, keys, sent, server):
+        self.publisher, self.keys, self.sent, self.server = publisher, keys, sent, server
         self.url = f"opc.tcp://127.0.0.1:{publisher.port}"
 
     def notes(self):
@@ -72,11 +72,11 @@ class Background:
     """An event loop in a thread, with one server: its address space takes a second to build."""
 
     def __init__(self, keys, options):
-        self.keys, self.sent, self.room = keys, [], True
+        self.keys, self.sent, self.room, self.now_s = keys, [], True, 0.0
         self.loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self.loop.run_forever, daemon=True)
         self._thread.start()
-        self.publisher = OpcUaPublisher(options, 1.0, self.tell)
+        self.publisher = OpcUaPublisher(options, 1.0, self.tell, clock=lambda: self.now_s)
         self.wait(self.publisher.start())
 
     def tell(self, request):
@@ -91,7 +91,7 @@ class Background:
         self.room = room
         self.sent.clear()
         self.wait(self.publisher.show(state(), 100.0))
-        self.wait(body(Served(self.publisher, self.keys, self.sent)))
+        self.wait(body(Served(self.publisher, self.keys, self.sent, self)))
 
     def close(self):
         self.wait(self.publisher.stop())
@@ -157,6 +157,18 @@ def test_what_is_stale_is_told_as_such_and_good_again(guarded):
             await shown(state(at_s=110.0), 110.0)
             again = await data(client, TOLERANCE)
             assert again.Value.Value is True and again.StatusCode.is_good()
+
+    guarded(body)
+
+
+def test_a_process_that_was_held_up_does_not_answer_with_what_was_good_before(guarded):
+    async def body(served):
+        async with served.client("watch") as client:
+            assert (await data(client, TOLERANCE)).Value.Value is True
+            served.server.now_s += 5.0  # and nothing was shown meanwhile
+            late = await data(client, TOLERANCE)
+            assert (late.Value.Value, late.StatusCode.value) == (None, ua.StatusCodes.BadNoCommunication)
+            assert (await data(client, "robot.joints")).StatusCode.value == ua.StatusCodes.BadNoCommunication
 
     guarded(body)
 
@@ -295,6 +307,17 @@ def test_everyone_reads_where_that_is_allowed_and_nothing_else(open_to_all):
             with pytest.raises(UaError):
                 await client.get_node(ua.NodeId(TOLERANCE, client.index)).write_value(True)
         assert not [one for one in served.sent if isinstance(one, Acknowledge)]
+
+    open_to_all(body)
+
+
+def test_without_security_no_token_is_asked_for(open_to_all):
+    async def body(served):
+        offered = await Client(served.url).connect_and_get_server_endpoints()
+        named = {
+            one.SecurityMode for one in offered for kind in one.UserIdentityTokens if kind.TokenType.name != "Anonymous"
+        }
+        assert named == {SIGN, BOTH} and len(offered) == 3
 
     open_to_all(body)
 

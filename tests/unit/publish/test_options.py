@@ -60,7 +60,12 @@ def test_an_address_that_is_none_is_refused(url, why):
     [
         ("mqtts://broker", "says no topic"),
         ("mqtts://broker/a/#", "is no address|says no topic"),
-        ("mqtts://broker/a+b", "says no topic"),
+        ("mqtts://broker/a+b", "no topic may"),
+        ("mqtts://broker/a/%23", "no topic may"),
+        ("mqtts://broker/$SYS/a", "no topic may"),
+        ("mqtts://broker/a%0ab", "no topic may"),
+        ("mqtts://broker/a%ffb", "no topic may"),
+        ("mqtts://broker:0/a", "port 0"),
         ("mqtt://broker.example/a", "in plain text"),
         ("ws://broker/a", "there is no ws://"),
         ("mqtts://anna:secret@broker/a", "a name or a password"),
@@ -78,7 +83,7 @@ def test_a_broker_has_its_usual_port():
     assert (plain.port, plain.tls, plain.prefix) == (1883, False, "a")
 
 
-@pytest.mark.parametrize("where", ["", "here", "here:", "here:99999", "ws://here:8767"])
+@pytest.mark.parametrize("where", ["", "here", "here:", "here:99999", "ws://here:8767", "²"])
 def test_a_port_of_foxglove_that_is_none_is_refused(where):
     with pytest.raises(UsageError, match="--foxglove"):
         foxglove_options(where)
@@ -112,6 +117,8 @@ def test_flags_of_what_is_not_published_are_refused(keys):
         PlantFlags(opcua_users=keys.tokens).made(print)
     with pytest.raises(UsageError, match="--mqtt-user without --mqtt"):
         PlantFlags(mqtt_user="anna", foxglove="8767").made(print)
+    with pytest.raises(UsageError, match="--stale-after"):
+        PlantFlags(stale_after_s=5.0).made(print)
     with pytest.raises(UsageError, match="need a certificate"):
         PlantFlags(opcua=URL, opcua_users=keys.tokens, opcua_anonymous=True).made(print)
 
@@ -136,6 +143,15 @@ def test_a_password_without_a_user_is_refused(monkeypatch):
     monkeypatch.setenv("ARMSIGHT_MQTT_PASSWORD", "secret")
     with pytest.raises(UsageError, match="no user"):
         mqtt_options("mqtts://broker/a", **BROKER)
+
+
+@pytest.mark.parametrize(("content", "why"), [("\n", "no password"), ("a" * 4097, "too long"), ("\udc80", "no text")])
+def test_a_file_that_holds_no_password_is_refused(tmp_path, content, why):
+    file = tmp_path / "password"
+    file.write_bytes(content.encode("utf-8", "surrogateescape"))
+    file.chmod(0o600)
+    with pytest.raises(BadFile, match=why):
+        mqtt_options("mqtts://broker/a", ca=None, user="anna", password_file=file)
 
 
 def test_files_that_are_not_there_are_told(tmp_path, keys):
@@ -197,6 +213,16 @@ def test_what_is_no_certificate_and_no_key_is_refused(keys, tmp_path, content):
 def test_a_folder_that_trusts_nobody_is_refused(tmp_path):
     with pytest.raises(BadFile, match="holds no certificate"):
         read_trusted(tmp_path)
+
+
+def test_certificates_are_looked_at_before_anything_is_opened(keys, tmp_path):
+    own = {"opcua": URL, "opcua_certificate": keys.server[0], "opcua_users": keys.tokens}
+    with pytest.raises(BadFile, match="the key of"):
+        PlantFlags(**own, opcua_key=keys.client[1]).made(print)
+    with pytest.raises(BadFile, match="holds no certificate"):
+        PlantFlags(**own, opcua_key=keys.server[1], opcua_trusted=tmp_path).made(print)
+    with pytest.raises(BadFile, match="is no certificate"):
+        PlantFlags(mqtt="mqtts://broker/a", mqtt_ca=keys.tokens).made(print)
 
 
 def test_an_authority_that_is_none_is_refused(tmp_path):

@@ -68,6 +68,18 @@ def test_a_rotation_without_a_level_is_not_asked_for():
     assert tolerance(state(seen=narrow))[0] is None
 
 
+def test_a_direction_that_is_known_badly_is_doubt_though_the_error_points_elsewhere():
+    deep = replace(seen().compared, random=np.diag([1e-8, 1e-8, 0.005**2, 1e-8, 1e-8, 1e-8]))
+    assert deep.error_m + 2 * deep.std_m < states.LIMITS.warn_m  # along the error it is known well
+    assert tolerance(state(seen=replace(seen(), compared=deep))) == (None, Quality.UNDECIDED)
+
+
+@pytest.mark.parametrize("part", ["seen", "robot"])
+def test_what_is_of_a_time_to_come_is_not_new(part):
+    quality = getattr(trust(state(**{part: {"seen": seen, "robot": robot}[part](at_s=150.0)}), 100.0, STALE_S), part)
+    assert quality is Quality.STALE
+
+
 def test_a_measurement_that_stops_is_stale_and_says_nothing_of_tolerance():
     going = replace(state(at_s=101.5), seen=seen(at_s=100.0), robot=robot(101.5))
     values = told(going, 101.6, STALE_S)
@@ -135,6 +147,8 @@ def test_the_words_of_a_condition_do_not_change_from_cycle_to_cycle():
         for ms in (120, 130)
     )
     assert one == two
+    lost, still = (conditions(state(robot=None, why=f"no answer for {ms} ms")) for ms in (120, 130))
+    assert lost == still
 
 
 def test_json_says_what_is_stale():

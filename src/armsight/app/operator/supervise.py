@@ -76,7 +76,8 @@ class StationSupervisor:
         self._log = LiveLog(limits=limits)
         self._last: tuple[Compared | None, str] = (None, "")
         self._why = ""
-        self.seen: Seen | None = None
+        self.seen = _nothing_yet(limits)
+        """The newest moment, for the plant's systems; that no picture came yet makes them blind too."""
         self._compared_s = time.monotonic()
         self.curve: deque[tuple[float, float, float]] = deque(maxlen=SHOWN)
         self._ended = threading.Event()
@@ -181,6 +182,12 @@ class StationSupervisor:
             return expectation.compare(pose, self._history.at(pose.t_s)), ""
         except StaleData as error:
             return None, error.cause
+
+
+def _nothing_yet(limits: Limits) -> Seen:
+    now_s, why = time.monotonic(), "no pictures came yet"
+    pose = TargetPose(t_s=now_s, status=PoseStatus.LOST, parent="rig", why=why)
+    return Seen(pose=pose, compared=None, level=Level.GOOD, why="", limits=limits, lost=why, at_s=now_s)
 
 
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:

@@ -65,7 +65,7 @@ class PlantFlags:
         self._check_alone()
         if self.opcua is None and self.mqtt is None and self.foxglove is None:
             return None
-        from armsight.publish import options
+        from armsight.publish import certificates, options
 
         opcua = mqtt = foxglove = None
         if self.opcua is not None:
@@ -86,7 +86,9 @@ class PlantFlags:
         if self.foxglove is not None:
             foxglove = options.foxglove_options(self.foxglove)
             notify("Note: Foxglove's protocol knows no passwords: whoever reaches its port may watch.")
-        return options.PlantOptions(opcua=opcua, mqtt=mqtt, foxglove=foxglove, stale_s=self.stale_after_s)
+        made = options.PlantOptions(opcua=opcua, mqtt=mqtt, foxglove=foxglove, stale_s=self.stale_after_s)
+        certificates.check(made)
+        return made
 
     def _check_alone(self) -> None:
         """Raise UsageError for a flag of something that is not published."""
@@ -101,6 +103,12 @@ class PlantFlags:
                     consequence="Nothing is published",
                     cure=f"Give --{main} URL",
                 )
+        if self.stale_after_s != STALE_S and self.opcua is None and self.mqtt is None and self.foxglove is None:
+            raise UsageError(
+                "--stale-after is of what is published, and nothing is",
+                consequence="It would change nothing",
+                cure="Give --opcua, --mqtt or --foxglove, or leave it away",
+            )
         if self.opcua_certificate is None and (self.opcua_users or self.opcua_trusted):
             raise UsageError(
                 "--opcua-users and --opcua-trusted need a certificate of the server",

@@ -89,9 +89,11 @@ def _supervise(run: Supervision, progress: Progress) -> None:
         stack.enter_context(run.devices.pairs)
         run.open(stack)
         if run.job.plant is not None:
-            from armsight.publish.feed import published
+            from armsight.publish.feed import addresses, published
 
-            stack.enter_context(published(run.job.plant, run.plant, run.note))
+            ports = stack.enter_context(published(run.job.plant, run.plant, run.note))
+            for text in addresses(run.job.plant, ports):
+                run.tell(text)
         try:
             with closing(_generator(run)) as pairs:
                 for pair in pairs:

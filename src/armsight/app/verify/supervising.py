@@ -18,6 +18,7 @@ from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.robot.plant_source import monotonic_s
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
+from armsight.control.session.service import TokenBucket
 from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.poses.pipeline import Measured, Setup
@@ -32,6 +33,7 @@ RECORDING = "live.mcap"
 BLIND_S = 0.5
 """Nothing compared for so long is told as such."""
 SOURCE, PLANT = "armsight verify --live", "plant"
+WARNINGS_PER_S = 20.0
 NOTES = 100
 """Notes of the plant's systems that wait for the next pair; the oldest are left out."""
 AFTER_STOP_S = 1.0
@@ -76,7 +78,7 @@ class Supervision:
         self._setup = setup
         self._expectation = expectation
         self._clock = clock
-        self._show, self._tell = show, tell
+        self._show, self.tell = show, tell
         self._watch = Watch(job.limits)
         self._reader = JointReader(devices.robot, clock)
         self._recorder: Recorder | None = None
@@ -89,6 +91,7 @@ class Supervision:
         self.seen: Seen | None = None
         """The newest pair, for the plant's systems."""
         self._notes: deque[tuple[str, str]] = deque(maxlen=NOTES)
+        self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, WARNINGS_PER_S, clock.now_s()), 0
 
     def open(self, stack: ExitStack) -> None:
         """Begin the recording and to read the joints; all ends with the stack."""
@@ -184,7 +187,7 @@ class Supervision:
         notes = [self._notes.popleft() for _ in range(len(self._notes))]
         for level, message in notes:
             if level != "info":
-                self._tell(message)
+                self.tell(message)
 
         def write(writer: RecordingWriter) -> None:
             for reading in readings:
@@ -218,7 +221,16 @@ class Supervision:
         )
 
     def note(self, level: str, message: str) -> None:
-        """Keep something from the plant's systems, which is recorded and told with the next pair; any thread."""
+        """Keep something from the plant's systems, which is recorded and told with the next pair; for one thread.
+
+        Of a flood of warnings, from whoever is refused again and again, only their number.
+        """
+        if level == "warning" and not self._warnings.pay(self._clock.now_s()):
+            self._left_out += 1
+            return
+        if self._left_out:
+            self._notes.append(("warning", f"{self._left_out} more warnings were left out"))
+            self._left_out = 0
         self._notes.append((level, message))
 
 

@@ -10,7 +10,7 @@ import asyncio
 import hmac
 import logging
 import secrets
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -59,6 +59,7 @@ READS = _ids(
 )
 CALLS = _ids("Call")
 ACTIVATE = _ids("ActivateSession")
+ANONYMOUS = ua.UserTokenType.Anonymous
 
 
 @dataclass
@@ -157,6 +158,7 @@ class GuardedProcessor(UaProcessor):
     """Answers one connection, after each request was looked at."""
 
     door: Door
+    refresh: Callable[[], Awaitable[None]]
     session: Any
 
     @property
@@ -184,6 +186,8 @@ class GuardedProcessor(UaProcessor):
         number = typeid.Identifier
         if number not in FIRST:
             self._check(number)
+        if number in READS:
+            await self.refresh()
         user = self.session.user if self.session is not None else None
         may = user if isinstance(user, PlantUser) else PlantUser()
         CALLER.set(Caller(who=may.name or "", may=may.may, address=self.address, secured=self._secured))
@@ -258,8 +262,11 @@ class GuardedBinaryServer(BinaryServer):
         return made
 
 
-async def start_guarded(server: Server, door: Door, host: str, port: int) -> int:
-    """Start a server whose address space is there, behind the door; return its port. Raises OSError."""
+async def start_guarded(
+    server: Server, door: Door, host: str, port: int, refresh: Callable[[], Awaitable[None]]
+) -> int:
+    """Start a server whose address space is there, behind the door; return its port. refresh: called before anything
+    is read. Raises OSError."""
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what matters of it is in our log
     server.limits = TransportLimits(
         max_recv_buffer=65535, max_send_buffer=65535, max_chunk_count=16, max_message_size=MESSAGE_BYTES
@@ -269,11 +276,14 @@ async def start_guarded(server: Server, door: Door, host: str, port: int) -> int
         server.iserver.endpoints[:] = [
             one for one in server.iserver.endpoints if one.SecurityMode is not ua.MessageSecurityMode.None_
         ]
+    for one in server.iserver.endpoints:
+        if one.SecurityMode is ua.MessageSecurityMode.None_:  # nobody is asked for a token that is refused there
+            one.UserIdentityTokens = [kind for kind in one.UserIdentityTokens if kind.TokenType is ANONYMOUS]
     await server.iserver.start()
 
     def make(*given: Any) -> UaProcessor:
         made = GuardedProcessor(*given)
-        made.door = door
+        made.door, made.refresh = door, refresh
         return made
 
     bound = GuardedBinaryServer(server.iserver, host, port, server.limits)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import socket
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +18,7 @@ from armsight.errors import DeviceFailed
 from armsight.publish.alarms import NAMES
 from armsight.publish.certificates import read_pair, read_trusted
 from armsight.publish.opcua.guarded import CALLER, Door, GuardedInternalServer, start_guarded
-from armsight.publish.options import NOTHING, OpcUaOptions
+from armsight.publish.options import ENDS, OpcUaOptions
 from armsight.publish.requests import Acknowledge, Note, Tell
 from armsight.publish.state import PlantState, Quality
 from armsight.publish.values import VALUES, Given, alarm_values, told
@@ -51,8 +54,8 @@ ALARM_TYPES: dict[str, type] = {
 }
 ANONYMOUS_POLICY = ua.SecurityPolicyType.NoSecurity
 POLICIES = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt, ua.SecurityPolicyType.Basic256Sha256_Sign]
-
-
+BEHIND_S = 0.1
+"""A state that was looked at longer ago is looked at again before a request is answered."""
 KINDS = {one.name: one.kind for one in VALUES}
 STILL = {one.name for one in VALUES if one.part == "source"}
 """As old as the last word of the source: written when they change, or a clock would tick in each of them."""
@@ -61,9 +64,14 @@ STILL = {one.name for one in VALUES if one.part == "source"}
 class OpcUaPublisher:
     """An OPC UA server that holds the newest state; for one event loop."""
 
-    def __init__(self, options: OpcUaOptions, stale_s: float, tell: Tell) -> None:
-        """Nothing is opened. Raises BadFile for certificates that cannot be used."""
-        self._options, self._stale_s, self._tell = options, stale_s, tell
+    def __init__(
+        self, options: OpcUaOptions, stale_s: float, tell: Tell, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Nothing is opened. clock: in s, of how long ago a state was shown. Raises BadFile for certificates that
+        cannot be used."""
+        self._options, self._stale_s, self._tell, self._clock = options, stale_s, tell, clock
+        self._shown: tuple[PlantState | None, float, float] = None, 0.0, clock()
+        self._showing = asyncio.Lock()
         self._pair = None
         if options.certificate is not None and options.key is not None:
             self._pair = read_pair(options.certificate, options.key)
@@ -99,19 +107,33 @@ class OpcUaPublisher:
         await server.set_build_info("urn:armsight", "armsight", "armsight", __version__, "", datetime.now(UTC))
         await self._build()
         try:
-            self.port = await start_guarded(server, self._door, options.host, options.port)
+            self.port = await start_guarded(server, self._door, options.host, options.port, self.refresh)
         except (OSError, OverflowError) as error:
             raise self._cannot_listen(error) from error
 
     def _cannot_listen(self, error: Exception) -> DeviceFailed:
         return DeviceFailed(
             f"OPC UA cannot listen at {self._options.host}, port {self._options.port}: {error}",
-            consequence=NOTHING,
+            consequence=ENDS,
             cure="Choose another port or address with --opcua",
         )
 
     async def show(self, state: PlantState | None, now_s: float) -> None:
         """Write what has changed."""
+        async with self._showing:
+            await self._show(state, now_s)
+
+    async def refresh(self) -> None:
+        """Write what has become of the state shown last where that was a while ago: this process may have been held
+        up, and a request that waits must not be answered with what was good before."""
+        async with self._showing:
+            state, now_s, at_s = self._shown
+            passed_s = self._clock() - at_s
+            if passed_s > BEHIND_S:
+                await self._show(state, now_s + passed_s)
+
+    async def _show(self, state: PlantState | None, now_s: float) -> None:
+        self._shown = state, now_s, self._clock()
         for name, one in told(state, now_s, self._stale_s).items():
             key = (one.value, one.quality, 0.0 if name in STILL or one.value is None else one.at_s)
             if self._written.get(name) != key:
