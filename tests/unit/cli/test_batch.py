@@ -297,3 +297,12 @@ def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) ->
     assert ended.exit_code == 0
     listed = armsight("history", "list", "--cell", "weld-3", "--history", history, "--json").json
     assert [run["command"] for run in listed["runs"]] == ["calibrate handeye"]
+
+
+def test_a_worker_whose_nanny_gives_it_up_is_replaced(cluster: Any) -> None:
+    (address,) = cluster.nthreads()
+    (nanny,) = cluster.cluster.workers.values()
+    cluster.cluster.sync(nanny.kill)  # as one that is killed while it starts: its nanny lets it be
+    while address in (there := cluster.nthreads()) or not there:
+        cluster.wait_for_workers(1, timeout=30)
+    assert cluster.submit(sum, (1, 2)).result(timeout=30) == 3

@@ -9,7 +9,8 @@ import platform
 import re
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Coroutine, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -33,6 +34,8 @@ BEGIN = (
     "Look whether there is memory left. A Python script that calls batch is imported by its workers: what it does "
     'stands below `if __name__ == "__main__":`'
 )
+GONE_S = 2.0
+"""Time without a process after which a worker is taken for gone; between two of its processes it takes less."""
 MOST_WORKERS = 1024
 ONE_THREAD = {
     **dict.fromkeys(
@@ -111,7 +114,7 @@ def _own(n: int | None) -> Iterator[Client]:
     # who reaches a scheduler may run anything: with a key of this run alone where there is the means to make one
     security = Security.temporary() if find_spec("cryptography") else None
     try:
-        cluster = LocalCluster(
+        cluster: Any = LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             processes=True,
@@ -126,12 +129,36 @@ def _own(n: int | None) -> Iterator[Client]:
     with cluster, Client(cluster, set_as_default=False) as client:
         _require_workers(client, "the worker processes did not begin", BEGIN)
         client.register_plugin(_leaves_interrupts_alone())
+        keeping = cluster.sync(_begun, _keep(cluster, count))
         try:
             yield client
         except BaseException:
+            cluster.loop.add_callback(keeping.cancel)
             with contextlib.suppress(Exception):  # closing them ends them too, after the jobs that they are at
                 cluster.sync(_kill, cluster.workers.values())
             raise
+        finally:
+            cluster.loop.add_callback(keeping.cancel)
+
+
+async def _begun(work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    return asyncio.create_task(work)
+
+
+async def _keep(cluster: Any, count: int) -> None:
+    """Begin another worker where one is gone for good: a nanny begins its process anew when that ends at work, not when
+    it is killed while it starts.
+    """
+    gone_since_s: dict[Any, float] = {}
+    while True:
+        await asyncio.sleep(GONE_S / 4)
+        gone = {name for name, nanny in cluster.workers.items() if not (nanny.process and nanny.process.is_alive())}
+        now_s = time.monotonic()
+        gone_since_s = {name: gone_since_s.get(name, now_s) for name in gone}
+        if lost := [name for name, since_s in gone_since_s.items() if now_s - since_s > GONE_S]:
+            for name in lost:
+                cluster.worker_spec.pop(name, None)
+            cluster.scale(count)
 
 
 async def _kill(nannies: Iterable[Any]) -> None:
