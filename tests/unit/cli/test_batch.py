@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from distributed.core import Status
 
 from armsight.app import compilation
 from armsight.app.batch import cluster as batch_cluster
@@ -299,10 +302,15 @@ def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) ->
     assert [run["command"] for run in listed["runs"]] == ["calibrate handeye"]
 
 
+async def killed_while_it_starts(nanny: Any) -> None:
+    nanny.status = Status.starting
+    os.kill(nanny.pid, signal.SIGKILL)
+
+
 def test_a_worker_whose_nanny_gives_it_up_is_replaced(cluster: Any) -> None:
     (address,) = cluster.nthreads()
     (nanny,) = cluster.cluster.workers.values()
-    cluster.cluster.sync(nanny.kill)  # as one that is killed while it starts: its nanny lets it be
+    cluster.cluster.sync(killed_while_it_starts, nanny)
     while address in (there := cluster.nthreads()) or not there:
         cluster.wait_for_workers(1, timeout=30)
     assert cluster.submit(sum, (1, 2)).result(timeout=30) == 3

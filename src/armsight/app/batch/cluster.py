@@ -156,9 +156,9 @@ async def _keep(cluster: Any, count: int) -> None:
         now_s = time.monotonic()
         gone_since_s = {name: gone_since_s.get(name, now_s) for name in gone}
         if lost := [name for name, since_s in gone_since_s.items() if now_s - since_s > GONE_S]:
+            cluster.scale(count + len(lost))  # before the lost ones go: their names would be given again
             for name in lost:
                 cluster.worker_spec.pop(name, None)
-            cluster.scale(count)
 
 
 async def _kill(nannies: Iterable[Any]) -> None:
