@@ -22,7 +22,7 @@ from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
 from armsight.app.batch import work as batch_work
 from armsight.app.batch.cluster import Workers, connected
-from armsight.app.batch.jobs import Ended, Job, check_names, fingerprint
+from armsight.app.batch.jobs import Ended, Job, check_inputs, check_names, fingerprint
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
 from armsight.app.batch.work import RUNNING, Place
@@ -249,6 +249,20 @@ def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> N
 def test_names_that_cannot_be_folders(names: list[str], told: str) -> None:
     with refuses(UsageError, told):
         check_names([job(name) for name in names])
+
+
+@pytest.mark.parametrize(
+    "text", ["out/a/arm.yaml", "bag:out/a/run.bag:/camera", "out/*/arm.yaml", "out/b", "./out/../out/a"]
+)
+def test_a_job_that_reads_what_another_of_the_batch_writes_is_refused(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    jobs = [job("a"), Job(name="b", command="work", inputs=(text,))]
+    with refuses(UsageError, "'b'", text, "no order"):
+        run(jobs, Path("out"))
+    check_inputs(jobs, Path("elsewhere"))
+    check_inputs([jobs[0], Job(name="b", command="work", inputs=("out", "a", "out/c/arm.yaml"))], Path("out"))
 
 
 def test_columns_keep_one_type_whatever_their_rows_hold(tmp_path: Path) -> None:

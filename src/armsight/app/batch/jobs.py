@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import functools
 import glob
 import hashlib
@@ -156,6 +157,32 @@ def check_names(jobs: Sequence[Job]) -> None:
             consequence="One would write over the other; nothing was done",
             cure="Give each job its own name; with --each by --name, such as '{parent}-{name}'",
         )
+
+
+def check_inputs(jobs: Sequence[Job], out: Path) -> None:
+    """Raise UsageError where a job reads what a job of the same batch writes: jobs run in no order."""
+    folder, names = os.path.realpath(out), [job.name for job in jobs]
+    known = set(names)
+    for job in jobs:
+        for text in job.inputs:
+            first = _first_below(folder, text)
+            read = first in known or (glob.has_magic(first) and fnmatch.filter(names, first))
+            if read:
+                raise UsageError(
+                    f"job {job.name!r} reads {text[:200]}, which a job of this batch writes",
+                    consequence="Jobs run in no order, so it could read what an earlier batch left; nothing was done",
+                    cure="Do it in a second batch with another folder (-o), when this one has ended",
+                )
+
+
+def _first_below(folder: str, text: str) -> str:
+    """Return the first part of the path from folder to what an argument names, empty where it is not below it."""
+    if text.startswith("bag:"):
+        text = text.removeprefix("bag:").rpartition(":")[0]
+    if "\0" in text or not text:
+        return ""
+    path = Path(os.path.realpath(text))
+    return path.relative_to(folder).parts[0] if path != Path(folder) and path.is_relative_to(folder) else ""
 
 
 def unfit(name: str) -> str:
