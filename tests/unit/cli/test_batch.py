@@ -297,3 +297,17 @@ def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) ->
     assert ended.exit_code == 0
     listed = armsight("history", "list", "--cell", "weld-3", "--history", history, "--json").json
     assert [run["command"] for run in listed["runs"]] == ["calibrate handeye"]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+@pytest.mark.usefixtures("on_cluster")
+def test_results_that_could_not_be_filed_are_told(
+    armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert armsight("simulate", "handeye", "-o", "set").code == 0
+    (tmp_path / "bad.sqlite").write_text("no database")
+    written(tmp_path, "name,command,pairs,cell,history\na,calibrate handeye,set/pairs.csv,weld-3,bad.sqlite\n")
+    done = armsight("batch", "jobs.csv", "-o", "out")
+    assert done.code == 0 and "NOT FILED" in done.text, done.text
+    assert "armsight history add out/a/handeye.unfiled.json" in " ".join(done.text.split())
