@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import sys
@@ -249,6 +250,14 @@ def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> N
 def test_names_that_cannot_be_folders(names: list[str], told: str) -> None:
     with refuses(UsageError, told):
         check_names([job(name) for name in names])
+
+
+def test_no_password_of_an_argument_is_written(tmp_path: Path) -> None:
+    secret = "postgresql://me:hidden@host/db"
+    run([job("a", history=secret, words=[f"--history={secret}", "--n=3"])], tmp_path / "out")
+    held = json.loads((tmp_path / "out" / "a" / "result.json").read_text())["arguments"]
+    shown = "postgresql://me:***@host/db"
+    assert held == {"history": shown, "words": [f"--history={shown}", "--n=3"]}
 
 
 @pytest.mark.parametrize(
