@@ -160,6 +160,8 @@ jobs:
         ("\n,,\n", ("empty",)),
         (CSV, ("no job",)),
         ("name,arm\na,ur10\n", ("command", "missing")),
+        ("name;command;arm\na;kinematics fk;ur10\n", ("semicolons", "CSV")),
+        ("name\tcommand\n", ("tabs",)),
         ("name,command,arm,arm\na,b,c,d\n", ("'arm'", "twice")),
         (CSV + "a,kinematics fk\n", ("line 2", "2 cells")),
         (CSV + ",kinematics fk,ur10,j.csv,\n", ("line 2", "no name")),
@@ -211,6 +213,14 @@ def test_a_command_that_is_not_for_batches_is_refused_with_the_choices(
 
 
 WORDS = ["kinematics", "fk", "--arm", "ur10", "--joints", "{}"]
+
+
+def test_a_command_may_stand_in_quotes_as_a_whole(tmp_path: Path) -> None:
+    path = str(joints(tmp_path / "a b.csv"))
+    apart, whole = (
+        jobs_of_pattern(path, "x", [*words, *WORDS[2:]], NO_SETTINGS) for words in (WORDS[:2], ["kinematics fk"])
+    )
+    assert whole == apart and whole[0].command == "kinematics fk"
 
 
 @pytest.mark.parametrize(
