@@ -237,6 +237,8 @@ def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> N
     [
         ([], "no job"),
         (["a", "b", "a"], "1, 3"),
+        (["a", "b", "A"], "1, 3"),
+        (["\u00fc", "u\u0308"], "some disks"),
         ([""], "no name"),
         (["a/b"], "'/'"),
         ([".."], "dot"),

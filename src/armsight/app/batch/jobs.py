@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
+from unicodedata import normalize
 
 from armsight._version import __version__
 from armsight.errors import ArmsightError, DataRefused, UsageError
@@ -149,11 +150,14 @@ def check_names(jobs: Sequence[Job]) -> None:
                 consequence="Nothing was done",
                 cure="Name it with letters, digits, - and _",
             )
-    twice = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
+    folders = [normalize("NFC", job.name).casefold() for job in jobs]
+    twice = [name for name, count in Counter(folders).items() if count > 1]
     if twice:
-        numbers = [str(number) for number, job in enumerate(jobs, 1) if job.name == twice[0]]
+        same = [number for number, name in enumerate(folders, 1) if name == twice[0]]
+        names = dict.fromkeys(jobs[number - 1].name for number in same)
         raise UsageError(
-            f"the jobs {', '.join(numbers[:5])} have the same name, {twice[0]!r}",
+            f"the jobs {', '.join(map(str, same[:5]))} have the same name"
+            f"{' on some disks' if len(names) > 1 else ''}, {' and '.join(map(repr, list(names)[:3]))}",
             consequence="One would write over the other; nothing was done",
             cure="Give each job its own name; with --each by --name, such as '{parent}-{name}'",
         )
