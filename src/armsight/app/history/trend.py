@@ -153,13 +153,7 @@ def trend(job: TrendJob) -> TrendOutput:
         n_runs=len(found.runs),
         n_doubted=doubted,
         false_alarms_apart_years=job.false_alarms,
-        notes=[
-            *_notes(figures, doubted),
-            *_short(judgements),
-            *_unmeasured(found),
-            *changed_inputs(found),
-            *clock_notes(found),
-        ],
+        notes=[*_notes(figures, doubted), *_short(judgements), *_of_runs(found)],
         report=str(report),
     )
     job.out.mkdir(parents=True, exist_ok=True)
@@ -342,11 +336,10 @@ def _short(judgements: Sequence[_Judgement]) -> list[str]:
     ]
 
 
-def _unmeasured(found: Found) -> list[str]:
+def _of_runs(found: Found) -> list[str]:
     names = never_measured(found)
-    if not names:
-        return []
-    return [f"No run measures {', '.join(names)}: a drift there does not show here, or shows as one of another figure."]
+    silent = f"No run measures {', '.join(names)}: a drift there does not show here, or shows as one of another figure."
+    return [*([silent] if names else []), *changed_inputs(found), *clock_notes(found)]
 
 
 def _page(done: TrendOutput, judgements: Sequence[_Judgement]) -> TrendPage:
