@@ -134,6 +134,7 @@ def run_length(limit: float, slack: float, mean: float = 0.0) -> float:
     return float((np.exp(-2.0 * off * b) + 2.0 * off * b - 1.0) / (2.0 * off * off))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what cannot be reckoned with has no expected deviation: NaN
 def charted(x: Array, told: Array, *, slack: float = SLACK) -> Chart:
     """Return the charts of figures x (n, p) in the order of time with the deviations that they tell (n, p).
 
@@ -347,6 +348,7 @@ def _change(chart: Chart, x: Array, told: Array, alarm: _Alarm) -> Change:
     )
 
 
+@np.errstate(divide="ignore", invalid="ignore")  # runs that were alike to the last digit have no scatter
 def _moves_on(x: Array, s: Array) -> bool:
     """Tell whether runs (n,) with deviations s go on in one direction, beyond three deviations of their slope."""
     known = np.isfinite(x) & np.isfinite(s)

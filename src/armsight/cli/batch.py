@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,7 @@ def batch(face: CommandUI, job: requests.batch.BatchJob) -> None:
         progress=progress,
     )
     _tell(face, done)
+    _tell_unfiled(face, [job.out / one.name for one in listed])
     face.result(done)
     if {"failed", "killed"} & set(done.statuses):
         raise typer.Exit(DeviceFailed.exit_code)
@@ -86,3 +88,11 @@ def _tell(face: CommandUI, done: BatchOutput) -> None:
     if more > 0:
         face.say(f"  ... and {more} more, in the table")
     face.say(f"Results: {done.table}")
+
+
+def _tell_unfiled(face: CommandUI, folders: Iterable[Path]) -> None:
+    """Say which results wait for being filed: the jobs themselves are done, and nobody saw what they said."""
+    waiting = [path for folder in folders for path in sorted(folder.glob("*.unfiled*.json"))]
+    if waiting:
+        face.say(f"NOT FILED in the history: {len(waiting)} results, such as {waiting[0]}")
+        face.say(f"  why is in its result.json, under `said`; file each later: armsight history add {waiting[0]}")

@@ -63,6 +63,7 @@ _Misuse: type[Exception] = typer.BadParameter.__bases__[0]
 
 def commands_of(words: Sequence[str], where: str) -> tuple[str, list[str]]:
     """Return the command at the beginning of words, and the rest. Raises UsageError for one that is not for batches."""
+    words = [*words[0].split(), *words[1:]] if words else []  # in quotes, as a whole
     plain = [word for word in words if word != "armsight"][:2]
     for name in (" ".join(plain), " ".join(plain[:1])):
         if name in OUTPUTS:

@@ -81,6 +81,13 @@ def _csv_rows(data: bytes, where: str) -> list[JobRow]:
 
 def _header(cells: list[str], where: str) -> list[str]:
     missing = [name for name in (NAME, COMMAND) if name not in cells]
+    other = next((letter for letter in ";\t" if letter in cells[0]), "")
+    if missing and other:
+        raise BadFile(
+            f"{where}: its columns stand apart by {'semicolons' if other == ';' else 'tabs'}, not commas",
+            consequence="No job is begun",
+            cure="Save it with commas: in a spreadsheet as CSV (comma separated), or with English number formats",
+        )
     if missing:
         raise BadFile(
             f"{where}: the column {missing[0]} is missing; found {', '.join(cells)[:200]}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import sys
@@ -22,7 +23,7 @@ from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
 from armsight.app.batch import work as batch_work
 from armsight.app.batch.cluster import Workers, connected
-from armsight.app.batch.jobs import Ended, Job, check_names, fingerprint
+from armsight.app.batch.jobs import Ended, Job, check_inputs, check_names, fingerprint
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
 from armsight.app.batch.work import RUNNING, Place
@@ -236,6 +237,8 @@ def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> N
     [
         ([], "no job"),
         (["a", "b", "a"], "1, 3"),
+        (["a", "b", "A"], "1, 3"),
+        (["\u00fc", "u\u0308"], "some disks"),
         ([""], "no name"),
         (["a/b"], "'/'"),
         ([".."], "dot"),
@@ -249,6 +252,28 @@ def test_an_earlier_batch_is_left_alone_or_replaced_as_told(tmp_path: Path) -> N
 def test_names_that_cannot_be_folders(names: list[str], told: str) -> None:
     with refuses(UsageError, told):
         check_names([job(name) for name in names])
+
+
+def test_no_password_of_an_argument_is_written(tmp_path: Path) -> None:
+    secret = "postgresql://me:hidden@host/db"
+    run([job("a", history=secret, words=[f"--history={secret}", "--n=3"])], tmp_path / "out")
+    held = json.loads((tmp_path / "out" / "a" / "result.json").read_text())["arguments"]
+    shown = "postgresql://me:***@host/db"
+    assert held == {"history": shown, "words": [f"--history={shown}", "--n=3"]}
+
+
+@pytest.mark.parametrize(
+    "text", ["out/a/arm.yaml", "bag:out/a/run.bag:/camera", "out/*/arm.yaml", "out/b", "./out/../out/a"]
+)
+def test_a_job_that_reads_what_another_of_the_batch_writes_is_refused(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    jobs = [job("a"), Job(name="b", command="work", inputs=(text,))]
+    with refuses(UsageError, "'b'", text, "no order"):
+        run(jobs, Path("out"))
+    check_inputs(jobs, Path("elsewhere"))
+    check_inputs([jobs[0], Job(name="b", command="work", inputs=("out", "a", "out/c/arm.yaml"))], Path("out"))
 
 
 def test_columns_keep_one_type_whatever_their_rows_hold(tmp_path: Path) -> None:

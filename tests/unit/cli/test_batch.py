@@ -163,6 +163,8 @@ jobs:
         ("\n,,\n", ("empty",)),
         (CSV, ("no job",)),
         ("name,arm\na,ur10\n", ("command", "missing")),
+        ("name;command;arm\na;kinematics fk;ur10\n", ("semicolons", "CSV")),
+        ("name\tcommand\n", ("tabs",)),
         ("name,command,arm,arm\na,b,c,d\n", ("'arm'", "twice")),
         (CSV + "a,kinematics fk\n", ("line 2", "2 cells")),
         (CSV + ",kinematics fk,ur10,j.csv,\n", ("line 2", "no name")),
@@ -214,6 +216,14 @@ def test_a_command_that_is_not_for_batches_is_refused_with_the_choices(
 
 
 WORDS = ["kinematics", "fk", "--arm", "ur10", "--joints", "{}"]
+
+
+def test_a_command_may_stand_in_quotes_as_a_whole(tmp_path: Path) -> None:
+    path = str(joints(tmp_path / "a b.csv"))
+    apart, whole = (
+        jobs_of_pattern(path, "x", [*words, *WORDS[2:]], NO_SETTINGS) for words in (WORDS[:2], ["kinematics fk"])
+    )
+    assert whole == apart and whole[0].command == "kinematics fk"
 
 
 @pytest.mark.parametrize(
@@ -314,3 +324,17 @@ def test_a_worker_whose_nanny_gives_it_up_is_replaced(cluster: Any) -> None:
     while address in (there := cluster.nthreads()) or not there:
         cluster.wait_for_workers(1, timeout=30)
     assert cluster.submit(sum, (1, 2)).result(timeout=30) == 3
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+@pytest.mark.usefixtures("on_cluster")
+def test_results_that_could_not_be_filed_are_told(
+    armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert armsight("simulate", "handeye", "-o", "set").code == 0
+    (tmp_path / "bad.sqlite").write_text("no database")
+    written(tmp_path, "name,command,pairs,cell,history\na,calibrate handeye,set/pairs.csv,weld-3,bad.sqlite\n")
+    done = armsight("batch", "jobs.csv", "-o", "out")
+    assert done.code == 0 and "NOT FILED" in done.text, done.text
+    assert "armsight history add out/a/handeye.unfiled.json" in " ".join(done.text.split())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import functools
 import glob
 import hashlib
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
+from unicodedata import normalize
 
 from armsight._version import __version__
 from armsight.errors import ArmsightError, DataRefused, UsageError
@@ -148,14 +150,43 @@ def check_names(jobs: Sequence[Job]) -> None:
                 consequence="Nothing was done",
                 cure="Name it with letters, digits, - and _",
             )
-    twice = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
+    folders = [normalize("NFC", job.name).casefold() for job in jobs]
+    twice = [name for name, count in Counter(folders).items() if count > 1]
     if twice:
-        numbers = [str(number) for number, job in enumerate(jobs, 1) if job.name == twice[0]]
+        same = [number for number, name in enumerate(folders, 1) if name == twice[0]]
+        names = dict.fromkeys(jobs[number - 1].name for number in same)
         raise UsageError(
-            f"the jobs {', '.join(numbers[:5])} have the same name, {twice[0]!r}",
+            f"the jobs {', '.join(map(str, same[:5]))} have the same name"
+            f"{' on some disks' if len(names) > 1 else ''}, {' and '.join(map(repr, list(names)[:3]))}",
             consequence="One would write over the other; nothing was done",
             cure="Give each job its own name; with --each by --name, such as '{parent}-{name}'",
         )
+
+
+def check_inputs(jobs: Sequence[Job], out: Path) -> None:
+    """Raise UsageError where a job reads what a job of the same batch writes: jobs run in no order."""
+    folder, names = os.path.realpath(out), [job.name for job in jobs]
+    known = set(names)
+    for job in jobs:
+        for text in job.inputs:
+            first = _first_below(folder, text)
+            read = first in known or (glob.has_magic(first) and fnmatch.filter(names, first))
+            if read:
+                raise UsageError(
+                    f"job {job.name!r} reads {text[:200]}, which a job of this batch writes",
+                    consequence="Jobs run in no order, so it could read what an earlier batch left; nothing was done",
+                    cure="Do it in a second batch with another folder (-o), when this one has ended",
+                )
+
+
+def _first_below(folder: str, text: str) -> str:
+    """Return the first part of the path from folder to what an argument names, empty where it is not below it."""
+    if text.startswith("bag:"):
+        text = text.removeprefix("bag:").rpartition(":")[0]
+    if "\0" in text or not text:
+        return ""
+    path = Path(os.path.realpath(text))
+    return path.relative_to(folder).parts[0] if path != Path(folder) and path.is_relative_to(folder) else ""
 
 
 def unfit(name: str) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from armsight.app.batch.cluster import Workers, connected
-from armsight.app.batch.jobs import Execute, Job, Status, check_names
+from armsight.app.batch.jobs import Execute, Job, Status, check_inputs, check_names
 from armsight.app.batch.results import BatchOutput, NotDone
 from armsight.app.batch.work import RUNNING, Finished, Place, run_group
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
@@ -73,6 +73,7 @@ def run_batch(
     finished by then is kept, and in the table.
     """
     check_names(jobs)
+    check_inputs(jobs, out)
     _require_free(out, resume=resume, overwrite=overwrite)
     start_s, workers, progress = time.perf_counter(), workers or Workers(), progress or Silent()
     progress.update(0, len(jobs), BEGINNING)

@@ -13,7 +13,7 @@ import shutil
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +22,7 @@ from armsight._version import __version__
 from armsight.app.batch.jobs import FINAL, Ended, Execute, Job, Status, fingerprint
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.store.atomic import disk_errors
+from armsight.store.history.place import without_password
 from armsight.store.job_results import JobResult, read_batch, read_job_result, write_job_result
 
 RUNNING = ".running"
@@ -103,7 +104,7 @@ def _begun(execute: Execute, place: Place, job: Job, hashed: str) -> JobResult:
         batch=place.batch,
         job=job.name,
         command=job.command,
-        arguments=job.arguments,
+        arguments={name: _without_passwords(value) for name, value in job.arguments.items()},
         status=Status.KILLED if killed else ended.status,
         exit_code=ended.exit_code,
         error=ended.error,
@@ -117,6 +118,15 @@ def _begun(execute: Execute, place: Place, job: Job, hashed: str) -> JobResult:
     with disk_errors(place.out / job.name):
         _put_in_place(place.out, part, job.name)
     return result
+
+
+def _without_passwords(value: object) -> object:
+    """Return a job's argument as its result.json may hold it, which others read: a history's URL has a password."""
+    if isinstance(value, str):
+        return without_password(value) if "://" in value else value
+    if isinstance(value, Mapping):
+        return {name: _without_passwords(one) for name, one in value.items()}
+    return [_without_passwords(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def _ended(execute: Execute, job: Job, part: Path) -> Ended:

@@ -22,7 +22,7 @@ from armsight.app.history.series import (
 )
 from armsight.app.requests.history import TrendJob
 from armsight.calibrate.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
-from armsight.errors import NotEnoughData
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.report.history_report import Charted, TrendPage, trend_report
@@ -37,6 +37,10 @@ YEAR_DAYS = 365.25
 WEEK_DAYS = 7.0
 FEW = 5
 """Runs below which nothing is called steady: so few tell neither mean nor scatter."""
+FEW_UNTOLD = 8
+"""The same of figures whose deviation nobody tells: the first run that their scatter alone can judge."""
+SHORT = 8
+"""Runs before a change below which chance, where runs tell far too small deviations, looks like one."""
 OFTEN = 24.0 * YEAR_DAYS
 """Runs a year at the most: many results of one afternoon are no reason for limits as wide as a year of such days'."""
 MOST_SAID = 3
@@ -149,7 +153,7 @@ def trend(job: TrendJob) -> TrendOutput:
         n_runs=len(found.runs),
         n_doubted=doubted,
         false_alarms_apart_years=job.false_alarms,
-        notes=[*_notes(figures, doubted), *_unmeasured(found), *changed_inputs(found), *clock_notes(found)],
+        notes=[*_notes(figures, doubted), *_short(judgements), *_of_runs(found)],
         report=str(report),
     )
     job.out.mkdir(parents=True, exist_ok=True)
@@ -178,11 +182,29 @@ def _judgements(chosen: Sequence[Course], apart_years: float) -> list[_Judgement
         limits = limits_for(apart_years, rate, len(chosen))
         x, told = (np.stack([getattr(one, key) for one in courses_], axis=1) for key in ("values", "std"))
         found = judged_together(x, told, limits)
+        _require_charted(courses_, found)
         out += [
             _Judgement(course=course, limits=limits, found=one, runs_a_year=rate)
             for course, one in zip(courses_, found, strict=True)
         ]
     return out
+
+
+def _require_charted(courses_: Sequence[Course], found: Sequence[Judged]) -> None:
+    """Raise Inconsistent for a figure that no chart was made of, as it could change and none would tell."""
+    for course, one in zip(courses_, found, strict=True):
+        if len(course.runs) >= _wanted(course) and not np.isfinite(one.chart.std[-1, 0]):
+            raise Inconsistent(
+                f"{course.name}: its numbers and deviations ({course.values[-1]:.3g} +- {course.std[-1]:.3g}) are so "
+                "far from each other, or so large, that they cannot be reckoned with",
+                consequence="Nothing is judged",
+                cure="Look at them with armsight history show; name the other figures with --figure",
+            )
+
+
+def _wanted(course: Course) -> int:
+    """Return below how many runs a figure is not called steady."""
+    return FEW if np.isfinite(course.std).any() else FEW_UNTOLD
 
 
 def runs_a_year(course: Course) -> float:
@@ -199,7 +221,7 @@ def _figure(one: _Judgement) -> TrendFigure:
     std = _known(chart.std[at, 0])
     told = bool(np.isfinite(course.std).any())
     mean = _known(chart.mean[at, 0])
-    state = str(change.kind) if change else "few" if len(course.runs) < FEW else "steady"
+    state = str(change.kind) if change else "few" if len(course.runs) < _wanted(course) else "steady"
     held = TrendFigure(
         name=course.name,
         command=course.command,
@@ -245,8 +267,9 @@ def _verdict(judgements: Sequence[_Judgement], figures: Sequence[TrendFigure], r
     if not changed:
         steady = sum(one.state == "steady" for one in figures)
         if not steady:
-            least = min(one.n for one in figures)
-            return f"Too few runs to say ({least}, {FEW} are wanted): so far nothing has changed beyond chance."
+            least = min((one.course for one in judgements), key=lambda one: len(one.runs) - _wanted(one))
+            n, wanted = len(least.runs), _wanted(least)
+            return f"Too few runs to say ({n}, {wanted} are wanted): so far nothing has changed beyond chance."
         return f"Nothing has drifted: {steady} of {len(figures)} figures are steady over {runs} runs."
     changed.sort(key=lambda one: -abs(one.latest or 0.0) / (one.latest_std or 1.0))
     more = f" {len(changed)} of {len(figures)} figures have changed." if len(changed) > MOST_SAID else ""
@@ -301,11 +324,22 @@ def _notes(figures: Sequence[TrendFigure], doubted: int) -> list[str]:
     return notes
 
 
-def _unmeasured(found: Found) -> list[str]:
-    names = never_measured(found)
-    if not names:
+def _short(judgements: Sequence[_Judgement]) -> list[str]:
+    """Return that a change was called by few runs, whose scatter is not known yet."""
+    before = [(one.found.change.start, one.course.name) for one in judgements if one.found.change]
+    n, name = min(before, default=(SHORT, ""))
+    if n >= SHORT:
         return []
-    return [f"No run measures {', '.join(names)}: a drift there does not show here, or shows as one of another figure."]
+    return [
+        f"{name}: only {n} {'run' if n == 1 else 'runs'} came before the change. Where runs scatter more than three "
+        "times as much as they tell, chance looks like this: repeat the run before you correct anything."
+    ]
+
+
+def _of_runs(found: Found) -> list[str]:
+    names = never_measured(found)
+    silent = f"No run measures {', '.join(names)}: a drift there does not show here, or shows as one of another figure."
+    return [*([silent] if names else []), *changed_inputs(found), *clock_notes(found)]
 
 
 def _page(done: TrendOutput, judgements: Sequence[_Judgement]) -> TrendPage:
