@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, TargetLike
 from armsight.app.design.run import run_design
-from armsight.app.requests.design import CELLS, POSES, VIEWS, Box, DesignJob
+from armsight.app.requests.design import CELLS, POSES, VIEWS, Box, DesignJob, mount_of
 from armsight.errors import UsageError
+from armsight.fields import Bounds, Flag, known_hints, marks
 from armsight.records import Progress, Target
 from armsight.records.design import DesignOutput
 from armsight.records.output import extended
@@ -72,12 +73,29 @@ def design(
     'calibration of the rig'
     """
     values = dict(locals())
+    _require_bounds(values)
     values["volume"] = _box(volume)
-    values["mount"] = None if mount is None else tuple(float(value) for value in mount)
+    values["mount"] = None if mount is None else mount_of(",".join(str(value) for value in mount))
     values.pop("progress")
     with Given(values.pop("out"), name="design") as given:
         done = run_design(given.job(DesignJob, values), progress)
         return extended(done, DesignOutput, **({} if out is not None else {"report": ""}))
+
+
+def _require_bounds(values: Mapping[str, object]) -> None:
+    """Raise UsageError for a number that the command line would not take either."""
+    for name, hint in known_hints(DesignJob).items():
+        value = values.get(name)
+        if not isinstance(value, int | float):
+            continue
+        unit = next((flag.unit for flag in marks(hint, Flag) if flag.unit), 1.0)
+        for bounds in marks(hint, Bounds):
+            if not bounds.holds(value / unit):
+                ends = (("at least", bounds.least), ("at most", bounds.most))
+                cure = " and ".join(f"{what} {end * unit:g}" for what, end in ends if end is not None)
+                raise UsageError(
+                    f"{name} is {value:g}, which cannot be", consequence="It cannot be used", cure=f"Give {cure}"
+                )
 
 
 def _box(volume: Sequence[Sequence[float]]) -> Box:
