@@ -148,6 +148,13 @@ def test_a_target_turned_away_and_one_that_looks_the_same_turned_are_told() -> N
     assert found.placed[0] and not found.whole[0] and "the same" in found.why[0]
 
 
+def test_what_the_product_calls_lost_has_no_position() -> None:
+    narrow = Setup(rig=parallel_rig(CAMERA, 1e-4), target=TARGET)
+    found = expected_poses(narrow, at((0.0, 0.0, 0.6)), noise(0.1), least_px=2.0)
+    assert not found.placed[0] and "do not meet" in found.why[0]
+    assert np.isnan(found.random[0]).all()
+
+
 def test_a_tilt_that_the_spots_leave_open_is_no_orientation() -> None:
     tiny = spot_target({name: tuple(0.15 * np.array(xyz)) for name, xyz in LIGHTS.items()})
     found = expected_poses(Setup(rig=known_rig(), target=tiny), at((0.06, 0.0, 1.5)), noise(0.3), least_px=2.0)

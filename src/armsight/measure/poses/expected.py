@@ -133,6 +133,9 @@ def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise,
             why[i] = "the target looks the same when it is turned, so its lights cannot be named"
         else:
             why[i] = pose.why if pose is not None else f"{n} light{'s tell' if n > 1 else ' tells'} no orientation"
+        if pose is not None and pose.status is PoseStatus.LOST:
+            placed[i] = False
+            continue
         random[i, :3, :3], slopes[i, :3] = at.points()
     if target.covariance is None:
         slopes = slopes[:, :, : len(rig.parameters)]
