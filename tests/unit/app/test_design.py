@@ -8,6 +8,7 @@ from pathlib import Path
 import dask
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
 import armsight
@@ -151,6 +152,17 @@ def test_a_tool_in_the_arm_s_base(job: DesignJob) -> None:
 def test_twice_as_many_lights_can_still_be_named() -> None:
     for spots in (LIGHTS, {"A": (0.0, 0.0, 0.0), "B": (0.08, 0.0, 0.0), "C": (0.0, 0.05, 0.0), "D": (0.06, 0.06, 0.0)}):
         assert symmetries(_doubled(spot_target(spots))) == ()
+
+
+def test_twice_as_many_lights_stand_apart() -> None:
+    with_middle = {**LIGHTS, "M": (0.02 / 3.0, 0.0, 0.0)}
+    assert pdist(_doubled(spot_target(with_middle)).xyz_m).min() > 0.005
+
+
+def test_an_alignment_to_a_few_cells_is_not_told(job: DesignJob) -> None:
+    assert run_design(replace(job, cells=1)).aligned is None
+    with refuses(Inconsistent, "too good"):
+        foretell(plan_of(replace(job, cells=1, relative=True)))
 
 
 def test_every_change_is_told_once() -> None:
@@ -311,7 +323,17 @@ def test_python_gives_what_the_command_does(job: DesignJob) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"baseline_m": -0.12}, {"average": 0}, {"cells": 0}, {"corner_noise_px": 0.0}, {"spot_noise_px": -1.0}, {"wanted_m": -0.001}, {"arm_noise_m": -0.001}, {"pixel_m": 0.0}, {"poses": 1000}],
+    [
+        {"baseline_m": -0.12},
+        {"average": 0},
+        {"cells": 0},
+        {"corner_noise_px": 0.0},
+        {"spot_noise_px": -1.0},
+        {"wanted_m": -1e-3},
+        {"arm_noise_m": -1e-3},
+        {"pixel_m": 0.0},
+        {"poses": 1000},
+    ],
 )
 def test_numbers_that_the_command_refuses_are_refused_in_python(wrong: dict[str, float]) -> None:
     planned = {"size": (1280, 720), "focal_px": 950.0, "baseline_m": 0.12, "board": "checkerboard:9x6:0.025"}
