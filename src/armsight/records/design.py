@@ -119,7 +119,8 @@ class DesignOutput(Output):
     position: Annotated[Spread, Doc("Deviation of the position.")]
     orientation: Annotated[Spread | None, Doc("Deviation of the orientation; null where none is measured.")]
     aligned: Annotated[
-        Spread | None, Doc("Deviation of the position once the volume is aligned as a whole; null with an arm.")
+        Spread | None,
+        Doc("Deviation of the position once the volume is aligned as a whole; null with an arm, and of few cells."),
     ]
     points: Annotated[tuple[PointDeviation, ...], Doc("Of each light by itself, as points.csv has them.")]
     parts: Annotated[tuple[DesignPart, ...], Doc("What it is made of, the largest first.")]

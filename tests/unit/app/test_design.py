@@ -8,6 +8,7 @@ from pathlib import Path
 import dask
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
 import armsight
@@ -153,6 +154,17 @@ def test_twice_as_many_lights_can_still_be_named() -> None:
         assert symmetries(_doubled(spot_target(spots))) == ()
 
 
+def test_twice_as_many_lights_stand_apart() -> None:
+    with_middle = {**LIGHTS, "M": (0.02 / 3.0, 0.0, 0.0)}
+    assert pdist(_doubled(spot_target(with_middle)).xyz_m).min() > 0.005
+
+
+def test_an_alignment_to_a_few_cells_is_not_told(job: DesignJob) -> None:
+    assert run_design(replace(job, cells=1)).aligned is None
+    with refuses(Inconsistent, "too good"):
+        foretell(plan_of(replace(job, cells=1, relative=True)))
+
+
 def test_every_change_is_told_once() -> None:
     assert len({one.name for one in CHANGES}) == len(CHANGES)
 
@@ -162,6 +174,7 @@ def test_every_change_is_told_once() -> None:
     [
         ({"volume": ((0.2, -0.1), *NEAR[1:])}, UsageError, ("reversed", "x")),
         ({"volume": (NEAR[0], (0.1, 0.1), NEAR[2])}, UsageError, ("empty", "y")),
+        ({"volume": ((-0.1, float("nan")), *NEAR[1:])}, UsageError, ("nan", "x")),
         ({"volume": ((-100.0, 200.0), (-100.0, 100.0), (500.0, 800.0))}, Inconsistent, "millimetres"),
         ({"volume": ((0.0, 1e-5), (0.0, 1e-5), (0.5, 0.50001))}, Inconsistent, "micrometres"),
         ({"volume": (*NEAR[:2], (-0.8, -0.5))}, Inconsistent, ("behind", "left")),
@@ -279,6 +292,8 @@ def test_volumes_and_mounts_are_read() -> None:
     assert mount_of("0,0,0.1,0,90,0") == (0.0, 0.0, 0.1, 0.0, 90.0, 0.0)
     with refuses(UsageError, "X,Y,Z"):
         mount_of("0,0")
+    with refuses(UsageError, "nan"):
+        mount_of("nan,0,0")
 
 
 def test_python_gives_what_the_command_does(job: DesignJob) -> None:
@@ -304,6 +319,47 @@ def test_python_gives_what_the_command_does(job: DesignJob) -> None:
             board="checkerboard:9x6:0.025",
             views=1,
         )
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"baseline_m": -0.12},
+        {"average": 0},
+        {"cells": 0},
+        {"corner_noise_px": 0.0},
+        {"spot_noise_px": -1.0},
+        {"wanted_m": -1e-3},
+        {"arm_noise_m": -1e-3},
+        {"pixel_m": 0.0},
+        {"poses": 1000},
+    ],
+)
+def test_numbers_that_the_command_refuses_are_refused_in_python(wrong: dict[str, float]) -> None:
+    planned = {"size": (1280, 720), "focal_px": 950.0, "baseline_m": 0.12, "board": "checkerboard:9x6:0.025"}
+    (name,) = wrong
+    with refuses(UsageError, name):
+        armsight.design(spot_target(LIGHTS), NEAR, **planned | {"cells": 2} | wrong)
+
+
+def test_a_mount_of_no_numbers_is_refused_in_python() -> None:
+    with refuses(UsageError, "RX,RY,RZ"):
+        armsight.design(spot_target(LIGHTS), NEAR, arm="ur10e", mount=(0.0, float("nan"), 0.1))
+
+
+def test_an_image_of_another_shape_needs_its_focal_length(job: DesignJob) -> None:
+    write_rig(job.target.parent / "rig.yaml", parallel_rig(Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5), 0.12))
+    there = replace(job, rig=job.target.parent / "rig.yaml", baseline_m=None, focal_px=None)
+    with refuses(UsageError, ("1280x960", "shape")):
+        plan_of(replace(there, size=(1280, 960)))
+    assert plan_of(replace(there, size=(1280, 960), focal_px=950.0)).rig.left.intrinsics[1] == 950.0
+    assert plan_of(replace(there, size=(1920, 1080))).rig.left.intrinsics[1] == 1425.0
+
+
+def test_lights_of_unknown_size_are_told_to_be_taken_as_fit(job: DesignJob) -> None:
+    assert not any("their size" in text for text in plan_of(job).assumptions)
+    write_target(job.target, spot_target(LIGHTS))
+    assert any("their size is not known" in text for text in plan_of(job).assumptions)
 
 
 def test_simulated_runs_are_a_batch_and_beside_the_forecast(job: DesignJob) -> None:

@@ -15,10 +15,13 @@ from armsight.optics.parallelism import DERIVATIVE_STEPS
 from armsight.records import NamedCovariance
 from armsight.records.noise import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
+from armsight.store import parse_board
 
 CAMERA = Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5)
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
 TARGET = spot_target(LIGHTS, diameter_m=0.006)
+CLOSE = spot_target({"A": (-0.004, 0.0, 0.0), "B": (0.004, 0.0, 0.0), "C": (0.0, 0.05, 0.0)}, diameter_m=0.006)
+TINY = spot_target({"A": (-0.006, 0.0, 0.0), "B": (0.005, 0.0, 0.0), "C": (0.0, 0.009, 0.0)})
 TURN = Rotation.from_rotvec([0.25, 0.15, 0.3])
 
 
@@ -112,12 +115,25 @@ def test_a_position_alone_is_that_of_the_lights() -> None:
         ((-0.4, 0.0, 0.7), TARGET, 2.0, "outside the right image"),
         ((0.6, 0.0, 0.7), TARGET, 2.0, "outside the left image"),
         ((0.0, 0.0, 2.0), TARGET, 4.0, "smaller than 4 px"),
+        ((0.06, 0.0, 0.7), CLOSE, 2.0, "lights run into each other"),
+        ((0.06, 0.0, 3.0), TINY, 2.0, "lights run into each other"),
+        ((0.06, 0.0, 3.0), parse_board("checkerboard:7x5:0.02"), 2.0, "too close together"),
+        ((0.06, 0.0, 2.5), parse_board("charuco:8x5:0.04:0.03:DICT_4X4_50"), 2.0, "too close together"),
+        ((0.06, 0.0, 3.0), parse_board("aprilgrid:4x3:0.044:0.3"), 2.0, "too close together"),
     ],
 )
 def test_what_is_not_seen_is_told_with_the_reason(place, target, least_px: float, why: str) -> None:
     found = expected_poses(Setup(rig=known_rig(), target=target), at(place), noise(0.1), least_px=least_px)
     assert not found.placed[0] and why in found.why[0]
     assert np.isnan(found.random[0]).all()
+
+
+@pytest.mark.parametrize("board", ["checkerboard:7x5:0.02", "charuco:8x5:0.04:0.03:DICT_4X4_50"])
+def test_a_board_near_enough_is_seen(board: str) -> None:
+    found = expected_poses(
+        Setup(rig=known_rig(), target=parse_board(board)), at((0.0, 0.0, 0.6)), noise(0.1), least_px=2.0
+    )
+    assert found.whole.all()
 
 
 def test_a_target_turned_away_and_one_that_looks_the_same_turned_are_told() -> None:
@@ -132,8 +148,15 @@ def test_a_target_turned_away_and_one_that_looks_the_same_turned_are_told() -> N
     assert found.placed[0] and not found.whole[0] and "the same" in found.why[0]
 
 
+def test_what_the_product_calls_lost_has_no_position() -> None:
+    narrow = Setup(rig=parallel_rig(CAMERA, 1e-4), target=TARGET)
+    found = expected_poses(narrow, at((0.0, 0.0, 0.6)), noise(0.1), least_px=2.0)
+    assert not found.placed[0] and "do not meet" in found.why[0]
+    assert np.isnan(found.random[0]).all()
+
+
 def test_a_tilt_that_the_spots_leave_open_is_no_orientation() -> None:
-    tiny = spot_target({name: tuple(0.05 * np.array(xyz)) for name, xyz in LIGHTS.items()})
+    tiny = spot_target({name: tuple(0.15 * np.array(xyz)) for name, xyz in LIGHTS.items()})
     found = expected_poses(Setup(rig=known_rig(), target=tiny), at((0.06, 0.0, 1.5)), noise(0.3), least_px=2.0)
     assert found.placed[0] and not found.whole[0] and found.why[0]
 

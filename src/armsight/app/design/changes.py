@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from armsight.app.design.plan import Plan, at_baseline
 from armsight.app.design.volume import Foretold, foretell
@@ -17,6 +18,8 @@ from armsight.records.design import DesignChange
 MORE = 1.5
 FRAMES = 10
 FINER = 2
+APART = 0.25
+"""Further lights stand no nearer to others than this share of what lies between those that are there."""
 VOLUME_SHARE = 0.95
 """Share of the volume in which the wanted deviation must be reached: a cell that is not measured does not reach it."""
 
@@ -64,9 +67,14 @@ def _lights(plan: Plan) -> Plan | None:
 def _doubled(target: Target) -> Target:
     middle = target.xyz_m.mean(axis=0)
     # nearer to the middle than those: a target that looks the same after half a turn has no orientation
-    far = middle - 0.8 * (target.xyz_m - middle) if len(target.names) > 1 else target.xyz_m + np.array([0.05, 0.0, 0.0])
+    off = -0.8 * (target.xyz_m - middle) if len(target.names) > 1 else np.array([[0.05, 0.0, 0.0]])
+    # beside the middle where a light stands near it: two lights in one place are one
+    beside = np.array([0.0, 0.13 * float(np.ptp(target.xyz_m, axis=0).max()), 0.0])
+    each = [np.concatenate([target.xyz_m, middle + off + k * beside]) for k in (0, 1, -1, 2, -2)]
+    apart = [float(pdist(xyz).min()) for xyz in each]
+    enough = (k for k, near in enumerate(apart) if near >= APART * float(pdist(target.xyz_m).min(initial=np.inf)))
     names = tuple(f"{name}'" for name in target.names)
-    return replace(target, names=(*target.names, *names), xyz_m=np.concatenate([target.xyz_m, far]))
+    return replace(target, names=(*target.names, *names), xyz_m=each[next(enough, int(np.argmax(apart)))])
 
 
 def _baseline(plan: Plan) -> Plan:

@@ -30,6 +30,8 @@ FAR_M = 30.0
 """No cell is so wide: such numbers are millimetres."""
 NARROWEST, WIDEST = 10.0, 0.2
 """Focal length over image width of lenses from 6 to 137 degrees wide; beyond, a unit is wrong."""
+SAME_SHAPE = 0.02
+"""Image sizes of one shape differ by rounding, to 8 or 16 px."""
 LEAST_POSES = 4
 
 
@@ -121,6 +123,12 @@ def plan_of(job: DesignJob) -> Plan:
 def _checked(volume: Box) -> Box:
     """Return a volume that can be. Raises UsageError, Inconsistent."""
     for name, (low, high) in zip("xyz", volume, strict=True):
+        if not np.isfinite([low, high]).all():
+            raise UsageError(
+                f"the volume runs from {low:g} to {high:g} m along {name}",
+                consequence="It is not known where the target will be",
+                cure="Give finite numbers",
+            )
         if low > high:
             raise UsageError(
                 f"the volume is reversed along {name}: from {low:g} to {high:g} m",
@@ -163,6 +171,8 @@ def _rig(job: DesignJob) -> Rig:
             consequence="That of the file does not hold for it",
             cure="Give --board and --views",
         )
+    for camera in (rig.left, rig.right):
+        _require_shape(camera, focal_px, job.size)
     cameras = [_other(camera, focal_px, job.size) for camera in (rig.left, rig.right)]
     rig = replace(rig, left=cameras[0], right=cameras[1])
     if rig.kind is RigKind.MIRROR and all(camera.plate is None for camera in cameras):
@@ -243,6 +253,19 @@ def _focal_px(job: DesignJob) -> float | None:
     return job.focal_m / job.pixel_m
 
 
+def _require_shape(camera: Camera, focal_px: float | None, size: tuple[int, int] | None) -> None:
+    """Raise UsageError where another image size alone would make pixels that are not square."""
+    if size is None or focal_px is not None:
+        return
+    wider, higher = size[0] / camera.width, size[1] / camera.height
+    if abs(wider / higher - 1.0) > SAME_SHAPE:
+        raise UsageError(
+            f"an image of {size[0]}x{size[1]} px has another shape than {camera.width}x{camera.height}",
+            consequence="Whether it shows more or less than the rig's, and so its focal length in px, is not known",
+            cure="Give --focal-px with --size (or --focal-mm and --pixel-um)",
+        )
+
+
 def _other(camera: Camera, focal_px: float | None, size: tuple[int, int] | None) -> Camera:
     """Return a camera with another focal length, or another image size of the same sensor."""
     k = camera.intrinsics.copy()
@@ -320,6 +343,11 @@ def _assumptions(job: DesignJob, plan: Plan) -> tuple[str, ...]:
     ]
     turned = f", turned by {plan.tilt_rad / DEG:g} deg" if plan.tilt_rad else ""
     out.append(f"the target faces the rig{turned}, holds still, and nothing hides it")
+    if not plan.target.is_board and plan.target.diameter_m is None:
+        out.append(
+            "the lights are large enough to be found, small enough to stay apart, and seen from every side: their size "
+            "is not known; diameter_m in target.yaml tells it"
+        )
     if plan.target.covariance is None:
         out.append("the target's measures are exact")
     if plan.calibration is None:

@@ -123,7 +123,7 @@ def _spread(found: Foretold, values: Array) -> Spread:
 
 def _aligned(plan: Plan, found: Foretold) -> Spread | None:
     """Return the deviation of the position once what the whole volume shares is taken away."""
-    if plan.arm is not None:
+    if plan.arm is not None or not found.can_align:
         return None
     if plan.relative:
         return _spread(found, found.position_m)

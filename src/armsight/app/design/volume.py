@@ -30,6 +30,8 @@ TURNS_RAD, ROLL_RAD = 30.0 * DEG, 60.0 * DEG
 """How far the target is turned between the poses from which the rig's place in the arm's base is found."""
 TRIED = 12
 """Candidates for each such pose."""
+LEAST_ALIGNED = 8
+"""Cells to which a volume is aligned: the six numbers of a motion hide all that is off at two, half of it at four."""
 DRAWN = 2
 """Their seed."""
 
@@ -73,6 +75,12 @@ class Foretold:
     slopes: Array
     frame: Frame
     handeye: tuple[RigidTransform, PlannedHandEye] | None = None
+
+    @property
+    def can_align(self) -> bool:
+        """Tell whether enough is measured, along two axes at least, for an alignment to leave what is within it."""
+        places = self.cells.xyz_m[self.measured]
+        return len(places) >= LEAST_ALIGNED and np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-4) > 1
 
     def within_volume(self) -> Foretold:
         """Return the same once the measured volume is aligned as a whole."""
@@ -155,6 +163,12 @@ def foretell(plan: Plan) -> Foretold:
     if plan.arm is not None:
         return _at_tool(found, plan.arm, noise, setup)
     found = replace(found, parts={NOISE: noise, **found.shared(found.slopes)})
+    if plan.relative and not found.can_align:
+        raise Inconsistent(
+            f"{measured.sum()} of {len(measured)} cells are measured: an alignment to so few hides deviations",
+            consequence="Deviations within the volume would look far too good",
+            cure="Give more --cells, or a volume of which the cameras see more",
+        )
     return found.within_volume() if plan.relative else found
 
 

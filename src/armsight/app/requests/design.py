@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -47,7 +48,7 @@ def mount_of(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) not in (3, 6):
+    if len(values) not in (3, 6) or not all(map(isfinite, values)):
         raise UsageError(
             f"{text!r} is not X,Y,Z or X,Y,Z,RX,RY,RZ",
             consequence="It is not known where the target is on the flange",

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
 from armsight.geometry.poses import skew
@@ -37,6 +38,13 @@ EDGE_PX = 3.0
 """What must lie between a light's outline and the edge of the image."""
 LEAST_PX = 2.0
 """A light of less across, with the blur of a lens, is no more than a pixel's."""
+LEAST_GAP_PX = 4.0
+"""Outlines of two lights nearer than this run into each other: one spot is found of both, or none (rendered discs of
+10 and 20 px: no pair of ten at 3 px, eight or nine of ten at 4 px)."""
+LEAST_STEP_PX, LEAST_CELLS_PX = 8.0, 2.0
+"""Corners of a board nearer than this are not found (rendered: none at 5 px); of markers, so wide is each cell."""
+MARKER_CELLS = 8
+"""Cells along a marker, its border among them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,6 +133,9 @@ def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise,
             why[i] = "the target looks the same when it is turned, so its lights cannot be named"
         else:
             why[i] = pose.why if pose is not None else f"{n} light{'s tell' if n > 1 else ' tells'} no orientation"
+        if pose is not None and pose.status is PoseStatus.LOST:
+            placed[i] = False
+            continue
         random[i, :3, :3], slopes[i, :3] = at.points()
     if target.covariance is None:
         slopes = slopes[:, :, : len(rig.parameters)]
@@ -173,6 +184,9 @@ def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float
             hidden.append((f"turned away from the {side} camera", steep & ~behind & ~outside))
         small = (size[..., s] > 0.0) & (size[..., s] < least_px)
         hidden.append((f"a light is smaller than {least_px:g} px in the {side} image", small & ~behind & ~outside))
+        near = _gaps(uv[:, :, s], size[..., s]) < _least_gap(target)
+        what = "corners of the board are too close together" if target.is_board else "lights run into each other"
+        hidden.append((f"{what} in the {side} image", near & ~behind & ~outside & ~small))
     seen = ~np.any([mask for _, mask in hidden], axis=0)
     if target.is_board:  # a board counts as a whole
         seen &= seen.all(axis=1)[:, None]
@@ -180,6 +194,27 @@ def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float
     most = counts.argmax(axis=0)
     why = tuple(hidden[k][0] if counts[k, i] else "" for i, k in enumerate(most.tolist()))
     return Lights(uv_px=uv, size_px=size, seen=seen, why=why)
+
+
+def _gaps(uv: Array, size_px: Array) -> Array:
+    """Return what lies between each light's outline and its nearest neighbour's, (m, n) px: uv (m, n, 2) of a side."""
+    out = np.full(size_px.shape, np.inf)
+    for i, (at, size) in enumerate(zip(uv, size_px, strict=True)):
+        gap = np.linalg.norm(at[:, None] - at, axis=2) - 0.5 * (size[:, None] + size)
+        np.fill_diagonal(gap, np.inf)
+        out[i] = np.nan_to_num(gap, nan=np.inf).min(axis=1)
+    return out
+
+
+def _least_gap(target: Target) -> float:
+    """Return how far apart a target's points must look, px, so that each is found by itself."""
+    if not target.is_board:
+        return LEAST_GAP_PX
+    if not target.marker_m:
+        return LEAST_STEP_PX
+    # the nearest points of a marker board are a square, or a gap between two tags, apart
+    step_m = float(pdist(target.xyz_m).min())
+    return max(LEAST_STEP_PX, LEAST_CELLS_PX * MARKER_CELLS * step_m / target.marker_m)
 
 
 def _solved(setup: Setup, lights: Lights, i: int, seen: NDArray[np.intp], sigma: Array) -> TargetPose:
