@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from armsight.api.checks import speaks_python
@@ -99,9 +100,9 @@ def _mount(mount: Sequence[float] | None) -> tuple[float, ...] | None:
     if mount is None:
         return None
     values = real_array("mount", mount)
-    if values.shape not in ((3,), (6,)):
+    if values.shape not in ((3,), (6,)) or not all(map(math.isfinite, values.tolist())):
         raise UsageError(
-            f"the mount {mount!r} is not three or six numbers",
+            f"the mount {mount!r} is not three or six finite numbers",
             consequence="It is not known where the target is on the flange",
             cure="Give (x, y, z) in m, or (x, y, z, rx, ry, rz) with degrees",
         )

@@ -343,7 +343,7 @@ def test_numbers_that_the_command_refuses_are_refused_in_python(wrong: dict[str,
 
 
 def test_a_mount_of_no_numbers_is_refused_in_python() -> None:
-    with refuses(UsageError, "RX,RY,RZ"):
+    with refuses(UsageError, "mount"):
         armsight.design(spot_target(LIGHTS), NEAR, arm="ur10e", mount=(0.0, float("nan"), 0.1))
 
 
@@ -359,7 +359,7 @@ def test_an_image_of_another_shape_needs_its_focal_length(job: DesignJob) -> Non
 def test_lights_of_unknown_size_are_told_to_be_taken_as_fit(job: DesignJob) -> None:
     assert not any("their size" in text for text in plan_of(job).assumptions)
     write_target(job.target, spot_target(LIGHTS))
-    assert any("their size is not known" in text for text in plan_of(job).assumptions)
+    assert any("their size" in text for text in plan_of(job).assumptions)
 
 
 def test_simulated_runs_are_a_batch_and_beside_the_forecast(job: DesignJob) -> None:
