@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pyarrow.parquet as pq
 import pytest
-from distributed.core import Status
 
 from armsight.app import compilation
 from armsight.app.batch import cluster as batch_cluster
@@ -312,18 +312,21 @@ def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) ->
     assert [run["command"] for run in listed["runs"]] == ["calibrate handeye"]
 
 
-async def killed_while_it_starts(nanny: Any) -> None:
-    nanny.status = Status.starting
-    os.kill(nanny.pid, signal.SIGKILL)
+def workers_of_this_process() -> set[int]:
+    return {one.pid for one in psutil.Process().children() if "spawn_main" in " ".join(one.cmdline())}
 
 
-def test_a_worker_whose_nanny_gives_it_up_is_replaced(cluster: Any) -> None:
-    (address,) = cluster.nthreads()
-    (nanny,) = cluster.cluster.workers.values()
-    cluster.cluster.sync(killed_while_it_starts, nanny)
-    while address in (there := cluster.nthreads()) or not there:
-        cluster.wait_for_workers(1, timeout=30)
-    assert cluster.submit(sum, (1, 2)).result(timeout=30) == 3
+def test_a_worker_that_is_killed_while_it_starts_is_replaced() -> None:
+    with connected(Workers(n=1)) as client:
+        ((address, pid),) = client.run(os.getpid).items()
+        before = workers_of_this_process()
+        os.kill(pid, signal.SIGKILL)
+        while not (begun := workers_of_this_process() - before):
+            pass
+        os.kill(begun.pop(), signal.SIGKILL)
+        while address in (there := client.nthreads()) or not there:
+            client.wait_for_workers(1, timeout=60)
+        assert client.submit(sum, (1, 2)).result(timeout=60) == 3
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")

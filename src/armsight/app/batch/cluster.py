@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import platform
 import re
 import signal
 import threading
 import time
-from collections.abc import Coroutine, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -34,6 +35,10 @@ BEGIN = (
     "Look whether there is memory left. A Python script that calls batch is imported by its workers: what it does "
     'stands below `if __name__ == "__main__":`'
 )
+CLOSE_S = 10.0
+"""Longest wait for a worker to close."""
+START_S = 20.0
+"""Time in which a worker has to have a process at all."""
 GONE_S = 2.0
 """Time without a process after which a worker is taken for gone; between two of its processes it takes less."""
 MOST_WORKERS = 1024
@@ -115,7 +120,7 @@ def _own(n: int | None) -> Iterator[Client]:
     security = Security.temporary() if find_spec("cryptography") else None
     try:
         cluster: Any = LocalCluster(
-            n_workers=count,
+            n_workers=0,  # they are begun below
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
@@ -127,43 +132,51 @@ def _own(n: int | None) -> Iterator[Client]:
     except (RuntimeError, OSError) as error:
         raise DeviceFailed(f"the worker processes did not begin ({error})", consequence=NOTHING, cure=BEGIN) from error
     with cluster, Client(cluster, set_as_default=False) as client:
-        _require_workers(client, "the worker processes did not begin", BEGIN)
         client.register_plugin(_leaves_interrupts_alone())
-        keeping = cluster.sync(_begun, _keep(cluster, count))
+        slots = cluster.sync(_begin, cluster, count)
         try:
+            _require_workers(client, "the worker processes did not begin", BEGIN)
             yield client
-        except BaseException:
-            cluster.loop.add_callback(keeping.cancel)
-            with contextlib.suppress(Exception):  # closing them ends them too, after the jobs that they are at
-                cluster.sync(_kill, cluster.workers.values())
-            raise
-        finally:
-            cluster.loop.add_callback(keeping.cancel)
+        finally:  # closing them ends them in the middle of what they do
+            with contextlib.suppress(Exception):
+                cluster.sync(_end, slots)
 
 
-async def _begun(work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    return asyncio.create_task(work)
+async def _begin(cluster: Any, count: int) -> list[asyncio.Task[None]]:
+    return [asyncio.create_task(_slot(cluster, slot)) for slot in range(count)]
 
 
-async def _keep(cluster: Any, count: int) -> None:
-    """Begin another worker where one is gone for good: a nanny begins its process anew when that ends at work, not when
-    it is killed while it starts.
+async def _end(slots: Iterable[asyncio.Task[None]]) -> None:
+    for slot in slots:
+        slot.cancel()
+    await asyncio.gather(*slots, return_exceptions=True)
+
+
+async def _slot(cluster: Any, slot: int) -> None:
+    """Hold one worker, and begin another where it is gone for good.
+
+    Its nanny begins its process anew when that ends at work, but not when it is killed while it starts; closing such a
+    nanny may never end, and a cluster that closes it waits for ever: each slot is by itself, and waits CLOSE_S.
     """
-    gone_since_s: dict[Any, float] = {}
-    while True:
+    kind, options = cluster.new_spec["cls"], cluster.new_spec["options"]
+    for number in itertools.count():
+        nanny = kind(cluster.scheduler_address, **{**options, "name": f"{slot}-{number}"})
+        begun = asyncio.ensure_future(nanny.start())
+        try:
+            await _gone(nanny)
+        finally:
+            begun.cancel()
+            with contextlib.suppress(Exception):
+                await asyncio.wait_for(nanny.close(timeout=KILL_S), CLOSE_S)
+
+
+async def _gone(nanny: Any) -> None:
+    """Return when a worker has been without a process for so long that there will be none."""
+    until_s = time.monotonic() + START_S
+    while (now_s := time.monotonic()) < until_s:
+        if nanny.process is not None and nanny.process.is_alive():
+            until_s = now_s + GONE_S
         await asyncio.sleep(GONE_S / 4)
-        gone = {name for name, nanny in cluster.workers.items() if not (nanny.process and nanny.process.is_alive())}
-        now_s = time.monotonic()
-        gone_since_s = {name: gone_since_s.get(name, now_s) for name in gone}
-        if lost := [name for name, since_s in gone_since_s.items() if now_s - since_s > GONE_S]:
-            cluster.scale(count + len(lost))  # before the lost ones go: their names would be given again
-            for name in lost:
-                cluster.worker_spec.pop(name, None)
-
-
-async def _kill(nannies: Iterable[Any]) -> None:
-    """End worker processes in the middle of what they do."""
-    await asyncio.gather(*(one.close(timeout=KILL_S) for one in nannies))
 
 
 @contextlib.contextmanager
