@@ -221,7 +221,7 @@ def _line(
 def _method(run: TrendPage) -> list[str]:
     return [
         "Each run is held against the weighted mean of the runs before it, and the scatter between runs is estimated "
-        "from the runs themselves: deviations told up to twice too small bring no false alarms.",
+        "from the runs themselves: deviations told up to 1.5 times too small bring no more false alarms than stated.",
         f"One false alarm is to be expected in {run.apart_years:.4g} years of this cell, over all figures together: at "
         f"a run every {_interval(run.every_days)} in {run.apart_years * 365.25 / run.every_days:.3g} runs.",
         "A jump is a run beyond its limit (Shewhart); a drift is a sum of deviations beyond its own (CUSUM). A run "
