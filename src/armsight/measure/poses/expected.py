@@ -30,7 +30,7 @@ SpotNoise = Callable[[Array, int], Array]
 """Standard deviation in px of lights of so many px across, on a side (0: left), in their shape."""
 
 ALIKE = "the target looks the same when it is turned, so its lights cannot be named"
-NO_TURN = "one light or two tell no orientation (here {n})"
+NO_TURN = {1: "1 light tells no orientation", 2: "2 lights tell no orientation"}
 POINT_STEP_M = 1e-6
 LEAST_LIGHTS = 3
 """Fewer tell a position alone."""
@@ -131,7 +131,7 @@ def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise,
             bound, slopes[i] = at.pose()
             random[i] = _widened(pose, bound)
             continue
-        why[i] = ALIKE if alike else pose.why if pose is not None else NO_TURN.format(n=n)
+        why[i] = ALIKE if alike else pose.why if pose is not None else NO_TURN[n]
         if pose is not None and pose.status is PoseStatus.LOST:
             placed[i] = False
             continue
