@@ -65,14 +65,13 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "imports by name": {
         "__init__.py": "public names are loaded when they are asked for",
-        "report/__init__.py": "pages are loaded when one of the kind is written",
-        "store/__init__.py": "files of all kinds are loaded when one of the kind is read",
         "app/requests/__init__.py": "requests are loaded when a command is called: help begins without them",
         "cli/command.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",
         "kinematics/dynamics.py": "an extra that is not always there",
     },
     "types of a result": {
+        "app/history/series.py:Found": "of many runs by number what an entry has of one",
         "report/run.py:Parameter": "of a page, always a number; a row of a history's table may lack it",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
         "app/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",

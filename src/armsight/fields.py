@@ -9,7 +9,7 @@ from __future__ import annotations
 import builtins
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module
@@ -106,6 +106,17 @@ def loaded(place: str) -> Callable[[], Any]:
         return value() if name.endswith("()") else value  # type: ignore[operator]  # a class, as the place says
 
     return make
+
+
+def loaded_names(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the __getattr__ of a package whose names are loaded when they are first used: name -> module in it."""
+
+    def load(name: str) -> Any:
+        if name not in places:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package}.{places[name]}"), name)
+
+    return load
 
 
 def known_hints(of: Any) -> dict[str, Any]:

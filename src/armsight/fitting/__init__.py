@@ -2,7 +2,7 @@
 
 from armsight.fitting.normal import NormalEquations
 from armsight.fitting.problem import Evaluation, Loss, LossKind, Prior, Problem
-from armsight.fitting.solve import Fit, Settings, StopReason, solve
+from armsight.fitting.solve import Fit, Settings, StopReason, inverse_information, solve
 
 __all__ = [
     "Evaluation",
@@ -14,5 +14,6 @@ __all__ = [
     "Problem",
     "Settings",
     "StopReason",
+    "inverse_information",
     "solve",
 ]

@@ -236,7 +236,7 @@ def _fit(
     """Form covariances, scale and rank verdict at the final point."""
     normal = problem.normal_equations(state.evaluation, state.shared, free)
     names = problem.free
-    covariance, undetermined = _covariance(normal, names)
+    covariance, undetermined = inverse_information(normal.reduced_system(), np.diag(normal.A), names)
     n_priors = sum(name not in problem.fixed for name in problem.priors)
     dof = problem.n_residuals + n_priors - len(free) - state.local.size
     scale = float(np.sqrt(2.0 * state.cost / dof)) if dof > 0 else float("nan")
@@ -266,12 +266,15 @@ def _fit(
     )
 
 
-def _covariance(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Array, tuple[tuple[str, ...], ...]]:
-    """Return the covariance (F, F) (pseudo-inverse where needed) and the groups that cannot be told apart."""
-    information = normal.reduced_system()
-    diagonal = np.diag(normal.A)
-    silent = diagonal <= FLOOR  # no residual feels the parameter at all
-    scale = 1.0 / np.sqrt(np.where(silent, 1.0, diagonal))
+def inverse_information(
+    information: Array, influence: Array, names: tuple[str, ...]
+) -> tuple[Array, tuple[tuple[str, ...], ...]]:
+    """Return the covariance (F, F) (pseudo-inverse where needed) and the groups that cannot be told apart.
+
+    influence: how much the residuals feel each parameter by itself (F,), the diagonal before others are eliminated.
+    """
+    silent = influence <= FLOOR  # no residual feels the parameter at all
+    scale = 1.0 / np.sqrt(np.where(silent, 1.0, influence))
     # scaled by each parameter's own influence only correlation is left: an eigenvalue near zero is a combination that
     # no residual feels, and its vector names the parameters in it
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))

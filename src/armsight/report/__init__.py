@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from armsight.fields import loaded_names
 
 if TYPE_CHECKING:
     from armsight.report.calibration import calibration_report as calibration_report
@@ -26,8 +27,4 @@ _PLACES = {
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
     __all__ = sorted(_PLACES)
-
-    def __getattr__(name: str) -> Any:
-        if name not in _PLACES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    __getattr__ = loaded_names(__name__, _PLACES)

@@ -5,8 +5,9 @@ What is here is loaded when it is first used: a command that reads one small fil
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from armsight.fields import loaded_names
 
 if TYPE_CHECKING:
     from armsight.store.atomic import json_text as json_text
@@ -105,8 +106,4 @@ _PLACES = {
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
     __all__ = sorted(_PLACES)
-
-    def __getattr__(name: str) -> Any:
-        if name not in _PLACES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    __getattr__ = loaded_names(__name__, _PLACES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import difflib
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
-from armsight.store.tables import bare
+from armsight.store.tables import bare, csv_reader
 from armsight.store.yamls import parse_yaml
 
 MAX_BYTES = 200_000_000
@@ -52,15 +51,7 @@ def close_to(word: str, known: Sequence[str]) -> str:
 
 
 def _csv_rows(data: bytes, where: str) -> list[JobRow]:
-    try:
-        content = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
-            cure="Save it as CSV in UTF-8",
-        ) from error
-    reader = csv.reader(io.StringIO(content, newline=""), strict=True)
+    reader = csv_reader(data, where)
     header: list[str] = []
     rows = []
     try:

@@ -10,13 +10,16 @@ import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
+
+if TYPE_CHECKING:
+    from _csv import Reader
 
 MAX_BYTES = 1_000_000_000
 """A quarter of an hour of poses at 1 kHz has 0.9 GB."""
@@ -126,8 +129,8 @@ def parse_table(
     return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
 
 
-def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
-    """Return the rows that are not empty, and their lines."""
+def csv_reader(data: bytes, where: str) -> Reader:
+    """Return a reader of a table's rows. Raises BadFile for what is no text."""
     try:
         content = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -136,7 +139,12 @@ def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
             consequence="The file cannot be read",
             cure="Save it as CSV in UTF-8, or check that it is not a binary file",
         ) from error
-    reader = csv.reader(io.StringIO(content, newline=""), strict=True)
+    return csv.reader(io.StringIO(content, newline=""), strict=True)
+
+
+def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
+    """Return the rows that are not empty, and their lines."""
+    reader = csv_reader(data, where)
     rows, lines = [], []
     try:
         for row in reader:

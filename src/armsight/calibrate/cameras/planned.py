@@ -15,7 +15,7 @@ from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, fixed_names
 from armsight.calibrate.cameras.pairing import in_frame, of_one_lens, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS
 from armsight.errors import Degenerate, NotEnoughData
-from armsight.fitting import Problem
+from armsight.fitting import Problem, inverse_information
 from armsight.optics import SIDES, Rig, RigKind, mean_axes
 from armsight.records import NamedCovariance, Target
 from armsight.units import DEG
@@ -168,14 +168,12 @@ def _covariance(problem: Problem) -> NamedCovariance:
     """Return the inverse of the information on the free shared parameters, the boards' poses eliminated."""
     free = np.array([i for i, name in enumerate(problem.names) if name not in problem.fixed], dtype=np.intp)
     evaluation = problem.evaluate(problem.guess, problem.local_guess)
-    information = problem.normal_equations(evaluation, problem.guess, free).reduced_system()
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    alike = information * np.outer(scale, scale)
-    if not np.linalg.eigvalsh(alike)[0] > 1e-12:
+    normal = problem.normal_equations(evaluation, problem.guess, free)
+    matrix, open_ = inverse_information(normal.reduced_system(), np.diag(normal.A), problem.free)
+    if open_:
         raise Degenerate(
             "the planned views leave some of the rig's parameters open",
             consequence="Such a calibration would be refused",
             cure="Plan more views, or a larger board",
         )
-    matrix = np.linalg.inv(alike) * np.outer(scale, scale)
     return NamedCovariance(names=problem.free, matrix=0.5 * (matrix + matrix.T))

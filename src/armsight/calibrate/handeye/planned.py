@@ -10,7 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.handeye.known_noise import linearise, whitener
 from armsight.calibrate.handeye.pairs import Array, components
 from armsight.errors import Degenerate
+from armsight.fitting import inverse_information
 from armsight.geometry.poses import skew
+
+UNKNOWN = tuple(
+    f"{pose}.{part}" for pose in ("T_base_rig", "T_flange_target") for part in ("x", "y", "z", "rx", "ry", "rz")
+)
+"""The unknowns of planned_handeye, in their order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,15 +64,13 @@ def planned_handeye(
     W = whitener(V)
     J = W @ at.J[:, :, :12]
     information = np.einsum("nia,nib->ab", J, J)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    alike = information * np.outer(scale, scale)
-    if not np.linalg.eigvalsh(alike)[0] > 1e-10:
+    C, open_ = inverse_information(information, np.diag(information), UNKNOWN)
+    if open_:
         raise Degenerate(
             "the planned poses of the arm leave the rig's place open",
             consequence="Nothing can be said of the tool in the arm's base",
             cure="Plan more poses, or a volume in which the target can be turned about two axes",
         )
-    C = np.linalg.inv(alike) * np.outer(scale, scale)
     # least squares: d unknowns = -C J' W d camera pose
     slopes = -C @ np.einsum("nia,nij,njp->ap", J, W, common)
     return PlannedHandEye(T_base_rig=T_base_rig, T_flange_target=T_flange_target, covariance=C, slopes=slopes)

@@ -64,8 +64,8 @@ class StoredPose(Output):
 
 
 @output
-class Entry(Output):
-    """A run as it is filed."""
+class RunHead(Output):
+    """What is told of every run."""
 
     cell: Annotated[str, Doc("The cell.")]
     command: Annotated[str, Doc("The command.")]
@@ -77,6 +77,12 @@ class Entry(Output):
     reason: Annotated[str, Doc("Why it is not to be trusted, or how it ended; may be empty.")]
     arm: Annotated[str, Doc("The arm's name; may be empty.")]
     joints: Annotated[str, Doc("Its joints from the base on: R, P, or ? where the result does not tell.")]
+
+
+@output
+class Entry(RunHead):
+    """A run as it is filed."""
+
     inputs: Annotated[tuple[InputFile, ...], Doc("What it was given.")]
     figures: Annotated[tuple[Quantity, ...], Doc("All numbers of the result.")]
     parameters: Annotated[tuple[Quantity, ...], Doc("What was calibrated, by names that all kinds of results share.")]

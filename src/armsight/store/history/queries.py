@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from sqlalchemy import Connection, Select, Table, func, insert, select
 
 from armsight.fields import Doc
-from armsight.records.output import Output, output
-from armsight.store.history.entry import Entry, InputFile, Quantity, StoredPose
+from armsight.records.output import output
+from armsight.store.history.entry import Entry, InputFile, Quantity, RunHead, StoredPose
 from armsight.store.history.tables import POSE, POSE_STD, figures, inputs, parameters, poses, runs
 
 MANY = 500
@@ -19,21 +19,11 @@ MANY = 500
 
 
 @output
-class Run(Output):
+class Run(RunHead):
     """A run in the history, without its numbers."""
 
     id: Annotated[int, Doc("Its number.")]
-    cell: Annotated[str, Doc("The cell.")]
-    command: Annotated[str, Doc("The command.")]
-    created: Annotated[str, Doc("When the result was made, UTC.")]
     filed: Annotated[str, Doc("When it was filed, UTC.")]
-    software: Annotated[str, Doc("What made it.")]
-    verdict: Annotated[str, Doc("What the result says of itself; may be empty.")]
-    trusted: Annotated[bool, Doc("Whether the result says that it can be trusted.")]
-    exit_code: Annotated[int, Doc("Of the command.")]
-    reason: Annotated[str, Doc("Why it is not to be trusted, or how it ended; may be empty.")]
-    arm: Annotated[str, Doc("The arm's name; may be empty.")]
-    joints: Annotated[str, Doc("Its joints from the base on: R, P, or ? where the result does not tell.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,20 +48,7 @@ class Filter:
         return question
 
 
-HEADER = (
-    runs.c.id,
-    runs.c.cell,
-    runs.c.command,
-    runs.c.created,
-    runs.c.filed,
-    runs.c.software,
-    runs.c.verdict,
-    runs.c.trusted,
-    runs.c.exit_code,
-    runs.c.reason,
-    runs.c.arm,
-    runs.c.joints,
-)
+HEADER = tuple(runs.c[field.name] for field in fields(Run))
 
 
 def add(connection: Connection, entry: Entry, filed: str) -> tuple[int, bool]:
@@ -80,17 +57,8 @@ def add(connection: Connection, entry: Entry, filed: str) -> tuple[int, bool]:
     if there is not None:
         return int(there), False
     row = {
-        "cell": entry.cell,
-        "command": entry.command,
-        "created": entry.created,
+        **{field.name: getattr(entry, field.name) for field in fields(RunHead)},
         "filed": filed,
-        "software": entry.software,
-        "verdict": entry.verdict,
-        "trusted": entry.trusted,
-        "exit_code": entry.exit_code,
-        "reason": entry.reason,
-        "arm": entry.arm,
-        "joints": entry.joints,
         "fingerprint": entry.fingerprint,
         "result": json.dumps(entry.result, ensure_ascii=False),
     }

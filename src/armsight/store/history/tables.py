@@ -40,25 +40,20 @@ inputs = Table(
     Column("sha256", String(64)),
 )
 
-figures = Table(
-    "figures",
-    metadata,
-    Column("run_id", ForeignKey("runs.id"), primary_key=True),
-    Column("name", String(200), primary_key=True),
-    Column("value", Float(53)),
-    Column("std", Float(53)),
-    Column("unit", String(16), nullable=False),
-)
 
-parameters = Table(
-    "parameters",
-    metadata,
-    Column("run_id", ForeignKey("runs.id"), primary_key=True),
-    Column("name", String(200), primary_key=True),
-    Column("value", Float(53)),
-    Column("std", Float(53)),
-    Column("unit", String(16), nullable=False),
-)
+def _quantities(name: str) -> Table:
+    return Table(
+        name,
+        metadata,
+        Column("run_id", ForeignKey("runs.id"), primary_key=True),
+        Column("name", String(200), primary_key=True),
+        Column("value", Float(53)),
+        Column("std", Float(53)),
+        Column("unit", String(16), nullable=False),
+    )
+
+
+figures, parameters = _quantities("figures"), _quantities("parameters")
 
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 POSE_STD = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
