@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Any
 
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
-from armsight.store.tables import bare, csv_reader
+from armsight.store.tables import bare, csv_rows
 from armsight.store.yamls import parse_yaml
 
 MAX_BYTES = 200_000_000
@@ -51,20 +50,14 @@ def close_to(word: str, known: Sequence[str]) -> str:
 
 
 def _csv_rows(data: bytes, where: str) -> list[JobRow]:
-    reader = csv_reader(data, where)
     header: list[str] = []
     rows = []
-    try:
-        for cells in reader:
-            cells = [bare(cell.strip()) for cell in cells]
-            if not any(cells):
-                continue
-            if header:
-                rows.append(_csv_row(header, cells, f"{where}, line {reader.line_num}"))
-            else:
-                header = _header(cells, where)
-    except csv.Error as error:
-        raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+    for line, row in csv_rows(data, where):
+        cells = [bare(cell.strip()) for cell in row]
+        if header:
+            rows.append(_csv_row(header, cells, f"{where}, line {line}"))
+        else:
+            header = _header(cells, where)
     if not header:
         raise BadFile(f"{where}: the file is empty", consequence="There is nothing to do", cure="Check the file")
     return rows

@@ -7,19 +7,16 @@ import difflib
 import io
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
-
-if TYPE_CHECKING:
-    from _csv import Reader
 
 MAX_BYTES = 1_000_000_000
 """A quarter of an hour of poses at 1 kHz has 0.9 GB."""
@@ -129,8 +126,8 @@ def parse_table(
     return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
 
 
-def csv_reader(data: bytes, where: str) -> Reader:
-    """Return a reader of a table's rows. Raises BadFile for what is no text."""
+def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows that are not empty, each with its line. Raises BadFile."""
     try:
         content = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -139,20 +136,25 @@ def csv_reader(data: bytes, where: str) -> Reader:
             consequence="The file cannot be read",
             cure="Save it as CSV in UTF-8, or check that it is not a binary file",
         ) from error
-    return csv.reader(io.StringIO(content, newline=""), strict=True)
+    reader = csv.reader(io.StringIO(content, newline=""), strict=True)
+    try:
+        for row in reader:
+            if any("\n" in cell or "\r" in cell for cell in row):  # two quotes astray make rows between them one cell
+                raise BadFile(
+                    f"{where}, line {reader.line_num}: a quoted cell goes over more than one line",
+                    consequence="Rows would be lost in it",
+                    cure="Take the quotes away",
+                )
+            if any(cell.strip() for cell in row):
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
 
 
 def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
     """Return the rows that are not empty, and their lines."""
-    reader = csv_reader(data, where)
-    rows, lines = [], []
-    try:
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append(row)
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+    found = list(csv_rows(data, where))
+    rows, lines = [row for _, row in found], [line for line, _ in found]
     if not rows:
         raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
     return rows, lines

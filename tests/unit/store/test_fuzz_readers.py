@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armsight import store
-from armsight.errors import DataRefused
+from armsight.errors import BadFile, DataRefused
 from armsight.store.covariances import POSE_COLUMNS
 from armsight.store.foreign.format_detection import kind_of_mapping
 from armsight.store.foreign.kalibr import kalibr_rig
@@ -17,6 +17,7 @@ from armsight.store.spots_csv import parse_spot_track
 from armsight.store.tracks import parse_joints, parse_poses, parse_times, parse_tum
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
+from refusals import refuses
 
 fuzz = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -194,6 +195,12 @@ def test_any_cells_as_spots_of_a_camera(rows):
         assert len(track.names) == len(rows)
         assert (np.diff(track.t_s) > 0.0).all()
         assert (np.linalg.det(track.covariance_px2) > 0.0).all()
+
+
+def test_rows_between_two_quotes_astray_are_not_lost():
+    text = 't_s,u_px,v_px,su_px,sv_px,spot\n0,0,0,1,1,"\n0,0,0,1,1,"\n'
+    with refuses(BadFile, ("left.csv", "line")):
+        parse_spot_track(text.encode(), "left.csv")
 
 
 @fuzz
