@@ -139,9 +139,9 @@ def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(io.StringIO(content, newline=""), strict=True)
     try:
         for row in reader:
-            if any("\n" in cell or "\r" in cell for cell in row):  # two quotes astray make rows between them one cell
+            if any(_swallows_rows(cell, len(row)) for cell in row):
                 raise BadFile(
-                    f"{where}, line {reader.line_num}: a quoted cell goes over more than one line",
+                    f"{where}, line {reader.line_num}: a quoted cell goes over more than one row",
                     consequence="Rows would be lost in it",
                     cure="Take the quotes away",
                 )
@@ -149,6 +149,11 @@ def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
                 yield reader.line_num, row
     except csv.Error as error:
         raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+
+
+def _swallows_rows(cell: str, columns: int) -> bool:
+    """Whether a cell holds as many commas as a row: two quotes astray. A name with a line break in it has fewer."""
+    return ("\n" in cell or "\r" in cell) and cell.count(",") >= max(columns - 1, 1)
 
 
 def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
