@@ -281,17 +281,19 @@ def round_dots(image: Image, block: int, *, dark: bool) -> Dots:
         speckled = cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, max(block, 5), offset)
         binary = cv2.bitwise_and(speckled, cv2.dilate(cv2.morphologyEx(speckled, cv2.MORPH_OPEN, CORE), ROUND))
     found, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    contours = [c.reshape(-1, 2) for c in found if SHORTEST_CONTOUR <= len(c) <= image.shape[1]]
-    if not contours:
+    length = np.fromiter(map(len, found), dtype=np.intp, count=len(found))
+    fit = np.flatnonzero((length >= SHORTEST_CONTOUR) & (length <= image.shape[1]))
+    if not len(fit):
         return Dots(uv=np.empty((0, 2)), axes=np.empty((0, 2)), angle=np.empty(0))
-    begin = np.cumsum([0, *(len(c) for c in contours[:-1])])
-    xy = np.concatenate(contours)
+    length = length[fit]
+    begin = np.cumsum(length) - length
+    xy = np.concatenate([found[k] for k in fit.tolist()]).reshape(-1, 2)
     area, uv, spread = _moments(xy.astype(float), begin)
     values, vectors = np.linalg.eigh(4.0 * spread)  # squared half axes of the ellipse with the same moments
     keep = (area > np.pi * LEAST_RADIUS_PX**2) & (area < LARGEST_SHARE * image.size)
     keep &= (values[:, 0] > 0.0) & (values[:, 0] >= FLATTEST**2 * values[:, 1])
     keep &= np.abs(np.pi * np.sqrt(np.maximum(values.prod(axis=1), 0.0)) - area) <= ROUNDNESS * area
-    edge = np.add.reduceat(image[xy[:, 1], xy[:, 0]].astype(float), begin) / np.diff(np.append(begin, len(xy)))
+    edge = np.add.reduceat(image[xy[:, 1], xy[:, 0]].astype(float), begin) / length
     at = np.clip(uv, 0, np.array(image.shape[::-1]) - 1).astype(int)
     middle = image[at[:, 1], at[:, 0]]
     keep &= (middle < edge) if dark else (middle > edge)
@@ -301,7 +303,7 @@ def round_dots(image: Image, block: int, *, dark: bool) -> Dots:
         uv=uv[keep],
         axes=axes[:, ::-1] + 0.5,
         angle=np.arctan2(vectors[keep, 1, 1], vectors[keep, 0, 1]),
-        contours=len(contours),
+        contours=len(fit),
     )
 
 
