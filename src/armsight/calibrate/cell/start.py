@@ -100,7 +100,7 @@ def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tupl
     b = np.where(known, b, 0.0)
     w = known.astype(float)
     one = np.ones(len(a))
-    n = _correlated(one, w)
+    n = np.maximum(_correlated(one, w), 0.0)
     sa, sb, saa, sbb, sab = (
         _correlated(x, y) for x, y in ((a, w), (one, b), (a * a, w), (one, b * b), (a, b))
     )
