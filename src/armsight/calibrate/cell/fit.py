@@ -73,7 +73,9 @@ class TargetShape:
         """Return a target's; without a covariance each place is good to SHAPE_M."""
         n = 3 * len(target.names)
         given = target.covariance
-        return cls(xyz_m=target.xyz_m, covariance=np.eye(n) * SHAPE_M**2 if given is None else given + np.eye(n) * 1e-12)
+        return cls(
+            xyz_m=target.xyz_m, covariance=np.eye(n) * SHAPE_M**2 if given is None else given + np.eye(n) * 1e-12
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,7 +157,7 @@ def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, targe
         a = side * len(PER_CAMERA)
         # square pixels: fy - fx is small
         w = 1.0 / (ASPECT * x[a]) ** 2
-        information[np.ix_([a, a + 1], [a, a + 1])] += w * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        information[a : a + 2, a : a + 2] += w * np.array([[1.0, -1.0], [-1.0, 1.0]])
         mean[a + 1] = mean[a] = x[a]
     return Knowledge(x=mean, information=information, shape=TargetShape.of(target))
 
@@ -172,18 +174,20 @@ def blocks_of(model: CellModel, x: Array, spots: Spots) -> tuple[Spots, NDArray[
 def shape_information(model: CellModel, x: Array, shape: TargetShape) -> Array:
     """Return the information (P, P) that the target's shape is about the lights, wherever it is on the flange."""
     out = np.zeros((len(x), len(x)))
-    out[model.lights_at :, model.lights_at :] = _shape_terms(model, x, shape)[0]
+    out[model.lights_at :, model.lights_at :] = shape_terms(model, x, shape)[0]
     return out
 
 
-def _shape_terms(model: CellModel, x: Array, shape: TargetShape) -> tuple[Array, Array]:
+def shape_terms(model: CellModel, x: Array, shape: TargetShape) -> tuple[Array, Array]:
     """Return information (3 n, 3 n) about the lights, and how far (3 n,) they are from the shape laid onto them."""
     lights = model.lights_m(x)
     T = align_points(lights, shape.xyz_m).T_a_b
     turned = np.kron(np.eye(len(lights)), T.rotation.as_matrix())
     W = np.linalg.inv(turned @ shape.covariance @ turned.T)
     # a rigid motion of all lights costs nothing: what it does is taken out of the information
-    moves = np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights - lights.mean(axis=0)).reshape(-1, 3)], axis=1)
+    moves = np.concatenate(
+        [np.tile(np.eye(3), (len(lights), 1)), -skew(lights - lights.mean(axis=0)).reshape(-1, 3)], axis=1
+    )
     inner = moves.T @ W @ moves
     return W - W @ moves @ np.linalg.solve(inner, moves.T @ W), (lights - T.apply(shape.xyz_m)).ravel()
 
@@ -238,7 +242,7 @@ def fit_cell(
     def evaluate(at: Array, local: Array) -> Evaluation:
         normals = model.normals(at, spots, W, block)
         pull = known.pull(model, at)
-        shape, off = _shape_terms(model, at, known.shape)
+        shape, off = shape_terms(model, at, known.shape)
         if wander is None:
             r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)
         else:
@@ -291,7 +295,9 @@ def straying(model: CellModel, found: CellFit) -> Wander:
     t = model.times_s(found.x, found.spots)
     count = np.bincount(found.block)
     arm = model.arm.arm
-    drives = [f"{joint.name}.{'theta_rad' if turns else 'd_m'}" for joint, turns in zip(arm.joints, arm.revolute, strict=True)]
+    drives = [
+        f"{joint.name}.{'theta_rad' if turns else 'd_m'}" for joint, turns in zip(arm.joints, arm.revolute, strict=True)
+    ]
     free = found.places
     known = found.known.information + shape_information(model, found.x, found.known.shape)
     return learned_wander(
