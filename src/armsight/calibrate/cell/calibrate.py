@@ -143,9 +143,7 @@ def _tips(solved: Solved, parts: CellParts, tip: Array) -> tuple[Array, TipSlope
     model, found = solved.model, solved.fit
     t = model.times_s(found.x, found.spots)
     q = model.recording.log.at(np.linspace(t.min(), t.max(), 4 * SAMPLES))[0]
-    spread = [
-        float(np.sqrt(np.median(np.trace(found.spots.covariance_px2, axis1=1, axis2=2)) / 2.0)) * s for s in found.scale
-    ]
+    own = float(np.sqrt(np.median(np.trace(found.spots.covariance_px2, axis1=1, axis2=2)) / 2.0))
     slopes = tip_slopes(model, found.x, q, parts.T_flange_target, tip, (own * found.scale[0], own * found.scale[1]))
     rows = np.flatnonzero(slopes.seen)
     if not len(rows):

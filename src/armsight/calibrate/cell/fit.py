@@ -196,7 +196,7 @@ def gauge(model: CellModel, information: Array, candidates: Collection[str], tol
     """Return which of the arm's parameters can be told from cameras, lights and each other, by pivoting."""
     A = information
     index = np.array([model.names.index(name) for name in candidates], dtype=np.intp)
-    mounts = [k for k in range(len(A)) if not model.arm_at <= k < model.lights_at and A[k, k] > 0.0]
+    mounts = np.array([k for k in range(len(A)) if not model.arm_at <= k < model.lights_at and A[k, k] > 0.0])
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))
     scaled = A / np.outer(size, size)
     M = scaled[np.ix_(mounts, mounts)] + 1e-12 * np.eye(len(mounts))

@@ -81,8 +81,9 @@ def flange_speed(arm: Arm, log: JointLog, grid_s: Array) -> Array:
     """Return about how fast (k,) lights on the flange move in m/s."""
     T = fk(arm, log.at(np.clip(grid_s, log.t_s[0], log.t_s[-1]))[0])
     v = np.asarray(np.gradient(T[:, :3, 3], GRID_S, axis=0))
-    turn = Rotation.from_matrix(T[1:, :3, :3] @ T[:-1, :3, :3].transpose(0, 2, 1)).magnitude() / GRID_S
-    return np.asarray(np.hypot(np.linalg.norm(v, axis=1), LEVER_M * np.append(turn, turn[-1])))
+    turn = Rotation.from_matrix(T[1:, :3, :3] @ T[:-1, :3, :3].transpose(0, 2, 1)).as_rotvec()
+    rate = np.linalg.norm(np.concatenate([turn, turn[-1:]]), axis=1) / GRID_S
+    return np.asarray(np.hypot(np.linalg.norm(v, axis=1), LEVER_M * rate))
 
 
 def image_speed(spots: Spots, ways: Sequence[Index], grid_s: Array) -> Array:
@@ -153,10 +154,8 @@ def find_start(
     if best is None:
         return None
     width = STEPS_S[1] - STEPS_S[0]
-    rough = best
-    best = _better([best, *(quick.start(rough.delay_s + part * width, rough.focal_px, 0.0) for part in FINER)]) or best
+    near = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)]) or best
     whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
-    near = best
     return _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
 
 
