@@ -9,16 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cell.checks import Cause, alarming, refusal
-from armsight.calibrate.cell.fit import ArmTolerance, CellFit, shape_terms
+from armsight.calibrate.cell.fit import CellFit
+from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors, shape_terms
 from armsight.calibrate.cell.model import CLOCK_AT
 from armsight.calibrate.cell.observations import recording_of
 from armsight.calibrate.cell.parts import CellParts, parts_of
 from armsight.calibrate.cell.result import CellCalibration, Learned, ScaleCheck, StrayingArm, TipDeviation
-from armsight.calibrate.cell.rounds import Solved, solve_cell
+from armsight.calibrate.cell.rounds import Solved, require_lit, solve_cell
 from armsight.calibrate.cell.tip import TipSlopes, tip_slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
 from armsight.kinematics import Arm
+from armsight.optics import SIDES
 from armsight.records import Motion, Progress, SpotTrack, Target
 from armsight.records.result_parts import BothPixels, BothSeconds
 
@@ -32,8 +34,6 @@ ODD_SCALE = 4.0
 """Standard deviations by which arm and target may differ in scale."""
 LEAST_MOVE = 0.1
 """rad, or of the mean link: a joint that moves less tells nothing of its axis."""
-FEWEST_LIT = 0.4
-"""Of the frames: a camera that sees the lights in fewer was dark, or looked elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,11 +41,13 @@ class CellOptions:
     """What may be said of a cell beforehand.
 
     tip_m (3,): of the tool in target axes, for telling how well it is known; the target's origin where not given.
-    compliance: whether joints may give way under the arm's weight; None where the recording shows it.
+    compliance: whether joints may give way under the arm's weight; None where the recording shows it. priors: of
+    earlier calibrations.
     """
 
     tip_m: Array | None = None
     tolerance: ArmTolerance = field(default_factory=ArmTolerance)
+    priors: CellPriors | None = None
     compliance: bool | None = None
 
 
@@ -70,7 +72,9 @@ def calibrate_cell(
     tip = np.zeros(3) if options.tip_m is None else np.asarray(options.tip_m, float)
     recording = recording_of(arm, joints, tracks, sizes)
     _require_motion(arm, joints)
-    solved = solve_cell(recording, target, options.tolerance, compliance=compliance, progress=progress)
+    solved = solve_cell(
+        recording, target, options.tolerance, priors=options.priors, compliance=compliance, progress=progress
+    )
     first = solved.doubts[0]
     if alarming(first) and not (first.cause is Cause.ELASTIC and compliance is False):
         raise refusal(solved.doubts)
@@ -128,14 +132,9 @@ def _require_motion(arm: Arm, joints: Motion) -> None:
 
 
 def _require_lit(solved: Solved, tracks: Sequence[SpotTrack]) -> None:
-    for side, (name, track) in enumerate(zip(("left", "right"), tracks, strict=True)):
-        seen = len(np.unique(solved.fit.spots.frame[solved.fit.spots.side == side])) / max(len(track), 1)
-        if seen < FEWEST_LIT:
-            raise NotEnoughData(
-                f"the {name} camera saw the target's lights in {100 * seen:.0f} % of its frames",
-                consequence="What the rest would say is not known, and no cell is calibrated",
-                cure="See that the lights shine all the time and stay in view, and record again",
-            )
+    spots = solved.fit.spots
+    for side, track in enumerate(tracks):
+        require_lit(len(np.unique(spots.frame[spots.side == side])) / max(len(track), 1), SIDES[side])
 
 
 def _tips(solved: Solved, parts: CellParts, tip: Array) -> tuple[Array, TipSlopes, Array]:
@@ -143,8 +142,8 @@ def _tips(solved: Solved, parts: CellParts, tip: Array) -> tuple[Array, TipSlope
     model, found = solved.model, solved.fit
     t = model.times_s(found.x, found.spots)
     q = model.recording.log.at(np.linspace(t.min(), t.max(), 4 * SAMPLES))[0]
-    own = float(np.sqrt(np.median(np.trace(found.spots.covariance_px2, axis1=1, axis2=2)) / 2.0))
-    slopes = tip_slopes(model, found.x, q, parts.T_flange_target, tip, (own * found.scale[0], own * found.scale[1]))
+    own = [float(np.median(found.spread_px[found.spots.side == side])) for side in (0, 1)]
+    slopes = tip_slopes(model, found.x, q, parts.T_flange_target, tip, (own[0], own[1]))
     rows = np.flatnonzero(slopes.seen)
     if not len(rows):
         raise NotEnoughData("both cameras never saw three lights together", consequence="No cell is calibrated")
@@ -169,8 +168,7 @@ def _deviations(measured: Array, commanded: Array, slopes: TipSlopes) -> dict[st
 
 def _rms(found: CellFit) -> BothPixels:
     """Return the RMS residual of each camera's spots in px."""
-    spread = np.sqrt(np.trace(found.spots.covariance_px2, axis1=1, axis2=2) / 2.0)
-    r = found.normals.residuals * (spread * np.asarray(found.scale)[found.spots.side])[:, None]
+    r = found.normals.residuals * found.spread_px[:, None]
     left, right = (float(np.sqrt(np.mean(r[found.spots.side == side] ** 2))) for side in (0, 1))
     return BothPixels(left, right)
 

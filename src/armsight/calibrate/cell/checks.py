@@ -32,7 +32,7 @@ RIVAL = 0.5
 EDGE = 3
 """Stretches from either end at which nothing is held to have changed."""
 VISIBLE = 0.15
-"""What changed must move the spots by so much of their noise (RMS): less is of no consequence, and no model is exact."""
+"""What changed must move the spots by so much of their noise (RMS): less is of no consequence, no model is exact."""
 
 
 class Cause(StrEnum):
@@ -108,7 +108,7 @@ CURES = {
     Cause.TARGET_SLIPPED: "Clamp the target to the flange, and record again",
     Cause.LEFT_CLOCK: "Record again with the left camera's own stamps, or close other programs that use it",
     Cause.RIGHT_CLOCK: "Record again with the right camera's own stamps, or close other programs that use it",
-    Cause.JOINT_JUMPED: "Look at that joint's encoder and coupling (a slipped belt, a lost reference), and record again",
+    Cause.JOINT_JUMPED: "Look at that joint's encoder and coupling (a slipped belt, a lost reference); record again",
     Cause.ELASTIC: "Give the links' masses in the arm's file and --compliance on",
 }
 

@@ -1,4 +1,4 @@
-"""From the parameters of a cell to what files hold: rig with timing, its place, the target, the arm; with covariance."""
+"""From the parameters of a cell to what files hold: rig with timing, its place, target and arm, with covariance."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cell.fit import CellFit
+from armsight.calibrate.cell.knowledge import pair_slopes
 from armsight.calibrate.cell.model import CLOCK_AT, POSE_AT, XYZ, CellModel
 from armsight.geometry import align_points
 from armsight.geometry.poses import skew
@@ -59,15 +60,10 @@ def parts_of(model: CellModel, found: CellFit, covariance: Array, target: Target
 def _rig(model: CellModel, found: CellFit, covariance: Array) -> Rig:
     x = found.x
     T_left, T_right = model.T_base_camera(x, 0), model.T_base_camera(x, 1)
-    R = T_left.rotation.as_matrix().T
-    v = np.asarray(T_right.translation - T_left.translation)
     a, b = (model.camera_slice(side).start for side in (0, 1))
-    # T_left_right = T_base_left^-1 T_base_right, moved as t + dt, Exp(dw) R in the left camera's axes
     J = np.zeros((26, len(x)))
     J[:10, a : a + POSE_AT] = J[10:20, b : b + POSE_AT] = np.eye(10)
-    J[20:23, b + POSE_AT : b + POSE_AT + 3], J[20:23, a + POSE_AT : a + POSE_AT + 3] = R, -R
-    J[20:23, a + POSE_AT + 3 : a + CLOCK_AT] = R @ skew(v)
-    J[23:, b + POSE_AT + 3 : b + CLOCK_AT], J[23:, a + POSE_AT + 3 : a + CLOCK_AT] = R, -R
+    J[20:, np.r_[a + POSE_AT : a + CLOCK_AT, b + POSE_AT : b + CLOCK_AT]] = pair_slopes(T_left, T_right)
     rig = Rig(
         kind=RigKind.STEREO,
         left=model.camera(x, 0),
@@ -84,9 +80,7 @@ def _rig(model: CellModel, found: CellFit, covariance: Array) -> Rig:
 
 
 def _rms_px(found: CellFit) -> float:
-    spread = np.sqrt(np.trace(found.spots.covariance_px2, axis1=1, axis2=2) / 2.0)
-    own = spread * np.asarray(found.scale)[found.spots.side]
-    return float(np.sqrt(np.mean((found.normals.residuals * own[:, None]) ** 2)))
+    return float(np.sqrt(np.mean((found.normals.residuals * found.spread_px[:, None]) ** 2)))
 
 
 def _timing(model: CellModel, x: Array, covariance: Array) -> tuple[CameraTiming, CameraTiming]:

@@ -12,17 +12,22 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.cell.assignment import NamedLights, assign, name_lights, places_on_flange
 from armsight.calibrate.cell.checks import Cause, Suspicion, alarming, refusal, suspicions
 from armsight.calibrate.cell.fit import (
-    ArmTolerance,
+    CellData,
     CellFit,
-    Knowledge,
     blocks_of,
-    default_knowledge,
     fit_cell,
     gauge,
     learned_tolerance,
-    shape_information,
     side_scales,
     straying,
+)
+from armsight.calibrate.cell.knowledge import (
+    ArmTolerance,
+    CellPriors,
+    Knowledge,
+    default_knowledge,
+    shape_information,
+    with_priors,
 )
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
@@ -47,6 +52,8 @@ MAX_START_PX = 12.0
 """What a right start leaves at most: rolling shutters and what a nominal arm is wrong by."""
 FIRST_FREE = ("fx", "fy", "cx", "cy", "k1", "tx", "ty", "tz", "rx", "ry", "rz", "delay_s", "readout_s")
 FEWEST_SPOTS = 400
+FEWEST_LIT = 0.55
+"""Of the frames: a camera that sees the lights in fewer was dark, or looked elsewhere."""
 ROUNDS = 2
 """Of fits with the arm's straying, the last one with all spots."""
 PLAIN = 30.0
@@ -69,6 +76,7 @@ def solve_cell(
     target: Target,
     tolerance: ArmTolerance,
     *,
+    priors: CellPriors | None = None,
     compliance: bool | None = None,
     progress: Progress | None = None,
 ) -> Solved:
@@ -82,7 +90,12 @@ def solve_cell(
     lights = name_lights(places, shape_m)
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
-    known = default_knowledge(model, x, tolerance, target)
+
+    def before(at: Array, believed: ArmTolerance) -> Knowledge:
+        known = default_knowledge(model, at, believed, target)
+        return known if priors is None else with_priors(model, known, priors, at)
+
+    known = before(x, tolerance)
     gate = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
     coarse = _coarse(model, x, known, (gate[0], gate[1]))
     coarse = _coarse(model, coarse.x, known, (gate[0], gate[1]))
@@ -92,7 +105,7 @@ def solve_cell(
     _require_one_model(suspicions(model, found))
     wander: Wander | None = None
     for number in range(ROUNDS):
-        known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
+        known = before(found.x, learned_tolerance(model, found, tolerance))
         last = number == ROUNDS - 1
         if last:
             progress.update(3, 4, "fitting, all spots")
@@ -137,6 +150,8 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
         tried, alike = delays(recording.arm, recording.log, spots, ways)
         start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
         if start is None or start.rms_px > MAX_START_PX:
+            seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
+            require_lit(seen / len(recording.clocks[side].t_s), name)
             require_alike(float(alike[0]), name)
             raise Inconsistent(
                 f"no camera explains what the {name} one saw by the arm's motion"
@@ -154,6 +169,16 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
         starts.append(start)
         weights.append(np.array([len(rows) for rows in best_pieces(spots, ways)], float))
     return starts, weights
+
+
+def require_lit(share: float, side: str) -> None:
+    """Raise NotEnoughData where a camera saw the target's lights in too few of its frames."""
+    if share < FEWEST_LIT:
+        raise NotEnoughData(
+            f"the {side} camera saw the target's lights in {100.0 * share:.0f} % of its frames",
+            consequence="What the rest would say is not known, and no cell is calibrated",
+            cure="See that the lights shine all the time and stay in view, and record again",
+        )
 
 
 def _camera_vector(recording: CellRecording, side: int, start: Start) -> Array:
@@ -186,7 +211,8 @@ def _coarse(model: CellModel, x: Array, known: Knowledge, gate_px: tuple[float, 
     free = [f"{side}.{name}" for side in SIDES for name in FIRST_FREE]
     spread = float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0))
     first = (1.0 / spread, 1.0 / spread)  # of a pixel: what the nominal arm leaves, not the spots' own
-    return fit_cell(model, x, spots, block, (*free, *model.names[model.lights_at :]), known, first)
+    data = CellData(spots=spots, block=block, scale=first)
+    return fit_cell(model, x, data, (*free, *model.names[model.lights_at :]), known)
 
 
 def _round(
@@ -207,4 +233,5 @@ def _round(
     if wander is not None:
         count = np.bincount(block)
         wander = replace(wander, t_s=np.bincount(block, weights=model.times_s(before.x, spots)) / count)
-    return fit_cell(model, before.x, spots, block, free, known, scale, wander=wander)
+    data = CellData(spots=spots, block=block, scale=scale, wander=wander)
+    return fit_cell(model, before.x, data, free, known)

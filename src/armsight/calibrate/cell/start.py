@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -129,7 +128,8 @@ def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tupl
 
 def _correlated(a: Array, b: Array) -> Array:
     """Return sum_i a[i + lag] b[i] for all lags from 1 - len(b) on."""
-    return np.asarray(scipy.signal.fftconvolve(a, b[::-1]))
+    n = len(a) + len(b) - 1
+    return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
 
 
 def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
