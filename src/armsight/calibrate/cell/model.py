@@ -25,6 +25,8 @@ CELL_CLOCK = ("delay_s", "drift_ppm", "readout_s")
 """Robot's time of a line: stamp + delay + drift (stamp - middle) + readout line, of line from -0.5 to 0.5."""
 PER_CAMERA = (*INTRINSICS, *CAMERA_POSE, *CELL_CLOCK)
 XYZ = ("x_m", "y_m", "z_m")
+AT_ONCE = 3000
+"""Spots whose derivatives are formed together."""
 POSE_AT, CLOCK_AT = len(INTRINSICS), len(INTRINSICS) + len(CAMERA_POSE)
 
 
@@ -130,16 +132,20 @@ class CellModel:
         A, g, chi2 = np.zeros((count, P, P)), np.zeros((count, P)), np.zeros(count)
         residuals = np.empty((len(spots), 2))
         edges = np.searchsorted(block, np.arange(count + 1))
-        for b in range(count):
-            rows = slice(edges[b], edges[b + 1])
-            if edges[b] == edges[b + 1]:
-                continue
-            part = spots.take(np.arange(edges[b], edges[b + 1]))
+        b = 0
+        while b < count:
+            # so many stretches at once as make the derivatives fit into a processor's cache
+            end = max(int(np.searchsorted(edges, edges[b] + AT_ONCE, side="right")) - 1, b + 1)
+            rows = slice(edges[b], edges[end])
+            part = spots.take(np.arange(edges[b], edges[end]))
             uv, J = self._seen(x, part)
-            r = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
-            flat = (whitening[rows] @ J).reshape(-1, P)
-            residuals[rows] = r
-            A[b], g[b], chi2[b] = flat.T @ flat, flat.T @ r.ravel(), np.vdot(r, r)
+            residuals[rows] = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
+            J = whitening[rows] @ J
+            for k in range(b, end):
+                flat = J[edges[k] - edges[b] : edges[k + 1] - edges[b]].reshape(-1, P)
+                r = residuals[edges[k] : edges[k + 1]].ravel()
+                A[k], g[k], chi2[k] = flat.T @ flat, flat.T @ r, r @ r
+            b = end
         return BlockNormals(A=A, g=g, chi2=chi2, count=2.0 * np.diff(edges), residuals=residuals)
 
     def columns(self, x: Array, spots: Spots) -> tuple[Array, Array]:

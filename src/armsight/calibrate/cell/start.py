@@ -46,7 +46,7 @@ ROWS, QUICK_ROWS = 120, 40
 """Spots used of each; while delays are tried, fewer."""
 QUICK_ALTERNATIONS = 15
 AS_ONE_M, AS_ONE_KEPT = 0.16, 2
-"""Places along each axis of the flange at which all lights may be for a start, and how many of them are gone on with."""
+"""Places along each axis of the flange at which all lights may be for a start; how many of them are gone on with."""
 FARTHEST_M = 1.0
 """No light is further from the flange."""
 VIEW = (0.2, 5.0)
@@ -59,7 +59,7 @@ FINER = (-0.6, -0.3, 0.3, 0.6)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Start:
-    """A camera to begin with: focal length, principal point, k1, T_base_camera as R (3, 3), t (3,), delay, and what fits.
+    """A camera to begin with: focal length, principal point, k1, T_base_camera as R (3, 3), t (3,), delay, what fits.
 
     lights_m (k, 3): of the pieces, in the flange's axes. rms_px: what remains. mirrored: the image shows the scene in a
     mirror.
