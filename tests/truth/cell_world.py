@@ -5,7 +5,6 @@ One recording: the joints by the robot's clock, and the spots, without names, th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +26,7 @@ FAULTS += ("other_day", "wrong_target", "joint_zero_jump", "dark_frames", "still
 class CellTruth:
     """What is true; lights (4, 3) and their axes in flange axes; target axes are fitted to the nominal shape.
 
-    samples (k, 6): joints over the work volume. told: what the planted fault is, by name.
+    samples, places (k, 6): joints over the work volume, at which the target is seen. told: what the planted fault is.
     """
 
     arm: TrueArm
@@ -38,6 +37,7 @@ class CellTruth:
     T_flange_target: Array
     tip_target_m: Array
     samples: Array
+    places: Array
     motion: Motion
     wander: Wander
     lamps: Array
@@ -50,6 +50,10 @@ class CellTruth:
     def joints(self, t_s: Array) -> Array:
         """Return what the joints truly stand at (m, 6) at the robot's time, strays and all."""
         return self.motion(t_s) + self.wander(t_s)
+
+    def seen(self, q: Array) -> NDArray[np.bool_]:
+        """Return where (m,) both cameras see all lights, turned towards them."""
+        return in_view(q, self.arm, (self.left, self.right), self.lights, self.T_flange_target[:3, 2])
 
     def tips(self, q: Array) -> Array:
         """Return the tip (m, 3) in base axes at readings (m, 6)."""
@@ -104,9 +108,6 @@ def in_view(q: Array, arm: TrueArm, cameras: tuple[WebCam, WebCam], lights: Arra
     return out
 
 
-Seen = Callable[[Array], NDArray[np.bool_]]
-
-
 def _slipped(rng: np.random.Generator, T: Array, normals: Array, lights: Array) -> tuple[Array, Array]:
     """Return lights and axes after the target moved by 0.5 to 2 mm, or turned by as many degrees."""
     way = rng.normal(size=3)
@@ -120,8 +121,8 @@ def _slipped(rng: np.random.Generator, T: Array, normals: Array, lights: Array) 
 
 def _scene(
     rng: np.random.Generator, seed: int, arm_name: str | None, noise_px: float | None, seconds: float
-) -> tuple[CellTruth, Array, Seen, Array]:
-    """Return a cell without faults, the target's shape as drawn (4, 3), where it is seen, and places (k, 6) of it."""
+) -> tuple[CellTruth, Array]:
+    """Return a cell without faults, and the target's shape as drawn (4, 3)."""
     name = arm_name or sorted(TABLES)[rng.integers(len(TABLES))]
     arm = true_arm(rng, name)
     shape = draw_shape(rng)
@@ -164,12 +165,13 @@ def _scene(
         T_flange_target=T,
         tip_target_m=tip,
         samples=samples,
+        places=vias,
         motion=moves,
         wander=wander(rng, arm),
         lamps=lamps,
         told={},
     )
-    return truth, shape, seen, vias
+    return truth, shape
 
 
 def _faults(
@@ -253,7 +255,7 @@ def make_cell(
 ) -> CellWorld:
     """Return the world of a seed. arm: one of TABLES; lamps: whether other lights may stand in view."""
     rng = np.random.default_rng([seed, 2611])
-    truth, shape, seen, vias = _scene(rng, seed, arm, noise_px, seconds)
+    truth, shape = _scene(rng, seed, arm, noise_px, seconds)
     begin_s = float(truth.motion.begin_s[0])
     told = _faults(rng, truth, fault, begin_s, seconds)
     truth = replace(truth, told=told, lamps=truth.lamps if lamps else np.empty((0, 3)))
@@ -263,7 +265,7 @@ def make_cell(
         truth = replace(truth, motion=truth.motion.without(told["joint"]))
     log_t, log_q, left, right = record(rng, truth, begin_s, seconds)
     if fault == "other_day":
-        other = motion(rng, vias, seen, begin_s, begin_s + seconds)
+        other = motion(rng, truth.places, truth.seen, begin_s, begin_s + seconds)
         log_q = other(log_t) + rng.normal(0.0, ENCODER_RAD, log_q.shape)
     if fault == "degrees":
         log_q = log_q / DEG
