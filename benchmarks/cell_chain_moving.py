@@ -35,7 +35,7 @@ from cell_records import Calibrated, arm_of, called_as_built, nominal_axes
 Array = NDArray[np.float64]
 STILLS, WAVED_S = 60, 20.0
 """Pairs of the target held still, of which its lights are measured, and how long it is waved."""
-RATE_HZ = 30.0
+RATE_HZ, RATE_OF_POSES_HZ = 30.0, 5.0
 
 
 def wave(rng: np.random.Generator, truth: Any, watched: Any) -> tuple[Any, Any]:
@@ -91,8 +91,8 @@ class MovingChain:
     poses: int
 
 
-def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES, still: bool = False) -> MovingChain:
-    """Calibrate the world's cell step by step with so many pairs of pictures; still: by the arm's rests alone."""
+def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> MovingChain:
+    """Calibrate the world's cell step by step with so many pairs of pictures."""
     rng = np.random.default_rng([world.seed, 78])
     truth, nominal = world.truth, arm_of(world)
     stereo = calibrate_stereo(*board_views(rng, truth), BOARD)
@@ -116,13 +116,12 @@ def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES, stil
             "right_spots": spot_table(world.right, folder / "right.csv", frames),
         }
         files["rig"] = folder / "timed.yaml"
-        measure(MeasureJob(**files, **tables, out=folder / "out", timing="free"))
+        measure(MeasureJob(**files, **tables, out=folder / "out", timing="free", rate_hz=RATE_OF_POSES_HZ))
         joined = JoinJob(
             measured=folder / "out" / "poses.csv",
             out=folder / "points.csv",
             joints=joint_log(world, folder / "joints.csv"),
             arm=str(folder / "arm.yaml"),
-            still=still,
         )
         join(joined)
         points = read_arm_points(folder / "points.csv")

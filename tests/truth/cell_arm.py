@@ -172,7 +172,7 @@ def motion(
     rest_s: tuple[float, float] = (0.2, 1.0),
     resting: float = 0.4,
 ) -> Motion:
-    """Return a motion through places (k, 6) whose ways between them are seen for the most part."""
+    """Return a motion through places (k, 6); of the ways between them at least a half is seen where that can be."""
     first = here = places[0]
     begin, took, steps = [], [], []
     t = begin_s
@@ -180,7 +180,7 @@ def motion(
     while t < end_s:
         goals = places[rng.choice(len(places), min(24, len(places)), replace=False)]
         inside = seen((here + between * (goals - here)).reshape(-1, 6)).reshape(len(between), -1).mean(axis=0)
-        goal = goals[np.argmax(np.minimum(inside, 0.8) + 0.1 * rng.random(len(goals)) * (goals != here).any(axis=1))]
+        goal = goals[np.argmax(np.minimum(inside, 0.5) + 0.1 * rng.random(len(goals)) * (goals != here).any(axis=1))]
         step = goal - here
         T = max(PEAK_OF_REACH * float(np.abs(step).max()) / rng.uniform(0.35, 0.9), 0.8)
         begin.append(t)

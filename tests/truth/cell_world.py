@@ -8,7 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from cell_arm import TABLES, Array, Motion, TrueArm, Wander, around, home, motion, nominal_mapping, true_arm, wander
+from cell_arm import (
+    SPREAD_DEG,
+    TABLES,
+    Array,
+    Motion,
+    TrueArm,
+    Wander,
+    around,
+    home,
+    motion,
+    nominal_mapping,
+    true_arm,
+    wander,
+)
 from cell_cameras import DEG, Track, WebCam, draw_cameras, watched
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -149,7 +162,8 @@ def _scene(
             continue
         samples, vias = places[:60], places[60:]
         begin = rng.uniform(5.0, 60.0)
-        moves = motion(rng, vias, seen, begin, begin + seconds)
+        beyond = middle + rng.normal(size=(int(rng.uniform(0.0, 0.3) * len(vias)), 6)) * 1.8 * SPREAD_DEG * DEG
+        moves = motion(rng, np.concatenate([vias, beyond]), seen, begin, begin + seconds)
         if (np.ptp(moves(np.linspace(begin, begin + seconds, 400)), axis=0)[3:] > 40.0 * DEG).all():
             break
     else:
