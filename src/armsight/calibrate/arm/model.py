@@ -178,8 +178,12 @@ class ArmModel:
 
     def lever_m(self, p: Array, points: ArmPoints) -> Array:
         """Return (m, n) the lever in m by which what each joint carries turns it, where the arm rests."""
+        return self.levers_m(p, self.values(p, points.q))
+
+    def levers_m(self, p: Array, driven: Array) -> Array:
+        """Return the same where the joints are driven to (m, n)."""
         arm = self.arm_at(p, None)
-        torque = stand_in(arm).gravity_torque(arm.sagged(self.values(p, points.q)))
+        torque = stand_in(arm).gravity_torque(arm.sagged(driven))
         return np.asarray(torque / np.maximum(self.carried, LEAST_WEIGHT_N))
 
     def predict(self, p: Array, points: ArmPoints, lever_m: Array | None = None) -> tuple[Array, Array]:

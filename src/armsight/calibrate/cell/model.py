@@ -1,0 +1,263 @@
+"""The whole cell as a function of its parameters: pixels of the arm's lights in both cameras, with derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.arm.model import D, THETA, ArmModel
+from armsight.calibrate.cell.kernels import see_points
+from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
+from armsight.geometry.poses import skew
+from armsight.kinematics import parameter_jacobian
+from armsight.optics import INTRINSICS, SIDES, Camera
+from armsight.records.timing import PPM
+
+Array = NDArray[np.float64]
+
+CAMERA_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+"""T_base_camera: its position in m and its rotation vector, moved as t + dt, Exp(dw) R in base axes."""
+CELL_CLOCK = ("delay_s", "drift_ppm", "readout_s")
+"""Robot's time of a line: stamp + delay + drift (stamp - middle) + readout line, of line from -0.5 to 0.5."""
+PER_CAMERA = (*INTRINSICS, *CAMERA_POSE, *CELL_CLOCK)
+XYZ = ("x_m", "y_m", "z_m")
+POSE_AT, CLOCK_AT = len(INTRINSICS), len(INTRINSICS) + len(CAMERA_POSE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BlockNormals:
+    """Normal equations of stretches of motion, apart for each: A (b, P, P), g (b, P) = J' r, chi2 (b,), count (b,).
+
+    residuals (m, 2): whitened, of all spots. What a parameter would do that changes half way, what a stretch says of
+    itself and how alike the errors within one are, all follows from these.
+    """
+
+    A: Array
+    g: Array
+    chi2: Array
+    count: Array
+    residuals: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CellModel:
+    """A recording and the names of its lights; what is fitted are the parameters in `names`, in that order.
+
+    compliance: whether joints may be found to give way.
+
+    '<side>.<PER_CAMERA>' of both cameras, the arm's as ArmModel has them ('j2.theta_rad', 'j3.scale', 'j2.sag' ..), and
+    'light:<name>.x_m' .. in the flange's axes.
+    """
+
+    recording: CellRecording
+    lights: tuple[str, ...]
+    compliance: bool = False
+    arm: ArmModel = field(init=False)
+    names: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        arm = ArmModel(arm=self.recording.arm, labels=("",), turned=False)
+        object.__setattr__(self, "arm", arm)
+        cameras = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA]
+        lights = [f"light:{light}.{key}" for light in self.lights for key in XYZ]
+        object.__setattr__(self, "names", (*cameras, *arm.names[: arm.n_geometry], *lights))
+
+    @property
+    def arm_at(self) -> int:
+        """Where the arm's parameters begin."""
+        return 2 * len(PER_CAMERA)
+
+    @property
+    def lights_at(self) -> int:
+        """Where the lights' positions begin."""
+        return self.arm_at + self.arm.n_geometry
+
+    def camera_slice(self, side: int) -> slice:
+        """Return which parameters are a camera's."""
+        return slice(side * len(PER_CAMERA), (side + 1) * len(PER_CAMERA))
+
+    def camera(self, x: Array, side: int) -> Camera:
+        """Return a camera of parameters x."""
+        width, height = self.recording.sizes[side]
+        return Camera(width=width, height=height, intrinsics=x[self.camera_slice(side)][:POSE_AT])
+
+    def T_base_camera(self, x: Array, side: int) -> RigidTransform:
+        """Return where a camera of parameters x stands."""
+        v = np.array(x[self.camera_slice(side)][POSE_AT:CLOCK_AT])  # scipy takes no read-only array
+        return RigidTransform.from_components(v[:3], Rotation.from_rotvec(v[3:]))
+
+    def lights_m(self, x: Array) -> Array:
+        """Return the lights (n, 3) in the flange's axes."""
+        return np.asarray(x[self.lights_at :].reshape(-1, 3))
+
+    def arm_vector(self, x: Array) -> Array:
+        """Return the arm's parameters as ArmModel takes them, without base and tool."""
+        return np.concatenate([x[self.arm_at : self.lights_at], np.zeros(12)])
+
+    def times_s(self, x: Array, spots: Spots) -> Array:
+        """Return when each spot (m,) was exposed by the robot's clock."""
+        t = np.empty(len(spots))
+        for side in (0, 1):
+            rows = spots.side == side
+            clock = x[self.camera_slice(side)][CLOCK_AT:]
+            middle = self.recording.middle_s[side]
+            t[rows] = robot_time(spots.stamp_s[rows], spots.line[rows], clock, middle)
+        return t
+
+    def flange(self, x: Array, q: Array) -> Array:
+        """Return T_base_flange (m, 4, 4) at readings q (m, n) as the nominal arm's gearing drives them."""
+        return self._flange(self.arm_vector(x), q, None)[0]
+
+    def pixels(self, x: Array, spots: Spots) -> Array:
+        """Return where each spot's light would be seen (m, 2); NaN where it would not."""
+        return self._seen(x, spots, derivatives=False)[0]
+
+    def normals(self, x: Array, spots: Spots, whitening: Array, block: NDArray[np.intp]) -> BlockNormals:
+        """Return the normal equations of spots in blocks (m,), numbered from 0 and in order."""
+        count = int(block[-1]) + 1
+        P = len(x)
+        A, g, chi2 = np.zeros((count, P, P)), np.zeros((count, P)), np.zeros(count)
+        residuals = np.empty((len(spots), 2))
+        edges = np.searchsorted(block, np.arange(count + 1))
+        for b in range(count):
+            rows = slice(edges[b], edges[b + 1])
+            if edges[b] == edges[b + 1]:
+                continue
+            part = spots.take(np.arange(edges[b], edges[b + 1]))
+            uv, J = self._seen(x, part)
+            r = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
+            flat = (whitening[rows] @ J).reshape(-1, P)
+            residuals[rows] = r
+            A[b], g[b], chi2[b] = flat.T @ flat, flat.T @ r.ravel(), np.vdot(r, r)
+        return BlockNormals(A=A, g=g, chi2=chi2, count=2.0 * np.diff(edges), residuals=residuals)
+
+    def columns(self, x: Array, spots: Spots) -> tuple[Array, Array]:
+        """Return pixels (m, 2) and their derivatives (m, 2, P) by the parameters."""
+        return self._seen(x, spots)
+
+    def standing(self, x: Array, q: Array) -> tuple[Array, Array]:
+        """Return pixels (k, 2, n, 2) of all lights in both cameras where the arm stands at q (k, joints), and by x."""
+        k, n = len(q), len(self.lights)
+        m = 2 * n * k
+        side, light = np.tile(np.repeat([0, 1], n), k), np.tile(np.arange(n), 2 * k)
+        middle = np.asarray(self.recording.middle_s)[side]
+        spots = Spots(
+            side=side,
+            light=light,
+            frame=np.zeros(m, np.intp),
+            stamp_s=middle,
+            line=np.zeros(m),
+            uv_px=np.zeros((m, 2)),
+            covariance_px2=np.tile(np.eye(2), (m, 1, 1)),
+        )
+        rows = np.repeat(q, 2 * n, axis=0)
+        uv, J = self._seen_at(x, spots, rows, np.zeros_like(rows), derivatives=True)
+        return uv.reshape(k, 2, n, 2), J.reshape(k, 2, n, 2, -1)
+
+    def retract(self, x: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
+        """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
+        out = x + step
+        for side in (0, 1):
+            at = slice(side * len(PER_CAMERA) + POSE_AT + 3, side * len(PER_CAMERA) + CLOCK_AT)
+            out[at] = (Rotation.from_rotvec(step[at]) * Rotation.from_rotvec(np.array(x[at]))).as_rotvec()
+        return out, local + step_local
+
+    def difference(self, x: Array, other: Array) -> Array:
+        """Return the step (P,) that moves other to x."""
+        out = x - other
+        for side in (0, 1):
+            at = slice(side * len(PER_CAMERA) + POSE_AT + 3, side * len(PER_CAMERA) + CLOCK_AT)
+            turn = Rotation.from_rotvec(np.array(x[at])) * Rotation.from_rotvec(np.array(other[at])).inv()
+            out[at] = turn.as_rotvec()
+        return out
+
+    def flange_slopes(self, x: Array, q: Array) -> Array:
+        """Return (k, 6, arm's parameters): how T_base_flange moves, (dt, dw), where the arm stands at q (k, n)."""
+        p = self.arm_vector(x)
+        _, own, values, lever, scaled, _ = self._flange(p, q, None)
+        return self._by_arm(own[:, :, : 5 * self.arm.arm.n], q, values, lever, scaled)
+
+    def _by_arm(self, links: Array, q: Array, values: Array, lever: Array, scaled: Array) -> Array:
+        """Return (k, r, arm's parameters) from the derivatives (k, r, 5 n) by the links."""
+        n = self.arm.arm.n
+        sign = np.array([joint.sign for joint in self.arm.arm.joints])
+        turn = links[:, :, 5 * np.arange(n) + np.where(self.arm.arm.revolute, THETA, D)]  # by the joints' variables
+        return np.concatenate(
+            [
+                links,
+                turn * (sign * values)[:, None, :],
+                turn[:, :, 1:] * (scaled[1:] * q[:, :-1])[:, None, :],
+                turn * (scaled * lever)[:, None, :],
+            ],
+            axis=2,
+        )
+
+    def _flange(self, p: Array, q: Array, speed: Array | None) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Return T (m, 4, 4), its derivatives (m, 6, 5 n + 12), driven values, lever, scaled signs, and their speed."""
+        n = self.arm.arm.n
+        values, give = self.arm.values(p, q), self.arm.give(p)
+        lever = self.arm.levers_m(p, values) if self.sagging else np.zeros_like(values)
+        T, own = parameter_jacobian(self.arm.arm_at(p, None), values + give * lever)
+        scaled = np.array([joint.sign for joint in self.arm.arm.joints]) * (1.0 + p[5 * n : 6 * n])
+        moving = np.zeros_like(values) if speed is None else scaled * self.arm.values(p, speed)
+        return T, own, values, lever, scaled, moving
+
+    @property
+    def sagging(self) -> bool:
+        """Whether anything hangs on how the joints give way: the arm has compliant joints, or they are looked for."""
+        return self.compliance or self.arm.arm.compliant
+
+    def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
+        """Return pixels (m, 2) and derivatives (m, 2, P)."""
+        q, speed = self.recording.log.at(self.times_s(x, spots))
+        return self._seen_at(x, spots, q, speed, derivatives=derivatives)
+
+    def _seen_at(self, x: Array, spots: Spots, q: Array, speed: Array, *, derivatives: bool) -> tuple[Array, Array]:
+        """Return the same where the joints stand at q (m, n) and move at speed (m, n)."""
+        m, P, n = len(spots), len(x), self.arm.arm.n
+        p = self.arm_vector(x)
+        T, own, values, lever, scaled, moving = self._flange(p, q, speed)
+        arms = T[:, :3, :3] @ self.lights_m(x)[spots.light][:, :, None]  # (m, 3, 1) from the flange to the light
+        X = np.ascontiguousarray(T[:, :3, 3] + arms[:, :, 0])
+        uv, slope, by_lens = np.empty((m, 2)), np.empty((m, 2, 3)), np.empty((m, 2, len(INTRINSICS)))
+        J = np.zeros((m, 2, P)) if derivatives else np.empty((0, 2, P))
+        for side in (0, 1):
+            rows = np.flatnonzero(spots.side == side)
+            T_camera_base = self.T_base_camera(x, side).inv().as_matrix()
+            one, two, three = np.empty((len(rows), 2)), np.empty((len(rows), 2, 3)), np.empty((len(rows), 2, 10))
+            R, away = np.ascontiguousarray(T_camera_base[:3, :3]), np.ascontiguousarray(T_camera_base[:3, 3])
+            see_points(self.camera(x, side).packed, R, away, X[rows], one, two, three)
+            uv[rows], slope[rows], by_lens[rows] = one, two, three
+        if not derivatives:
+            return uv, J
+        # a point moves by dt + dw x arm where the flange does by (dt, dw)
+        turned = own[:, 3:, : 5 * n]
+        links = own[:, :3, : 5 * n] + np.cross(turned.transpose(0, 2, 1), arms.transpose(0, 2, 1)).transpose(0, 2, 1)
+        by_links = slope @ links  # (m, 2, 5 n)
+        J[:, :, self.arm_at : self.lights_at] = self._by_arm(by_links, q, values, lever, scaled)
+        turn = by_links[:, :, 5 * np.arange(n) + np.where(self.arm.arm.revolute, THETA, D)]
+        by_time = np.einsum("mkj,mj->mk", turn, moving)
+        by_light = slope @ T[:, :3, :3]
+        for k in range(len(self.lights)):
+            rows = np.flatnonzero(spots.light == k)
+            J[rows, :, self.lights_at + 3 * k : self.lights_at + 3 * k + 3] = by_light[rows]
+        for side in (0, 1):
+            rows = np.flatnonzero(spots.side == side)
+            first = side * len(PER_CAMERA)
+            J[rows, :, first : first + POSE_AT] = by_lens[rows]
+            J[rows, :, first + POSE_AT : first + POSE_AT + 3] = -slope[rows]
+            centre = x[first + POSE_AT : first + POSE_AT + 3]
+            J[rows, :, first + POSE_AT + 3 : first + CLOCK_AT] = slope[rows] @ skew(X[rows] - centre)
+            since = PPM * (spots.stamp_s[rows] - self.recording.middle_s[side])
+            clock = np.stack([np.ones(len(rows)), since, spots.line[rows]], axis=1)
+            J[rows, :, first + CLOCK_AT : first + len(PER_CAMERA)] = by_time[rows][:, :, None] * clock[:, None, :]
+        return uv, J
+
+
+def start_vector(model: CellModel, cameras: Sequence[Array], lights_m: Array) -> Array:
+    """Return parameters of the nominal arm with these cameras, (PER_CAMERA,) each, and lights (n, 3)."""
+    return np.concatenate([*cameras, np.zeros(model.arm.n_geometry), np.asarray(lights_m).ravel()])

@@ -1,0 +1,182 @@
+"""From nothing to the final fit of a cell: start, name the lights, and fit with ever finer gates and more spots."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.calibrate.cell.assignment import NamedLights, assign, name_lights, places_on_flange
+from armsight.calibrate.cell.fit import (
+    ArmTolerance,
+    CellFit,
+    Knowledge,
+    blocks_of,
+    default_knowledge,
+    fit_cell,
+    gauge,
+    learned_tolerance,
+    shape_information,
+    side_scales,
+    straying,
+)
+from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
+from armsight.calibrate.cell.observations import CellRecording, Spots
+from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
+from armsight.calibrate.cell.tracklets import tracklets
+from armsight.calibrate.cell.wander import Wander
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.optics import SIDES
+from armsight.records import Progress, Silent, Target
+
+Array = NDArray[np.float64]
+
+FIRST_GATE_PX, FIRST_GATE = 3.0, 12.0
+"""Of the first assignment: px, and times what the start leaves in the median; a straightened lens and a nominal arm
+leave some pixels."""
+GATE = 6.0
+"""Standard deviations beyond which a spot is another light's, a reflection or touched."""
+LEAST_GATE_PX = 0.5
+THIN = 8000
+"""Spots used until the final fit."""
+MAX_START_PX = 12.0
+"""What a right start leaves at most: rolling shutters and what a nominal arm is wrong by."""
+FIRST_FREE = ("fx", "fy", "cx", "cy", "k1", "tx", "ty", "tz", "rx", "ry", "rz", "delay_s", "readout_s")
+FEWEST_SPOTS = 400
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solved:
+    """The final fit, its model, the lights as they were named, and the first, coarse fit."""
+
+    model: CellModel
+    fit: CellFit
+    lights: NamedLights
+    coarse: CellFit
+
+
+def solve_cell(
+    recording: CellRecording,
+    target: Target,
+    tolerance: ArmTolerance,
+    *,
+    compliance: bool = False,
+    progress: Progress | None = None,
+) -> Solved:
+    """Return the fit of everything that the recording can tell. Raises DataRefused with the reason."""
+    progress = progress or Silent()
+    shape_m = dict(zip(target.names, target.xyz_m, strict=True))
+    starts, weights = _starts(recording)
+    progress.update(1, 4, "finding the cameras")
+    near = _least_distance(target.xyz_m)
+    places, _ = places_on_flange([start.lights_m for start in starts], weights, near)
+    lights = name_lights(places, shape_m)
+    model = CellModel(recording=recording, lights=lights.names, compliance=compliance)
+    x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
+    known = default_knowledge(model, x, tolerance, target)
+    gate = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
+    coarse = _coarse(model, x, known, (gate[0], gate[1]))
+    coarse = _coarse(model, coarse.x, known, (gate[0], gate[1]))
+    progress.update(2, 4, "fitting, a part of the spots")
+    free = free_names(model, coarse, tolerance)
+    found = _round(model, coarse, known, free, thin=True)
+    known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
+    found = _round(model, found, known, free, thin=True)
+    known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
+    progress.update(3, 4, "fitting, all spots")
+    wander = straying(model, found)
+    found = _round(model, found, known, free, thin=False, wander=wander)
+    return Solved(model=model, fit=found, lights=lights, coarse=coarse)
+
+
+def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance) -> tuple[str, ...]:
+    """Return all that can be told: lenses, places, clocks, lights, and of the arm what is not the others' as well."""
+    arm = model.arm
+    candidates = (*arm.geometry, *(arm.sags if model.compliance else ()))
+    information = found.normals.A.sum(axis=0) + shape_information(model, found.x, found.known.shape)
+    chosen = gauge(model, information, candidates, tolerance)
+    lens = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA if name != "skew"]
+    return (*lens, *chosen, *model.names[model.lights_at :])
+
+
+def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
+    starts, weights = [], []
+    for side, name in enumerate(SIDES):
+        spots = recording.spots.take(recording.spots.side == side)
+        ways = tracklets(spots, recording.clocks[side].number)
+        if sum(map(len, ways)) < FEWEST_SPOTS:
+            raise NotEnoughData(
+                f"the {name} camera saw {sum(map(len, ways))} spots that move",
+                consequence="Nothing is calibrated",
+                cure="See that the target's lights shine and stay in its view while the arm moves; set --threshold "
+                "where lights are not found",
+            )
+        tried, alike = delays(recording.arm, recording.log, spots, ways)
+        start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
+        if start is None or start.rms_px > MAX_START_PX:
+            require_alike(float(alike[0]), name)
+            raise Inconsistent(
+                f"no camera explains what the {name} one saw by the arm's motion"
+                + ("" if start is None else f": {start.rms_px:.0f} px remain"),
+                consequence="Nothing is calibrated",
+                cure="Check that --model is of this arm, the log in radians and of this recording, and the target on "
+                "the flange",
+            )
+        if start.mirrored:
+            raise Inconsistent(
+                f"the {name} camera shows the scene as in a mirror",
+                consequence="Nothing is calibrated",
+                cure="Switch off the mirroring of its pictures; or check the signs of the joints in --model",
+            )
+        starts.append(start)
+        weights.append(np.array([len(rows) for rows in best_pieces(spots, ways)], float))
+    return starts, weights
+
+
+def _camera_vector(recording: CellRecording, side: int, start: Start) -> Array:
+    half = 0.5 * recording.clocks[side].period_s
+    f = start.focal_px
+    lens = [f, f, *start.centre_px, 0.0, start.k1, 0.0, 0.0, 0.0, 0.0]
+    return np.concatenate([lens, start.t, Rotation.from_matrix(start.R).as_rotvec(), [start.delay_s, 0.0, half]])
+
+
+def _least_distance(xyz_m: Array) -> float:
+    apart = np.linalg.norm(xyz_m[:, None] - xyz_m[None], axis=2) + 1e3 * np.eye(len(xyz_m))
+    return float(0.35 * apart.min())
+
+
+def thinned(spots: Spots, most: int) -> Spots:
+    """Return every k-th frame's spots, so that there are about most."""
+    step = max(1, round(len(spots) / most))
+    return spots.take(spots.frame % step == 0)
+
+
+def _coarse(model: CellModel, x: Array, known: Knowledge, gate_px: tuple[float, float]) -> CellFit:
+    """Return the fit of cameras and lights by the nominal arm."""
+    spots, block = blocks_of(model, x, thinned(assign(model, x, model.recording.spots, gate_px), THIN))
+    if len(spots) < FEWEST_SPOTS:
+        raise NotEnoughData(
+            f"{len(spots)} spots are where the lights should be",
+            consequence="Nothing is calibrated",
+            cure="Record two minutes in which both cameras see the target's lights",
+        )
+    free = [f"{side}.{name}" for side in SIDES for name in FIRST_FREE]
+    spread = float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0))
+    first = (1.0 / spread, 1.0 / spread)  # of a pixel: what the nominal arm leaves, not the spots' own
+    return fit_cell(model, x, spots, block, (*free, *model.names[model.lights_at :]), known, first)
+
+
+def _round(model: CellModel, before: CellFit, known: Knowledge, free: Collection[str], *, thin: bool, wander: Wander | None = None) -> CellFit:
+    """Return the fit after another assignment of the spots, with the noise of the fit before."""
+    scale = side_scales(before, robust=True)
+    spread = [float(np.sqrt(np.median(np.trace(before.spots.covariance_px2, axis1=1, axis2=2)) / 2.0))] * 2
+    gates = [max(GATE * s * each, LEAST_GATE_PX) for s, each in zip(scale, spread, strict=True)]
+    every = assign(model, before.x, model.recording.spots, (gates[0], gates[1]))
+    spots, block = blocks_of(model, before.x, thinned(every, THIN) if thin else every)
+    if wander is not None:
+        count = np.bincount(block)
+        wander = replace(wander, t_s=np.bincount(block, weights=model.times_s(before.x, spots)) / count)
+    return fit_cell(model, before.x, spots, block, free, known, scale, wander=wander)

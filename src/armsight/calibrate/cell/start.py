@@ -1,0 +1,364 @@
+"""Where a cell's calibration begins: delay, lens, place of a camera and lights on the flange, without any guess.
+
+A light fixed to the flange at p is at R(t) p + t(t) in the base, R and t being known from the joints. Seen by a camera
+of unknown matrix P (3, 4) this is linear in P and in the products P[:, :3] x p (27 for each piece of a light's way): a
+direct linear transform (Hartley, Zisserman, Multiple View Geometry, 2004, 7.1) in which the products are eliminated
+piece by piece and the rank of one is restored by alternating.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.calibrate.cell.observations import JointLog, Spots
+from armsight.calibrate.cell.tracklets import extent_px
+from armsight.errors import Inconsistent
+from armsight.kinematics import Arm, fk
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+GRID_S = 0.02
+LEVER_M = 0.15
+"""Lights are about so far from the flange: for the speed at which its turning moves them."""
+FEWEST_COMMON_S = 15.0
+CANDIDATES = 6
+"""Delays tried, the best correlated first."""
+APART_S = 0.3
+LENS_TRIED = (0.0, -0.15, 0.15, -0.3, 0.3)
+"""Radial coefficients by which pixels are straightened before the linear solution, in units of r^2 over the focal
+length that was found."""
+ALTERNATIONS = 80
+SETTLED = 1e-3
+"""Relative fall of what remains, over FEW_ALTERNATIONS, below which alternating has settled."""
+FEW_ALTERNATIONS = 5
+STEPS_S = tuple(np.linspace(-0.12, 0.12, 7).tolist())
+"""About each of them, in which the linear solution is looked for."""
+PIECES = 16
+"""Pieces of ways used at first, those with the most motion."""
+ROWS, QUICK_ROWS = 120, 40
+"""Spots used of each; while delays are tried, fewer."""
+QUICK_ALTERNATIONS = 15
+AS_ONE_M, AS_ONE_KEPT = 0.16, 2
+"""Places along each axis of the flange at which all lights may be for a start, and how many of them are gone on with."""
+FARTHEST_M = 1.0
+"""No light is further from the flange."""
+VIEW = (0.2, 5.0)
+"""Focal length over the image's width: lenses that open less wide than a phone's or wider than a telescope's."""
+GOOD = 3e-3
+"""Of the image's width: what a right delay leaves at most, before lens and delay are found exactly."""
+FINER = (-0.6, -0.3, 0.3, 0.6)
+"""Parts of a step, by which the best delay is looked at again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """A camera to begin with: focal length, principal point, k1, T_base_camera as R (3, 3), t (3,), delay, and what fits.
+
+    lights_m (k, 3): of the pieces, in the flange's axes. rms_px: what remains. mirrored: the image shows the scene in a
+    mirror.
+    """
+
+    focal_px: float
+    centre_px: Array
+    k1: float
+    R: Array
+    t: Array
+    delay_s: float
+    lights_m: Array
+    rms_px: float
+    mirrored: bool
+
+
+def flange_speed(arm: Arm, log: JointLog, grid_s: Array) -> Array:
+    """Return about how fast (k,) lights on the flange move in m/s."""
+    T = fk(arm, log.at(np.clip(grid_s, log.t_s[0], log.t_s[-1]))[0])
+    v = np.gradient(T[:, :3, 3], GRID_S, axis=0)
+    turn = Rotation.from_matrix(T[1:, :3, :3] @ T[:-1, :3, :3].transpose(0, 2, 1)).magnitude() / GRID_S
+    return np.asarray(np.hypot(np.linalg.norm(v, axis=1), LEVER_M * np.append(turn, turn[-1])))
+
+
+def image_speed(spots: Spots, ways: Sequence[Index], grid_s: Array) -> Array:
+    """Return how fast (k,) the spots of a camera move in px/s, NaN where none is seen."""
+    at, speed = [], []
+    for rows in ways:
+        t, uv = spots.stamp_s[rows], spots.uv_px[rows]
+        step = np.diff(t)
+        at.append(t[:-1] + 0.5 * step)
+        speed.append(np.linalg.norm(np.diff(uv, axis=0), axis=1) / step)
+    t, v = np.concatenate(at), np.concatenate(speed)
+    order = np.argsort(t)
+    out = np.interp(grid_s, t[order], v[order])
+    near = np.abs(t[order][np.clip(np.searchsorted(t[order], grid_s), 0, len(t) - 1)] - grid_s) < 0.2
+    return np.where(near, out, np.nan)
+
+
+def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tuple[Array, Array]:
+    """Return the delays (c,) at which image and arm move alike, best first, and how well they correlate (c,)."""
+    ours = np.arange(log.t_s[0], log.t_s[-1], GRID_S)
+    theirs = np.arange(spots.stamp_s.min(), spots.stamp_s.max(), GRID_S)
+    a, b = np.log(flange_speed(arm, log, ours) + 1e-3), np.log(image_speed(spots, ways, theirs) + 1.0)
+    known = np.isfinite(b)
+    b = np.where(known, b, 0.0)
+    w = known.astype(float)
+    one = np.ones(len(a))
+    n = np.maximum(_correlated(one, w), 0.0)
+    sa, sb, saa, sbb, sab = (
+        _correlated(x, y) for x, y in ((a, w), (one, b), (a * a, w), (one, b * b), (a, b))
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        r = (n * sab - sa * sb) / np.sqrt((n * saa - sa**2) * (n * sbb - sb**2))
+    r[(n * GRID_S < min(FEWEST_COMMON_S, 0.5 * known.sum() * GRID_S)) | ~np.isfinite(r)] = 0.0
+    worth = np.arctanh(np.clip(r, 0.0, 0.999)) * np.sqrt(n)  # Fisher's z: short overlaps correlate by chance
+    lag = np.arange(len(r)) - (len(b) - 1)  # of their sample 0 in ours
+    delay = ours[0] - theirs[0] + GRID_S * lag
+    chosen: list[int] = []
+    for k in np.argsort(worth)[::-1]:
+        if all(abs(delay[k] - delay[c]) > APART_S for c in chosen):
+            chosen.append(int(k))
+            if len(chosen) == CANDIDATES:
+                break
+    return delay[chosen], r[chosen]
+
+
+def _correlated(a: Array, b: Array) -> Array:
+    """Return sum_i a[i + lag] b[i] for all lags from 1 - len(b) on."""
+    return np.asarray(scipy.signal.fftconvolve(a, b[::-1]))
+
+
+def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
+    """Return the pieces with the most motion, thinned."""
+    spread = [extent_px(spots.uv_px[rows]) * len(rows) for rows in ways]
+    best = sorted(range(len(ways)), key=lambda k: -spread[k])[:PIECES]
+    return [ways[k][np.linspace(0, len(ways[k]) - 1, min(ROWS, len(ways[k]))).astype(np.intp)] for k in best]
+
+
+def find_start(
+    arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index], size: tuple[int, int], delays_s: Array
+) -> Start | None:
+    """Return the camera that explains the ways best, near any of the delays (c,); None where nothing does."""
+    pieces = best_pieces(spots, ways)
+    few = [rows[np.linspace(0, len(rows) - 1, min(QUICK_ROWS, len(rows))).astype(np.intp)] for rows in pieces]
+    quick = _Look(arm=arm, log=log, spots=spots, pieces=few, size=size, turns=QUICK_ALTERNATIONS)
+    best: Start | None = None
+    for delay in delays_s.tolist():
+        best = _better([best, *(quick.start(delay + step, size[0], 0.0) for step in STEPS_S)])
+        if best is not None and best.rms_px < GOOD * size[0]:
+            break
+    if best is None:
+        return None
+    width = STEPS_S[1] - STEPS_S[0]
+    best = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)])
+    whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
+    return _better([whole.start(best.delay_s, best.focal_px, k1) for k1 in LENS_TRIED])
+
+
+def _better(starts: Sequence[Start | None]) -> Start | None:
+    """Return that which leaves least."""
+    return min((each for each in starts if each is not None), key=lambda each: each.rms_px, default=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Look:
+    """What a camera is looked for in: pieces of ways, and how often lights and camera are found by turns."""
+
+    arm: Arm
+    log: JointLog
+    spots: Spots
+    pieces: Sequence[Index]
+    size: tuple[int, int]
+    turns: int
+
+    def start(self, delay_s: float, focal_px: float, k1: float) -> Start | None:
+        """Return the camera at a delay that explains the pieces best, straightened by k1 and a focal length."""
+        log, spots = self.log, self.spots
+        centre = (np.array(self.size) - 1.0) / 2.0
+        times = [np.clip(spots.stamp_s[rows] + delay_s, log.t_s[0], log.t_s[-1]) for rows in self.pieces]
+        T = [fk(self.arm, log.at(t)[0]) for t in times]
+        middle = np.concatenate(T)[:, :3, 3].mean(axis=0)
+        xy = [_straight((spots.uv_px[rows] - centre) / focal_px, k1) for rows in self.pieces]
+        found = _camera(T, xy, middle, self.turns)
+        if found is None:
+            return None
+        P, lights, rms, mirrored = found
+        K, middle_px, R, t = _decomposed(P, mirrored)
+        if not VIEW[0] < K * focal_px / self.size[0] < VIEW[1]:
+            return None
+        return Start(
+            focal_px=K * focal_px,
+            centre_px=centre + focal_px * middle_px,
+            k1=k1 * K**2,
+            R=R,
+            t=t + middle,
+            delay_s=delay_s,
+            lights_m=lights,
+            rms_px=rms * focal_px,
+            mirrored=mirrored,
+        )
+
+
+def _straight(xy: Array, k1: float) -> Array:
+    """Return rays (n, 2) of distorted ones, by two steps of a fixed point."""
+    out = xy
+    for _ in range(8):
+        out = xy / (1.0 + k1 * np.clip((out**2).sum(axis=1, keepdims=True), 0.0, 1.0))
+    return np.asarray(out)
+
+
+def _camera(
+    T: Sequence[Array], xy: Sequence[Array], middle: Array, turns: int
+) -> tuple[Array, Array, float, bool] | None:
+    """Return P (3, 4) about the middle, the pieces' lights (k, 3), what remains, and whether it shows a mirror."""
+    pieces = _Pieces.of(T, xy, middle)
+    found = [_alternated(P, pieces, turns) for P in (_eliminated(T, xy, middle), *_as_one(pieces))]
+    near = [each for each in found if each is not None and np.linalg.norm(each[1], axis=1).max() < FARTHEST_M]
+    best = min(near, key=lambda each: each[2], default=None)
+    if best is None:
+        return None
+    P, lights, rms = best
+    depth = pieces.places(lights) @ P[2, :3] + P[2, 3]
+    if np.median(depth) < 0.0:
+        P, depth = -P, -depth
+    if np.mean(depth > 0.0) < 0.9:
+        return None
+    return P, lights, rms, bool(np.linalg.det(P[:, :3]) < 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pieces:
+    """All pieces' spots in one: R (m, 3, 3), t (m, 3) of the flange about the middle, rays xy (m, 2), begin (k,)."""
+
+    R: Array
+    t: Array
+    xy: Array
+    begin: Index
+    of_piece: Index
+
+    @classmethod
+    def of(cls, T: Sequence[Array], xy: Sequence[Array], middle: Array) -> _Pieces:
+        """Return them."""
+        every = np.concatenate(list(T))
+        length = np.array([len(pose) for pose in T])
+        return cls(
+            R=every[:, :3, :3],
+            t=every[:, :3, 3] - middle,
+            xy=np.concatenate(list(xy)),
+            begin=np.cumsum(length) - length,
+            of_piece=np.repeat(np.arange(len(T)), length),
+        )
+
+    def places(self, lights: Array) -> Array:
+        """Return where the spots' lights are (m, 3), lights (k, 3) or one (3,) being on the flange."""
+        on_flange = lights[self.of_piece] if lights.ndim == 2 else np.broadcast_to(lights, self.t.shape)
+        return np.asarray(np.einsum("mij,mj->mi", self.R, on_flange) + self.t)
+
+    def lights(self, P: Array) -> Array:
+        """Return where on the flange the light of each piece is (k, 3) for P."""
+        D = P[None, :2, :3] - self.xy[:, :, None] * P[None, 2:, :3]  # (m, 2, 3): D X = d
+        d = self.xy * P[2, 3] - P[None, :2, 3]
+        A = D @ self.R
+        b = d - np.einsum("mij,mj->mi", D, self.t)
+        N = np.add.reduceat(A.transpose(0, 2, 1) @ A, self.begin)
+        g = np.add.reduceat(np.einsum("mij,mi->mj", A, b), self.begin)
+        N += 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        return np.asarray(np.linalg.solve(N, g[:, :, None])[:, :, 0])
+
+    def matrix(self, lights: Array) -> tuple[Array, float]:
+        """Return P for known lights (normalised DLT), and the median of what remains in the image."""
+        X = self.places(lights)
+        if not (np.isfinite(X).all() and np.abs(X).max() < 1e3):
+            return np.zeros((3, 4)), np.inf
+        size = float(np.sqrt((X**2).mean())) + 1e-12
+        H = np.concatenate([X / size, np.ones((len(X), 1))], axis=1)
+        HH = H[:, :, None] * H[:, None, :]
+        x, y = self.xy.T
+        A = np.zeros((3, 4, 3, 4))
+        A[0, :, 0] = A[1, :, 1] = HH.sum(axis=0)
+        A[0, :, 2] = A[2, :, 0] = -np.tensordot(x, HH, axes=1)
+        A[1, :, 2] = A[2, :, 1] = -np.tensordot(y, HH, axes=1)
+        A[2, :, 2] = np.tensordot(x**2 + y**2, HH, axes=1)
+        P = np.linalg.eigh(A.reshape(12, 12))[1][:, 0].reshape(3, 4)
+        seen = H @ P.T
+        rms = float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - self.xy) ** 2).sum(axis=1))))
+        return P / np.array([size, size, size, 1.0]), rms
+
+
+def _as_one(pieces: _Pieces) -> list[Array]:
+    """Return the best P as if all lights were at one place near the flange: rough, but never short of motion."""
+    steps = np.linspace(-AS_ONE_M, AS_ONE_M, 5)
+    found = [pieces.matrix(np.array([x, y, z])) for x in steps for y in steps for z in steps]
+    return [P for P, _ in sorted(found, key=lambda each: each[1])[:AS_ONE_KEPT]]
+
+
+def _eliminated(T: Sequence[Array], xy: Sequence[Array], middle: Array) -> Array:
+    """Return P (3, 4) by linear least squares, the products of each piece eliminated."""
+    S = np.zeros((12, 12))
+    for pose, seen in zip(T, xy, strict=True):
+        shared, own = _rows(pose, seen, middle)
+        Q, _, _ = scipy.linalg.qr(own, mode="economic", pivoting=True)
+        left = shared - Q @ (Q.T @ shared)
+        S += left.T @ left
+    return np.asarray(np.linalg.eigh(S)[1][:, 0].reshape(3, 4))
+
+
+def _alternated(P: Array, pieces: _Pieces, turns: int) -> tuple[Array, Array, float] | None:
+    """Return P, lights (k, 3) and what remains, each found from the other by turns."""
+    rms = before = np.inf
+    for turn in range(turns):
+        lights = pieces.lights(P)
+        P, rms = pieces.matrix(lights)
+        if not np.isfinite(rms):
+            return None
+        if turn % FEW_ALTERNATIONS == 0:
+            if rms > (1.0 - SETTLED) * before:
+                break
+            before = rms
+    return P, lights, rms
+
+
+def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:
+    """Return the equations (2 m, 12) of P and (2 m, 27) of the products."""
+    m = len(xy)
+    tau = np.concatenate([pose[:, :3, 3] - middle, np.ones((m, 1))], axis=1)
+    rho = pose[:, :3, :3].reshape(m, 9)
+    out = []
+    for part in (tau, rho):
+        k = part.shape[1]
+        block = np.zeros((m, 2, 3, k))
+        block[:, 0, 0], block[:, 1, 1] = part, part
+        block[:, :, 2] = -xy[:, :, None] * part[:, None, :]
+        out.append(block.reshape(2 * m, 3 * k))
+    return out[0], out[1]
+
+
+def _decomposed(P: Array, mirrored: bool) -> tuple[float, Array, Array, Array]:
+    """Return focal length, principal point (2,), T_base_camera's R (3, 3) and centre (3,) of P of positive depths."""
+    M = P[:, :3] * (np.array([[-1.0], [1.0], [1.0]]) if mirrored else 1.0)
+    K, R = scipy.linalg.rq(M)
+    turn = np.diag(np.sign(np.diag(K)))
+    K, R = K @ turn, turn @ R
+    centre = -np.linalg.solve(P[:, :3], P[:, 3])
+    focal = float(np.sqrt(abs(K[0, 0] * K[1, 1])) / abs(K[2, 2]))
+    return focal, np.asarray(K[:2, 2] / K[2, 2]), np.asarray(R.T), centre
+
+
+def require_alike(r: float, side: str) -> None:
+    """Raise Inconsistent where image and arm never move alike."""
+    if r < LEAST_ALIKE:
+        raise Inconsistent(
+            f"the lights in the {side} camera and the arm's joints never move alike: the correlation of their speeds "
+            f"is {r:.2f} at best",
+            consequence="Nothing is calibrated",
+            cure="Give the robot's log of this very recording, and see that the lights are on this arm's flange",
+        )
+
+
+LEAST_ALIKE = 0.5
+"""Of another day's log the best of all delays correlates by 0.2 to 0.4."""
