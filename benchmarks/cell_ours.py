@@ -7,9 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from cell_records import Calibrated
+from armsight.calibrate.cell.fit import ArmTolerance
+from armsight.calibrate.cell.observations import recording_of
+from armsight.calibrate.cell.rounds import Solved, solve_cell
+from armsight.calibrate.cell.tip import tip_slopes
+from armsight.geometry import align_points
+from armsight.optics import Rig, RigKind
+from armsight.records import Motion, spot_target
+from cell_records import Calibrated, arm_of, target_of, track_of
 
 Array = NDArray[np.float64]
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -56,6 +63,64 @@ def camera_off(world: Any, side: str, T_base_camera: Array) -> Array:
     return np.concatenate([T_base_camera[:3, 3] - true[:3, 3], turn.as_rotvec()])
 
 
+def parameters(world: Any, solved: Solved, covariance: Array) -> dict[str, list[tuple[float, float]]]:
+    """Return errors and claimed deviations by kind of parameter; of what cannot be told apart, nothing.
+
+    The delay of a camera whose stamps only come late is known but for how late they are in the mean, and left out.
+    """
+    model, x = solved.model, solved.fit.x
+    std = dict(zip(model.names, np.sqrt(np.diag(covariance)), strict=True))
+    value = dict(zip(model.names, x, strict=True))
+    out: dict[str, list[tuple[float, float]]] = {}
+    for name, true in true_parameters(world, model.recording.middle_s).items():
+        kind = name.rpartition(".")[2]
+        late = kind == "delay_s" and getattr(world.truth, name.partition(".")[0]).late
+        if std[name] > 0.0 and not late:
+            out.setdefault("light_m" if name.startswith("light") else kind, []).append((value[name] - true, std[name]))
+    for side, name in enumerate(("left", "right")):
+        off = camera_off(world, name, model.T_base_camera(x, side).as_matrix())
+        for key, error in zip(POSE, off, strict=True):
+            out.setdefault("camera_" + ("m" if key[0] == "t" else "rad"), []).append((error, std[f"{name}.{key}"]))
+    return out
+
+
 def ours(world: Any) -> Ours:
     """Calibrate the cell from its one recording. Raises DataRefused."""
-    raise NotImplementedError
+    target = target_of(world)
+    recording = recording_of(
+        arm_of(world),
+        Motion(t_s=world.log_t_s, q=world.log_q),
+        [track_of(track) for track in (world.left, world.right)],
+        [track.size for track in (world.left, world.right)],
+    )
+    solved = solve_cell(recording, target, ArmTolerance())
+    model, x = solved.model, solved.fit.x
+    covariance = solved.fit.covariance(model)
+    order = [model.lights.index(name) for name in target.names]
+    lights = model.lights_m(x)[order]
+    nominal = target.xyz_m
+    T_flange_nominal = align_points(lights, nominal).T_a_b
+    T_base_rig = model.T_base_camera(x, 0)
+    rig = Rig(
+        kind=RigKind.STEREO,
+        left=model.camera(x, 0),
+        right=model.camera(x, 1),
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=T_base_rig.inv() * model.T_base_camera(x, 1),
+    )
+    known = spot_target(dict(zip(target.names, map(tuple, lights.tolist()), strict=True)))
+    sigma = [camera.noise_px for camera in (world.truth.left, world.truth.right)]
+    slopes = tip_slopes(model, x, world.truth.samples, T_flange_nominal, world.truth.tip_target_m, (sigma[0], sigma[1]))
+    return Ours(
+        measured_with=Calibrated(
+            rig=rig,
+            target=known,
+            T_base_rig=T_base_rig,
+            T_nominal=T_flange_nominal,
+            commanded=lambda q: model.flange(x, q),
+        ),
+        covariance=slopes.spread_m(slopes.measured, covariance),
+        parameters=parameters(world, solved, covariance),
+        alarm=False,
+        words="",
+    )
