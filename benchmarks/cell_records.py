@@ -47,7 +47,8 @@ def target_of(world: Any) -> Target:
 class Calibrated:
     """What a calibration hands out to measure with: rig, target, T_base_rig.
 
-    commanded: T_base_target (m, 4, 4) by the calibrated arm, from its joints (m, 6). T_nominal: where the target's nominal axes are in those of `target`, by which the tip is known.
+    commanded: T_base_target (m, 4, 4) by the calibrated arm, from its joints (m, 6). T_nominal: where the target's
+    nominal axes are in those of `target`, by which the tip is known.
     """
 
     rig: Rig
