@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.cell.fit import ArmTolerance
-from armsight.calibrate.cell.observations import recording_of
-from armsight.calibrate.cell.rounds import Solved, solve_cell
+from armsight.calibrate.cell import calibrate_cell
+from armsight.calibrate.cell.rounds import Solved
 from armsight.calibrate.cell.tip import tip_slopes
-from armsight.geometry import align_points
-from armsight.optics import Rig, RigKind
-from armsight.records import Motion, spot_target
-from cell_records import Calibrated, arm_of, target_of, track_of
+from armsight.kinematics import fk
+from armsight.records import Motion
+from cell_records import Calibrated, arm_of, nominal_axes, target_of, track_of
 
 Array = NDArray[np.float64]
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -86,41 +85,26 @@ def parameters(world: Any, solved: Solved, covariance: Array) -> dict[str, list[
 
 def ours(world: Any) -> Ours:
     """Calibrate the cell from its one recording. Raises DataRefused."""
-    target = target_of(world)
-    recording = recording_of(
+    done = calibrate_cell(
         arm_of(world),
         Motion(t_s=world.log_t_s, q=world.log_q),
         [track_of(track) for track in (world.left, world.right)],
-        [track.size for track in (world.left, world.right)],
+        target_of(world),
+        sizes=[track.size for track in (world.left, world.right)],
     )
-    solved = solve_cell(recording, target, ArmTolerance())
-    model, x = solved.model, solved.fit.x
-    covariance = solved.fit.covariance(model)
-    order = [model.lights.index(name) for name in target.names]
-    lights = model.lights_m(x)[order]
-    nominal = target.xyz_m
-    T_flange_nominal = align_points(lights, nominal).T_a_b
-    T_base_rig = model.T_base_camera(x, 0)
-    rig = Rig(
-        kind=RigKind.STEREO,
-        left=model.camera(x, 0),
-        right=model.camera(x, 1),
-        T_rig_left=RigidTransform.identity(),
-        T_rig_right=T_base_rig.inv() * model.T_base_camera(x, 1),
-    )
-    known = spot_target(dict(zip(target.names, map(tuple, lights.tolist()), strict=True)))
-    sigma = [camera.noise_px for camera in (world.truth.left, world.truth.right)]
-    slopes = tip_slopes(model, x, world.truth.samples, T_flange_nominal, world.truth.tip_target_m, (sigma[0], sigma[1]))
+    parts, model, truth = done.parts, done.solved.model, world.truth
+    sigma = (truth.left.noise_px, truth.right.noise_px)
+    slopes = tip_slopes(model, done.solved.fit.x, truth.samples, parts.T_flange_target, truth.tip_target_m, sigma)
     return Ours(
         measured_with=Calibrated(
-            rig=rig,
-            target=known,
-            T_base_rig=T_base_rig,
-            T_nominal=T_flange_nominal,
-            commanded=lambda q: model.flange(x, q),
+            rig=parts.rig,
+            target=parts.target,
+            T_base_rig=parts.T_base_rig,
+            T_nominal=nominal_axes(parts.target, world),
+            commanded=partial(fk, parts.arm.based()),
         ),
-        covariance=slopes.spread_m(slopes.measured, covariance),
-        parameters=parameters(world, solved, covariance),
-        alarm=False,
-        words="",
+        covariance=slopes.spread_m(slopes.measured, done.covariance),
+        parameters=parameters(world, done.solved, done.covariance),
+        alarm=not done.verdict.startswith("good"),
+        words=done.verdict,
     )
