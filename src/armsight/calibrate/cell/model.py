@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.arm.model import D, THETA, ArmModel
+from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.cell.kernels import see_points
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
 from armsight.geometry.poses import skew
@@ -42,12 +42,20 @@ class BlockNormals:
     count: Array
     residuals: Array
 
+    def take(self, blocks: NDArray[np.intp]) -> BlockNormals:
+        """Return those of some stretches, without the residuals of single spots."""
+        return BlockNormals(
+            A=self.A[blocks],
+            g=self.g[blocks],
+            chi2=self.chi2[blocks],
+            count=self.count[blocks],
+            residuals=np.empty((0, 2)),
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellModel:
     """A recording and the names of its lights; what is fitted are the parameters in `names`, in that order.
-
-    compliance: whether joints may be found to give way.
 
     '<side>.<PER_CAMERA>' of both cameras, the arm's as ArmModel has them ('j2.theta_rad', 'j3.scale', 'j2.sag' ..), and
     'light:<name>.x_m' .. in the flange's axes.
@@ -55,7 +63,6 @@ class CellModel:
 
     recording: CellRecording
     lights: tuple[str, ...]
-    compliance: bool = False
     arm: ArmModel = field(init=False)
     names: tuple[str, ...] = field(init=False)
 
@@ -208,8 +215,8 @@ class CellModel:
 
     @property
     def sagging(self) -> bool:
-        """Whether anything hangs on how the joints give way: the arm has compliant joints, or they are looked for."""
-        return self.compliance or self.arm.arm.compliant
+        """Whether a joint carries something, and so could give way."""
+        return bool(self.arm.sags)
 
     def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
         """Return pixels (m, 2) and derivatives (m, 2, P)."""
