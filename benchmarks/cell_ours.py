@@ -106,5 +106,5 @@ def ours(world: Any) -> Ours:
         covariance=slopes.spread_m(slopes.measured, done.covariance),
         parameters=parameters(world, done.solved, done.covariance),
         alarm=not done.verdict.startswith("good"),
-        words=done.verdict,
+        words="; ".join([done.verdict, *done.notes, *done.advice]),
     )
