@@ -31,6 +31,8 @@ RIVAL = 0.5
 """Another cause with so much of the first one's evidence is told too."""
 EDGE = 3
 """Stretches from either end at which nothing is held to have changed."""
+ALARM = 2.0
+"""Times beyond chance: an arm strays in more ways than any model of it."""
 VISIBLE = 0.15
 """What changed must move the spots by so much of their noise (RMS): less is of no consequence, no model is exact."""
 
@@ -99,7 +101,7 @@ def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
 
 def alarming(each: Suspicion) -> bool:
     """Tell whether a suspicion is beyond chance and of consequence."""
-    return each.evidence > 1.0 and each.visible > VISIBLE
+    return each.evidence > ALARM and each.visible > VISIBLE
 
 
 CURES = {

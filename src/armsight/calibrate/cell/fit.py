@@ -21,6 +21,8 @@ APART = 1e-4
 """Share of an arm's parameter's effect that must be its own; of one that base, target and others take up wholly,
 rounding leaves 1e-7."""
 EM_ROUNDS = 50
+FEWEST_TOLD = 4.0
+"""Corrections by which a class's deviation is told, at least: of fewer nobody could say."""
 LEAST = {"length_m": 5e-5, "zero_rad": 1e-4, "angle_rad": 1e-4}
 """No arm is built better."""
 
@@ -255,7 +257,10 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
         C = np.linalg.inv(H + np.diag(change))
         moved = off - C @ (change * off)
         for name, rows in classes.items():
-            if len(rows) > 2:
-                square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows])) * len(rows) / (len(rows) - 2)
-                sigma[name] = min(max(np.sqrt(square), LEAST[name]), getattr(tolerance, name))
+            if not rows:
+                continue
+            # how many of them the recording tells; of a variance estimated from so few Student's t has wider tails
+            told = max(float(np.sum(1.0 - np.diag(C)[rows] / sigma[name] ** 2)), FEWEST_TOLD)
+            square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows])) * told / (told - 2.0)
+            sigma[name] = min(max(np.sqrt(square), LEAST[name]), getattr(tolerance, name))
     return replace(tolerance, **sigma)
