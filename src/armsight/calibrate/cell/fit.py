@@ -257,10 +257,11 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
         C = np.linalg.inv(H + np.diag(change))
         moved = off - C @ (change * off)
         for name, rows in classes.items():
-            if not rows:
-                continue
-            # how many of them the recording tells; of a variance estimated from so few Student's t has wider tails
-            told = max(float(np.sum(1.0 - np.diag(C)[rows] / sigma[name] ** 2)), FEWEST_TOLD)
-            square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows])) * told / (told - 2.0)
-            sigma[name] = min(max(np.sqrt(square), LEAST[name]), getattr(tolerance, name))
+            if rows:
+                square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows]))
+                sigma[name] = min(max(np.sqrt(square), LEAST[name]), getattr(tolerance, name))
+    for name, rows in classes.items():
+        # how many of them the recording tells; of a variance estimated from so few Student's t has wider tails
+        told = max(float(np.sum(1.0 - np.diag(C)[rows] / sigma[name] ** 2)), FEWEST_TOLD)
+        sigma[name] = min(sigma[name] * float(np.sqrt(told / (told - 2.0))), getattr(tolerance, name))
     return replace(tolerance, **sigma)
