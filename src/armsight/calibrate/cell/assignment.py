@@ -50,7 +50,7 @@ def places_on_flange(lights_m: Sequence[Array], weights: Sequence[Array], near_m
     left = np.ones(len(X), bool)
     while left.any():
         within = np.linalg.norm(X[:, None] - X[None], axis=2) < near_m
-        mass = (within & left[None]) @ w * left
+        mass = (within & left[None]) @ w * left  # spots of the pieces about each that is not yet taken
         k = int(np.argmax(mass))
         members = within[k] & left
         members[k] = True

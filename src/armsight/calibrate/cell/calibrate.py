@@ -14,7 +14,14 @@ from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors, shape_te
 from armsight.calibrate.cell.model import CLOCK_AT
 from armsight.calibrate.cell.observations import recording_of
 from armsight.calibrate.cell.parts import CellParts, parts_of
-from armsight.calibrate.cell.result import CellCalibration, Learned, ScaleCheck, StrayingArm, TipDeviation
+from armsight.calibrate.cell.result import (
+    UNLEARNED_BITS,
+    CellCalibration,
+    Learned,
+    ScaleCheck,
+    StrayingArm,
+    TipDeviation,
+)
 from armsight.calibrate.cell.rounds import Solved, require_lit, solve_cell
 from armsight.calibrate.cell.tip import TipSlopes, tip_slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
@@ -78,16 +85,20 @@ def calibrate_cell(
     first = solved.doubts[0]
     if alarming(first) and not (first.cause is Cause.ELASTIC and compliance is False):
         raise refusal(solved.doubts)
+    _require_lit(solved, tracks)
+    return _result(solved, target, tip, sum(map(len, tracks)))
+
+
+def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCalibration:
+    """Return what is told of a fit."""
     model, found = solved.model, solved.fit
+    arm = model.recording.arm
     covariance = found.covariance(model)
     parts = parts_of(model, found, covariance, target)
-    _require_lit(solved, tracks)
     scale = _scale(solved, target)
     q, slopes, places = _tips(solved, parts, tip)
     measured, commanded = slopes.spread_m(slopes.measured, covariance), slopes.spread_m(slopes.commanded, covariance)
-    residual = _rms(found)
-    wander = found.wander
-    learned = _learned(solved, covariance)
+    residual, learned = _rms(found), _learned(solved, covariance)
     return CellCalibration(
         parts=parts,
         solved=solved,
@@ -97,9 +108,9 @@ def calibrate_cell(
         tip_places_m=places,
         tip_measured=measured,
         tip_commanded=commanded,
-        n_frames=sum(map(len, tracks)),
+        n_frames=n_frames,
         n_spots=len(found.spots),
-        n_left_out=len(recording.spots) - len(found.spots),
+        n_left_out=len(model.recording.spots) - len(found.spots),
         duration_s=float(len(found.normals.chi2)),
         residual_px=residual,
         left_out_px=_left_out(solved, residual),
@@ -107,15 +118,19 @@ def calibrate_cell(
         learned=learned,
         gauges=_gauges(arm, scale),
         fixed=tuple(name for name in model.arm.geometry if name not in found.free),
-        straying=StrayingArm(
-            std_rad=float(np.median(wander.std[arm.revolute])) if wander is not None and arm.revolute.any() else 0.0,
-            time_s=0.0 if wander is None else wander.time_s,
-        ),
+        straying=_straying(found, arm),
         scale=scale,
         tip=TipDeviation(**_deviations(measured, commanded, slopes)),
         notes=_notes(solved),
-        advice=_advice(solved, learned),
+        advice=_advice(learned),
     )
+
+
+def _straying(found: CellFit, arm: Arm) -> StrayingArm:
+    wander = found.wander
+    if wander is None or not arm.revolute.any():
+        return StrayingArm(std_rad=0.0, time_s=0.0)
+    return StrayingArm(std_rad=float(np.median(wander.std[arm.revolute])), time_s=wander.time_s)
 
 
 def _require_motion(arm: Arm, joints: Motion) -> None:
@@ -188,6 +203,7 @@ def _left_out(solved: Solved, residual: BothPixels) -> BothPixels:
         part = normals.take(rows)
         own = wander.take(rows).reduced(part)
         rest = H - own.A[np.ix_(free, free)]
+        # at the minimum all gradients add up to zero: without this fold that of the rest is left, minus the fold's
         step = np.linalg.solve(rest, own.g[free])
         A, g = part.A.sum(axis=0)[np.ix_(free, free)], part.g.sum(axis=0)[free]
         before += float(part.chi2.sum())
@@ -215,6 +231,7 @@ def _scale(solved: Solved, target: Target) -> ScaleCheck:
     at = model.lights_at
     S, pull = np.zeros((len(found.x),) * 2), np.zeros(len(found.x))
     S[at:, at:], pull[at:] = shape, shape @ off
+    # the fit as it would be without the target's size: what its file says is taken out of information and gradient
     rest = found.information(model)[np.ix_(free, free)] - S[np.ix_(free, free)]
     C = np.linalg.inv(rest + 1e-12 * np.diag(np.diag(rest)))
     x = found.x.copy()
@@ -258,8 +275,8 @@ def _notes(solved: Solved) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _advice(solved: Solved, learned: Sequence[Learned]) -> tuple[str, ...]:
-    weak = [one.name for one in learned if one.bits is not None and one.bits < 0.2 and ".theta" in one.name]
+def _advice(learned: Sequence[Learned]) -> tuple[str, ...]:
+    weak = [one.name for one in learned if one.bits is not None and one.bits < UNLEARNED_BITS and ".theta" in one.name]
     out = []
     if weak:
         joints = sorted({name.partition(".")[0] for name in weak})

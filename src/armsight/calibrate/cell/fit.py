@@ -119,6 +119,7 @@ def gauge(model: CellModel, information: Array, candidates: Collection[str], tol
     S = scaled[np.ix_(index, index)] - C.T @ np.linalg.solve(M, C)
     weight = size[index] * np.array([tolerance.of(name) for name in candidates])
     names, free, open_ = list(candidates), [], list(range(len(index)))
+    # of each what is its own beside cameras, lights and the parameters freed before, as in `calibrate.arm`
     while open_:
         left = np.array([S[k, k] for k in open_])
         fit = left > APART**2
@@ -139,56 +140,66 @@ def fit_cell(
     known: Knowledge,
 ) -> CellFit:
     """Return the fit of the parameters named in free, from x (P,) on. Raises NotConverged, Undetermined."""
-    spots, block, wander = data.spots, data.block, data.wander
-    W = spots.whitening(data.scale)
-    held = [k for k, name in enumerate(model.names) if name not in free]
-    information = known.information.copy()
-    information[held] = information[:, held] = 0.0
-    root = _root(information)
-    P = len(x)
-    a = model.lights_at
-    none = np.empty((1, 2 * len(spots) + P, 0))
-
-    def evaluate(at: Array, local: Array) -> Evaluation:
-        normals = model.normals(at, spots, W, block)
-        pull = known.pull(model, at)
-        shape, off = shape_terms(model, at, known.shape)
-        if wander is None:
-            r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)
-        else:
-            reduced = wander.reduced(normals)
-            r, A, b = np.sqrt([max(reduced.square, 0.0)]), reduced.A, reduced.g
-        r = np.concatenate([r, root @ pull, _root(shape) @ off])
-        A, b = A + information, b + information @ pull
-        A[a:, a:] += shape
-        b[a:] += shape @ off
-        condensed = NormalEquations(
-            A=A,
-            b=b,
-            C=np.zeros((1, 0, 0)),
-            c=np.zeros((1, 0)),
-            W=np.zeros((1, P, 0)),
-        )
-        return Evaluation(residuals=r[None], shared=none[:, :, :0], local=none, condensed=condensed)
-
+    bundle = _Bundle.of(model, data, known, free)
     problem = Problem(
         names=model.names,
         guess=x,
-        evaluate=evaluate,
-        n_residuals=2 * len(spots),
+        evaluate=bundle.evaluate,
+        n_residuals=2 * len(data.spots),
         fixed=frozenset(model.names) - frozenset(free),
         retract=model.retract,
     )
     fit = solve(problem, Settings(cost_tolerance=1e-9))
-    normals = model.normals(fit.shared, spots, W, block)
     return CellFit(
         x=fit.shared,
         data=data,
-        normals=normals,
+        normals=model.normals(fit.shared, data.spots, bundle.W, data.block),
         free=tuple(name for name in model.names if name in free),
         known=known,
         fit=fit,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Bundle:
+    """The problem of one fit: W whitens the spots; information (P, P) known before about what is fitted, root' root."""
+
+    model: CellModel
+    data: CellData
+    known: Knowledge
+    W: Array
+    information: Array
+    root: Array
+
+    @classmethod
+    def of(cls, model: CellModel, data: CellData, known: Knowledge, free: Collection[str]) -> _Bundle:
+        held = [k for k, name in enumerate(model.names) if name not in free]
+        information = known.information.copy()
+        information[held] = information[:, held] = 0.0
+        W = data.spots.whitening(data.scale)
+        return cls(model=model, data=data, known=known, W=W, information=information, root=_root(information))
+
+    def evaluate(self, x: Array, local: Array) -> Evaluation:
+        """Return the normal equations at x (P,), and residuals whose squares are the cost."""
+        del local
+        model, wander = self.model, self.data.wander
+        normals = model.normals(x, self.data.spots, self.W, self.data.block)
+        pull = self.known.pull(model, x)
+        shape, off = shape_terms(model, x, self.known.shape)
+        if wander is None:
+            r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)
+        else:
+            # with the straying eliminated single residuals have no meaning; the solver needs their squares' sum
+            reduced = wander.reduced(normals)
+            r, A, b = np.sqrt([max(reduced.square, 0.0)]), reduced.A, reduced.g
+        r = np.concatenate([r, self.root @ pull, _root(shape) @ off])
+        A, b = A + self.information, b + self.information @ pull
+        a, P = model.lights_at, len(x)
+        A[a:, a:] += shape
+        b[a:] += shape @ off
+        condensed = NormalEquations(A=A, b=b, C=np.zeros((1, 0, 0)), c=np.zeros((1, 0)), W=np.zeros((1, P, 0)))
+        none = np.empty((1, len(r), 0))
+        return Evaluation(residuals=r[None], shared=none, local=none, condensed=condensed)
 
 
 def _root(information: Array) -> Array:
@@ -251,6 +262,7 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
     off = (found.x - found.known.x)[free]
     sigma = {name: getattr(tolerance, name) for name in classes}
     for _ in range(EM_ROUNDS):
+        # only the prior's diagonal changes with the deviations: a fit anew is one solution of the normal equations
         change = np.zeros(len(free))
         for name, rows in classes.items():
             change[rows] = sigma[name] ** -2 - before[rows]

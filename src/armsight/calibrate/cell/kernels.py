@@ -24,6 +24,7 @@ def see_points(k, R, t, X, uv, J, D):
             J[i] = 0.0
             D[i] = 0.0
             continue
+        # d uv / d X = d uv / d p_camera R
         for a in range(2):
             for b in range(3):
                 J[i, a, b] = by_camera[a, 0] * R[0, b] + by_camera[a, 1] * R[1, b] + by_camera[a, 2] * R[2, b]

@@ -54,8 +54,6 @@ FIRST_FREE = ("fx", "fy", "cx", "cy", "k1", "tx", "ty", "tz", "rx", "ry", "rz", 
 FEWEST_SPOTS = 400
 FEWEST_LIT = 0.55
 """Of the frames: a camera that sees the lights in fewer was dark, or looked elsewhere."""
-ROUNDS = 2
-"""Of fits with the arm's straying, the last one with all spots."""
 PLAIN = 30.0
 """Times beyond chance (without the straying, which makes up some of it) that a change is told before more is fitted."""
 PLAINLY_VISIBLE = 1.0
@@ -82,12 +80,10 @@ def solve_cell(
 ) -> Solved:
     """Return the fit of everything that the recording can tell. Raises DataRefused with the reason."""
     progress = progress or Silent()
-    shape_m = dict(zip(target.names, target.xyz_m, strict=True))
     starts, weights = _starts(recording)
     progress.update(1, 4, "finding the cameras")
-    near = _least_distance(target.xyz_m)
-    places, _ = places_on_flange([start.lights_m for start in starts], weights, near)
-    lights = name_lights(places, shape_m)
+    places, _ = places_on_flange([start.lights_m for start in starts], weights, _least_distance(target.xyz_m))
+    lights = name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)))
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
 
@@ -95,25 +91,22 @@ def solve_cell(
         known = default_knowledge(model, at, believed, target)
         return known if priors is None else with_priors(model, known, priors, at)
 
-    known = before(x, tolerance)
     gate = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
-    coarse = _coarse(model, x, known, (gate[0], gate[1]))
-    coarse = _coarse(model, coarse.x, known, (gate[0], gate[1]))
+    coarse = _coarse(model, x, before(x, tolerance), (gate[0], gate[1]))
+    coarse = _coarse(model, coarse.x, before(x, tolerance), (gate[0], gate[1]))
     progress.update(2, 4, "fitting, a part of the spots")
     free = free_names(model, coarse, tolerance, compliance=bool(compliance))
-    found = _round(model, coarse, known, free, thin=True)
-    _require_one_model(suspicions(model, found))
-    wander: Wander | None = None
-    for number in range(ROUNDS):
-        known = before(found.x, learned_tolerance(model, found, tolerance))
-        last = number == ROUNDS - 1
-        if last:
+    found = _round(model, coarse, before(x, tolerance), free, thin=True)
+    doubts = suspicions(model, found)
+    _require_one_model(doubts)
+    for thin in (True, False):
+        if not thin:
             progress.update(3, 4, "fitting, all spots")
-        wander = straying(model, found)
-        found = _round(model, found, known, free, thin=not last, wander=wander)
+        known = before(found.x, learned_tolerance(model, found, tolerance))
+        found = _round(model, found, known, free, thin=thin, wander=straying(model, found))
         doubts = suspicions(model, found)
-        if compliance is None and not last and any(alarming(each) for each in doubts if each.cause is Cause.ELASTIC):
-            compliance = True
+        if compliance is None and any(alarming(each) for each in doubts if each.cause is Cause.ELASTIC):
+            compliance = True  # the last fit then has them
             free = free_names(model, found, tolerance, compliance=True)
     return Solved(model=model, fit=found, lights=lights, doubts=tuple(doubts))
 

@@ -106,6 +106,7 @@ def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tupl
     theirs = np.arange(spots.stamp_s.min(), spots.stamp_s.max(), GRID_S)
     a, b = np.log(flange_speed(arm, log, ours) + 1e-3), np.log(image_speed(spots, ways, theirs) + 1.0)
     known = np.isfinite(b)
+    # Pearson's correlation at all lags at once, over the samples where the image's speed is known
     b = np.where(known, b, 0.0)
     w = known.astype(float)
     one = np.ones(len(a))
@@ -340,7 +341,7 @@ def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:
 def _decomposed(P: Array, mirrored: bool) -> tuple[float, Array, Array, Array]:
     """Return focal length, principal point (2,), T_base_camera's R (3, 3) and centre (3,) of P of positive depths."""
     M = P[:, :3] * (np.array([[-1.0], [1.0], [1.0]]) if mirrored else 1.0)
-    K, R = scipy.linalg.rq(M)
+    K, R = scipy.linalg.rq(M)  # P = K R [I, -centre] (Hartley, Zisserman 6.2.4)
     turn = np.diag(np.sign(np.diag(K)))
     K, R = K @ turn, turn @ R
     centre = -np.linalg.solve(P[:, :3], P[:, 3])

@@ -69,6 +69,7 @@ def tip_slopes(
     by_x[..., a:] = by_x[..., a:] @ _shape_only(lights, arm_at)
     A, B = by_pose.reshape(k, -1, 6), by_x.reshape(k, -1, P)
     w = np.repeat(weight.reshape(k, -1), 2, axis=1)[:, :, None]
+    # the pose is where A' W (A dpose + B dx) = 0: what the parameters do to the pixels, the pose takes up
     H = A.transpose(0, 2, 1) @ (w * A)
     seen = (inside.all(axis=1).sum(axis=1) >= FEWEST_SEEN) & np.isfinite(uv).all(axis=(1, 2, 3))
     H[~seen] = np.eye(6)
