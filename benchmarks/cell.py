@@ -171,6 +171,9 @@ def cells(first: int, count: int, *, moving: bool, chains: bool) -> None:
         if moving:
             tallies[MOVING].take(seed, lambda world=world: chain_moving(world, made).by_arm, world)
         told = {name: f"{tally.rms_m[seed] / MM:.3f}" for name, tally in tallies.items() if seed in tally.rms_m}
+        told |= {
+            name: f"refused: {tally.refused[seed][:200]}" for name, tally in tallies.items() if seed in tally.refused
+        }
         print(f"cell {seed}, {world.truth.arm.name}: {told}", flush=True)
     rows = [tally.row(name, tallies[OURS]) for name, tally in tallies.items() if tally.rms_m or tally.refused]
     table(f"{count} cells from seed {first}", HEAD, rows)
