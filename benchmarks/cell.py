@@ -74,7 +74,7 @@ class Tally:
             return None
         self.seconds.append(time.perf_counter() - begin)
         errors, lost = tip_errors(world, found)
-        if lost > len(errors):
+        if 2 * lost > len(errors):
             self.refused[seed] = "most poses are lost with what was calibrated"
             return None
         self.rms_m[seed] = rms(errors)
@@ -98,8 +98,8 @@ class Tally:
 
 
 def rms(errors: Array) -> float:
-    """Return the RMS of errors (k, 3)."""
-    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+    """Return the RMS of errors (k, 3), of those that are known."""
+    return float(np.sqrt(np.nanmean((errors**2).sum(axis=1))))
 
 
 def of(values: ArrayLike) -> list[float]:
@@ -124,7 +124,7 @@ class Claims:
     def take(self, seed: int, found: Ours, errors: Array) -> None:
         """Hold one calibration's claims."""
         q = np.einsum("ni,ni->n", errors, np.linalg.solve(found.covariance, errors[..., None])[..., 0])
-        self.tip += q.tolist()
+        self.tip += q[np.isfinite(q)].tolist()
         for kind, values in found.parameters.items():
             self.kinds.setdefault(kind, []).extend(error / std for error, std in values if std > 0.0)
         claimed = np.sqrt(CHI2_3 / 3.0 * np.trace(found.covariance, axis1=1, axis2=2).mean())
@@ -171,6 +171,9 @@ def cells(first: int, count: int, *, moving: bool, chains: bool) -> None:
         if moving:
             tallies[MOVING].take(seed, lambda world=world: chain_moving(world, made).by_arm, world)
         told = {name: f"{tally.rms_m[seed] / MM:.3f}" for name, tally in tallies.items() if seed in tally.rms_m}
+        told |= {
+            name: f"refused: {tally.refused[seed][:200]}" for name, tally in tallies.items() if seed in tally.refused
+        }
         print(f"cell {seed}, {world.truth.arm.name}: {told}", flush=True)
     rows = [tally.row(name, tallies[OURS]) for name, tally in tallies.items() if tally.rms_m or tally.refused]
     table(f"{count} cells from seed {first}", HEAD, rows)
@@ -195,7 +198,7 @@ def faults(first: int, count: int) -> None:
         else:
             told, words = "doubtful" if found.alarm else "called good", found.words
             errors, _ = tip_errors(world, found.measured_with)
-            off_mm = rms(errors) / MM if len(errors) else "lost"
+            off_mm = rms(errors) / MM if np.isfinite(errors).any() else "lost"
         held = told == "called good" and fault != "elastic_arm"  # which may be taken into the model, and told
         right = not held and any(word in words.lower() for word in CAUSES[fault])
         rows.setdefault(fault, []).append([told, right, off_mm])

@@ -80,7 +80,8 @@ def nominal_axes(target: Target, world: Any) -> RigidTransform:
 
 
 def tip_errors(world: Any, found: Calibrated) -> tuple[Array, int]:
-    """Return the errors (k, 3) of the measured tip in base axes at the world's samples, and how many gave no pose."""
+    """Return the errors (k, 3) of the measured tip in base axes at the world's samples, NaN where there is no pose, and
+    how many these are."""
     truth, out, lost = world.truth, [], 0
     setup = Setup(rig=found.rig, target=found.target)
     q = truth.samples
@@ -93,6 +94,7 @@ def tip_errors(world: Any, found: Calibrated) -> tuple[Array, int]:
         pose = measure_spots(setup, 0.0, left, right).pose
         if pose.T_parent_target is None or pose.status.size != 6:
             lost += 1
+            out.append(np.full(3, np.nan))
             continue
         T_rig = RigidTransform.from_matrix(np.asarray(pose.T_parent_target))
         out.append((found.T_base_rig * T_rig).apply(at) - tip)

@@ -66,7 +66,7 @@ class CellTruth:
 
     def seen(self, q: Array) -> NDArray[np.bool_]:
         """Return where (m,) both cameras see all lights, turned towards them."""
-        return in_view(q, self.arm, (self.left, self.right), self.lights, self.T_flange_target[:3, 2])
+        return in_view(q, self.arm, (self.left, self.right), self.lights, -self.T_flange_target[:3, 2])
 
     def tips(self, q: Array) -> Array:
         """Return the tip (m, 3) in base axes at readings (m, 6)."""
@@ -98,7 +98,8 @@ def fitted(true: Array, nominal: Array) -> Array:
 
 
 def draw_shape(rng: np.random.Generator) -> Array:
-    """Return four lights (4, 3) that are not in a plane and that no turn or mirror takes to each other."""
+    """Return four lights (4, 3), not in a plane, that no turn or mirror takes to each other; z points away from the
+    cameras."""
     while True:
         turn = np.arange(4) * 0.5 * np.pi + rng.uniform(-0.4, 0.4, 4)
         r = rng.uniform(0.03, 0.065, 4)
@@ -106,7 +107,7 @@ def draw_shape(rng: np.random.Generator) -> Array:
         apart = np.sort(np.linalg.norm(shape[:, None] - shape, axis=2)[np.triu_indices(4, 1)])
         solid = abs(np.linalg.det(shape[1:] - shape[0]))
         if np.diff(apart).min() > 0.003 and apart[0] > 0.03 and solid > 2e-5:
-            return shape
+            return shape * [1.0, -1.0, -1.0]
 
 
 def in_view(q: Array, arm: TrueArm, cameras: tuple[WebCam, WebCam], lights: Array, normal: Array) -> NDArray[np.bool_]:
@@ -141,14 +142,13 @@ def _scene(
     shape = draw_shape(rng)
     for _ in range(200):
         middle = home(rng, arm)
-        turn = Rotation.from_rotvec(rng.normal(0.0, 18.0 * DEG, 3)) * Rotation.from_rotvec(
-            [0.0, 0.0, rng.uniform(-np.pi, np.pi)]
-        )
+        turn = Rotation.from_rotvec(rng.normal(0.0, 18.0 * DEG, 3))
+        turn *= Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)]) * Rotation.from_rotvec([np.pi, 0.0, 0.0])
         lights = turn.apply(shape + rng.normal(0.0, SHAPE_M, shape.shape)) + rng.uniform(-1.0, 1.0, 3) * 0.07
         lights[:, 2] += 0.05
-        normals = turn.apply(Rotation.from_rotvec(rng.normal(0.0, 5.0 * DEG, (4, 3))).apply([0.0, 0.0, 1.0]))
+        normals = turn.apply(Rotation.from_rotvec(rng.normal(0.0, 5.0 * DEG, (4, 3))).apply([0.0, 0.0, -1.0]))
         T = fitted(lights, shape)
-        normal = T[:3, 2]
+        normal = -T[:3, 2]
         centre = arm.points(middle[None], lights.mean(axis=0)[None])[0]
         cameras = draw_cameras(rng, centre, arm.flange(middle)[0, :3, :3] @ normal, noise_px)
 
@@ -168,7 +168,7 @@ def _scene(
             break
     else:
         raise RuntimeError(f"seed {seed}: no cell was found")
-    tip = np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.03, 0.12)])
+    tip = np.array([*rng.uniform(-0.03, 0.03, 2), -rng.uniform(0.03, 0.12)])
     lamps = centre + rng.uniform(-1.0, 1.0, (rng.integers(4), 3)) * 0.8 - 1.5 * arm.flange(middle)[0, :3, :3] @ normal
     truth = CellTruth(
         arm=arm,
