@@ -22,23 +22,29 @@ from armsight.calibrate.light_target import LitFrame, calibrate_target
 from armsight.kinematics import Arm, fk
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
+from armsight.optics import Rig
 from armsight.records import BoardView, PoseStatus, Spots, TargetKind, board_target
 from cell_records import Calibrated, arm_of, called_as_built, nominal_axes
 
 Array = NDArray[np.float64]
 BOARDS, PICTURES, PER_REST = 60, 3600, 30
 BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+PRINTED = 1e-3
+"""Scale of a board from an office printer whose squares were measured with a ruler: 0.2 mm over 200 mm."""
 CORNER_PX = 0.1
 """A good detector's corners are no worse than this, however large the spots' noise is."""
 
 
-def board_views(rng: np.random.Generator, truth: Any) -> tuple[list[BoardView], list[BoardView]]:
-    """Return what both cameras see of a board that stands still in places all over their images."""
+def board_views(rng: np.random.Generator, truth: Any, scale: float) -> tuple[list[BoardView], list[BoardView]]:
+    """Return what both cameras see of a board that stands still in places all over their images.
+
+    scale: of the board as it was printed, over what it is said to be.
+    """
     cameras = (truth.left, truth.right)
     T = truth.left.T_base_camera
     centre = truth.tips(truth.samples).mean(axis=0)
     far = float(np.linalg.norm(centre - T[:3, 3]))
-    X = BOARD.xyz_m - BOARD.xyz_m.mean(axis=0)
+    X = scale * (BOARD.xyz_m - BOARD.xyz_m.mean(axis=0))
     out: tuple[list[BoardView], list[BoardView]] = ([], [])
     fx, fy, cx, cy = truth.left.intrinsics[:4]
     w, h = truth.left.size
@@ -174,16 +180,18 @@ class Chain:
 
     by_arm: Calibrated
     by_hand_eye: Calibrated
+    rig: Rig
     level: str
     rms_px: float
 
 
-def chain(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> Chain:
-    """Calibrate the world's cell step by step, with so many pairs of pictures in all."""
+def chain(world: Any, made: ModuleType, *, printed: bool) -> Chain:
+    """Calibrate the world's cell step by step, with PICTURES pairs of pictures in all; printed: by a printed board."""
     rng = np.random.default_rng([world.seed, 77])
+    scale = 1.0 + (PRINTED * np.random.default_rng([world.seed, 78]).normal() if printed else 0.0)
     truth, nominal = world.truth, arm_of(world)
-    stereo = calibrate_stereo(*board_views(rng, truth), BOARD)
-    rests = rests_of(rng, truth, made.ENCODER_RAD, (pictures - BOARDS) // PER_REST, PER_REST)
+    stereo = calibrate_stereo(*board_views(rng, truth, scale), BOARD)
+    rests = rests_of(rng, truth, made.ENCODER_RAD, (PICTURES - BOARDS) // PER_REST, PER_REST)
     target = called_as_built(calibrate_target(stereo.rig, lit_frames(rests), len(truth.lights)).target, world)
     poses = measured(rests, Setup(rig=stereo.rig, target=target))
     done = by_arm(nominal, poses)
@@ -196,6 +204,7 @@ def chain(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> Chain:
     return Chain(
         by_arm=Calibrated(**common, T_base_rig=done.arm.T_world_base.inv()),
         by_hand_eye=Calibrated(**common, T_base_rig=by_hand_eye(done.arm, poses)),
+        rig=stereo.rig,
         level=done.level,
         rms_px=stereo.rms_px,
     )

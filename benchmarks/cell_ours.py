@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.cell import calibrate_cell
+from armsight.calibrate.cell import CellOptions, CellPriors, calibrate_cell
 from armsight.calibrate.cell.rounds import Solved
 from armsight.calibrate.cell.tip import tip_slopes
 from armsight.kinematics import fk
-from armsight.records import Motion
+from armsight.optics import RIGHT_POSE, SIDES, Rig
+from armsight.records import Motion, NamedCovariance
 from cell_records import Calibrated, arm_of, nominal_axes, target_of, track_of
 
 Array = NDArray[np.float64]
@@ -83,14 +84,27 @@ def parameters(world: Any, solved: Solved, covariance: Array) -> dict[str, list[
     return out
 
 
-def ours(world: Any) -> Ours:
-    """Calibrate the cell from its one recording. Raises DataRefused."""
+def board_priors(rig: Rig) -> CellPriors:
+    """Return what a board's calibration of the same cameras says."""
+    C = rig.covariance
+    lenses = []
+    for side in SIDES:
+        names = [name for name in C.names if name.startswith(f"{side}.") and name not in RIGHT_POSE]
+        short = tuple(name.partition(".")[2] for name in names)
+        lenses.append((rig.camera(side), NamedCovariance(names=short, matrix=C.block(tuple(names)))))
+    pose = NamedCovariance(names=RIGHT_POSE, matrix=C.block(RIGHT_POSE))
+    return CellPriors(lenses=tuple(lenses), right_pose=(rig.T_rig_left.inv() * rig.T_rig_right, pose))
+
+
+def ours(world: Any, board: Rig | None = None) -> Ours:
+    """Calibrate the cell from its one recording, and from a board's calibration of its rig. Raises DataRefused."""
     done = calibrate_cell(
         arm_of(world),
         Motion(t_s=world.log_t_s, q=world.log_q),
         [track_of(track) for track in (world.left, world.right)],
         target_of(world),
         sizes=[track.size for track in (world.left, world.right)],
+        options=CellOptions(priors=None if board is None else board_priors(board)),
     )
     parts, model, truth = done.parts, done.solved.model, world.truth
     sigma = (truth.left.noise_px, truth.right.noise_px)

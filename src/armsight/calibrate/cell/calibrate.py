@@ -93,7 +93,7 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCa
     """Return what is told of a fit."""
     model, found = solved.model, solved.fit
     arm = model.recording.arm
-    covariance = found.covariance(model)
+    covariance = _with_stamps(solved, found.covariance(model))
     parts = parts_of(model, found, covariance, target)
     scale = _scale(solved, target)
     q, slopes, places = _tips(solved, parts, tip)
@@ -124,6 +124,16 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCa
         notes=_notes(solved),
         advice=_advice(learned),
     )
+
+
+def _with_stamps(solved: Solved, covariance: Array) -> Array:
+    """Return the covariance with what the stamps' jitter leaves open of each camera's own clock."""
+    model = solved.model
+    out = covariance.copy()
+    for side, (clock, middle) in enumerate(zip(model.recording.clocks, model.recording.middle_s, strict=True)):
+        at = model.camera_slice(side).start + CLOCK_AT
+        out[at : at + 2, at : at + 2] += clock.clock_covariance(middle)
+    return out
 
 
 def _straying(found: CellFit, arm: Arm) -> StrayingArm:

@@ -100,8 +100,6 @@ def _timing(model: CellModel, x: Array, covariance: Array) -> tuple[CameraTiming
     J[1, at[0] + 1], J[1, at[1] + 1] = -1.0, 1.0
     J[2, at[0] + 2] = J[3, at[1] + 2] = 1.0
     C = J @ covariance @ J.T
-    # a recording's stamps jitter about its clocks, which are known so well by all its frames together
-    C[:2, :2] += left.clock_covariance(0.0) + right.clock_covariance(0.0)
     sides = []
     for side, clock in enumerate((left, right)):
         names = ("delay_s", "drift_ppm", "readout_s", "jitter_s") if side else ("readout_s", "jitter_s")
