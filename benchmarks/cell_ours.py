@@ -1,0 +1,126 @@
+"""The calibration of a cell from its one recording, with what it claims beside the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.cell.fit import ArmTolerance
+from armsight.calibrate.cell.observations import recording_of
+from armsight.calibrate.cell.rounds import Solved, solve_cell
+from armsight.calibrate.cell.tip import tip_slopes
+from armsight.geometry import align_points
+from armsight.optics import Rig, RigKind
+from armsight.records import Motion, spot_target
+from cell_records import Calibrated, arm_of, target_of, track_of
+
+Array = NDArray[np.float64]
+LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ours:
+    """What our calibration says: with what to measure; covariance (k, 3, 3) of the tip at the samples; each parameter's
+    error and claimed deviation by its kind; whether it raised an alarm, and its words."""
+
+    measured_with: Calibrated
+    covariance: Array
+    parameters: dict[str, list[tuple[float, float]]]
+    alarm: bool
+    words: str
+
+
+def true_parameters(world: Any, middle_s: tuple[float, float]) -> dict[str, float]:
+    """Return what is true of lenses, clocks and lights by name; delays at these stamps of the two cameras."""
+    out: dict[str, float] = {}
+    for name, camera, at_s in zip(("left", "right"), (world.truth.left, world.truth.right), middle_s, strict=True):
+        out |= {f"{name}.{key}": float(value) for key, value in zip(LENS, camera.intrinsics, strict=True)}
+        out[f"{name}.delay_s"] = camera.delay_s + 1e-6 * camera.drift_ppm * at_s
+        out |= {f"{name}.drift_ppm": camera.drift_ppm, f"{name}.readout_s": camera.readout_s}
+    for light, xyz in zip(world.target, world.truth.lights.tolist(), strict=True):
+        out |= {f"light:{light}.{axis}_m": value for axis, value in zip("xyz", xyz, strict=True)}
+    nominal = made_tables(world)
+    for i, (own, table) in enumerate(zip(world.truth.arm.rows.tolist(), nominal.tolist(), strict=True), 1):
+        out[f"j{i}.theta_rad"] = own[0] - table[0]
+    return out
+
+
+def made_tables(world: Any) -> Array:
+    """Return the nominal table (6, 5) of the arm that was recorded."""
+    keys = ("theta_rad", "d_m", "a_m", "alpha_rad")
+    return np.array([[*(joint[key] for key in keys), 0.0] for joint in world.nominal["joints"]])
+
+
+def camera_off(world: Any, side: str, T_base_camera: Array) -> Array:
+    """Return the error (6,) of a camera's place (4, 4): m, and a rotation vector in base axes."""
+    true = getattr(world.truth, side).T_base_camera
+    turn = Rotation.from_matrix(T_base_camera[:3, :3]) * Rotation.from_matrix(true[:3, :3]).inv()
+    return np.concatenate([T_base_camera[:3, 3] - true[:3, 3], turn.as_rotvec()])
+
+
+def parameters(world: Any, solved: Solved, covariance: Array) -> dict[str, list[tuple[float, float]]]:
+    """Return errors and claimed deviations by kind of parameter; of what cannot be told apart, nothing.
+
+    The delay of a camera whose stamps only come late is known but for how late they are in the mean, and left out.
+    """
+    model, x = solved.model, solved.fit.x
+    std = dict(zip(model.names, np.sqrt(np.diag(covariance)), strict=True))
+    value = dict(zip(model.names, x, strict=True))
+    out: dict[str, list[tuple[float, float]]] = {}
+    for name, true in true_parameters(world, model.recording.middle_s).items():
+        kind = name.rpartition(".")[2]
+        late = kind == "delay_s" and getattr(world.truth, name.partition(".")[0]).late
+        if std[name] > 0.0 and not late:
+            out.setdefault("light_m" if name.startswith("light") else kind, []).append((value[name] - true, std[name]))
+    for side, name in enumerate(("left", "right")):
+        off = camera_off(world, name, model.T_base_camera(x, side).as_matrix())
+        for key, error in zip(POSE, off, strict=True):
+            out.setdefault("camera_" + ("m" if key[0] == "t" else "rad"), []).append((error, std[f"{name}.{key}"]))
+    return out
+
+
+def ours(world: Any) -> Ours:
+    """Calibrate the cell from its one recording. Raises DataRefused."""
+    target = target_of(world)
+    recording = recording_of(
+        arm_of(world),
+        Motion(t_s=world.log_t_s, q=world.log_q),
+        [track_of(track) for track in (world.left, world.right)],
+        [track.size for track in (world.left, world.right)],
+    )
+    solved = solve_cell(recording, target, ArmTolerance())
+    model, x = solved.model, solved.fit.x
+    covariance = solved.fit.covariance(model)
+    order = [model.lights.index(name) for name in target.names]
+    lights = model.lights_m(x)[order]
+    nominal = target.xyz_m
+    T_flange_nominal = align_points(lights, nominal).T_a_b
+    T_base_rig = model.T_base_camera(x, 0)
+    rig = Rig(
+        kind=RigKind.STEREO,
+        left=model.camera(x, 0),
+        right=model.camera(x, 1),
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=T_base_rig.inv() * model.T_base_camera(x, 1),
+    )
+    known = spot_target(dict(zip(target.names, map(tuple, lights.tolist()), strict=True)))
+    sigma = [camera.noise_px for camera in (world.truth.left, world.truth.right)]
+    slopes = tip_slopes(model, x, world.truth.samples, T_flange_nominal, world.truth.tip_target_m, (sigma[0], sigma[1]))
+    return Ours(
+        measured_with=Calibrated(
+            rig=rig,
+            target=known,
+            T_base_rig=T_base_rig,
+            T_nominal=T_flange_nominal,
+            commanded=lambda q: model.flange(x, q),
+        ),
+        covariance=slopes.spread_m(slopes.measured, covariance),
+        parameters=parameters(world, solved, covariance),
+        alarm=False,
+        words="",
+    )
