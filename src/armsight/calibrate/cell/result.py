@@ -13,6 +13,9 @@ from armsight.calibrate.cell.checks import Suspicion
 from armsight.calibrate.cell.parts import CellParts
 from armsight.calibrate.cell.rounds import Solved
 from armsight.fields import Doc
+from armsight.kinematics import Arm
+from armsight.optics import Rig
+from armsight.records import Target
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
 
@@ -94,6 +97,21 @@ class CellCalibration(Output):
     tip: Annotated[TipDeviation, Doc("How well the tip is known in base axes over the recording's volume.")]
     notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
     advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
+
+    @property
+    def rig(self) -> Rig:
+        """Both cameras, with their timing."""
+        return self.parts.rig
+
+    @property
+    def target(self) -> Target:
+        """With its lights where they were found."""
+        return self.parts.target
+
+    @property
+    def arm(self) -> Arm:
+        """As it was found, the target its tool."""
+        return self.parts.arm
 
     @figure("Where the rig, its left camera, stands in base axes.")
     def T_base_rig(self) -> RigidTransform:
