@@ -27,7 +27,7 @@ from armsight.report.figures import (
     points_in_space,
     subplot,
 )
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
 from armsight.report.scene import camera_line, line, scene_axes
 from armsight.units import DEG, MM
 
@@ -105,7 +105,7 @@ def cell_report(
         page.plot(correlation_figure(done)),
     )
     if done.fixed:
-        page.add("Held as in the arm's file", "", f"<p>{', '.join(done.fixed)}</p>")
+        page.add("Held as in the arm's file", "", f"<p>{text(', '.join(done.fixed))}</p>")
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())
@@ -247,7 +247,7 @@ def information_figure(done: CellCalibration) -> Figure:
 def information_shares(done: CellCalibration) -> dict[str, Array]:
     """Return by part of the cell which share (b,) of what the recording tells of it stems from each stretch.
 
-    C A of the covariance and a stretch's information has the shares of the parameters on its diagonal.
+    The trace of the part's covariance times a stretch's information about it: never negative, as both are not.
     """
     model, found = done.solved.model, done.solved.fit
     free = set(found.places.tolist())
@@ -263,7 +263,7 @@ def information_shares(done: CellCalibration) -> dict[str, Array]:
     for name, rows in parts.items():
         own = [k for k in rows if k in free]
         if own:
-            share = np.einsum("gp,bpg->b", done.covariance[own], found.normals.A[:, :, own])
+            share = np.einsum("gh,bhg->b", done.covariance[np.ix_(own, own)], found.normals.A[:, own][:, :, own])
             out[name] = share / share.sum()
     return out
 
@@ -286,15 +286,15 @@ def _arm_table(done: CellCalibration, nominal: Arm) -> str:
 
 def _checks(done: CellCalibration) -> str:
     rows = [
-        ["target's size by the arm's lengths, over its file's", _ratio(done), "1 within three deviations"],
+        ["target's size, arm's lengths over its file", _ratio(done), "1 within three deviations"],
         [
             "arm strays from its readings by",
             f"{figure_of(done.straying.std_rad / DEG, '°', digits=2)}, for {done.straying.time_s:.0f} s",
             "taken into account in all deviations",
         ],
         ["spots of no light", f"{done.n_left_out}", "lamps, reflections, two lights that touch"],
-        ["left camera's stamps to the robot's time", f"+ {figure_of(done.delay_s.left, 's', digits=6)}", "found"],
-        ["right camera's stamps to the robot's time", f"+ {figure_of(done.delay_s.right, 's', digits=6)}", "found"],
+        ["left stamps to robot's time", f"{done.delay_s.left:+.5f} s", "in the middle of the recording"],
+        ["right stamps to robot's time", f"{done.delay_s.right:+.5f} s", "in the middle of the recording"],
     ]
     rows += [
         [f"{one.told}?", "no", f"{100.0 * one.evidence:.0f} % of the evidence that would be an alarm"]
@@ -328,7 +328,7 @@ def correlation_figure(done: CellCalibration) -> Figure:
     R = C / np.outer(size, size) - np.eye(len(at))
     chosen = np.sort(np.argsort(-np.abs(R).max(axis=1))[:STRONGEST])
     R = R[np.ix_(chosen, chosen)] + np.eye(len(chosen))
-    names = [done.learned[k].name for k in chosen]
+    names = [text(done.learned[k].name) for k in chosen]
     row, column = (part.ravel() for part in np.indices(R.shape))
     values = R.ravel()
     bar = {"title": {"text": ""}, "thickness": 12, "tickvals": [-1, 0, 1]}
