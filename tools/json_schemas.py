@@ -55,6 +55,7 @@ from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.cameras import StereoCalibration
+from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetCalibration
 from armsight.calibrate.timing import TimingCalibration
@@ -80,6 +81,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetCalibration,
     "calibrate-timing": TimingCalibration,
+    "calibrate-cell": CellCalibration,
     "calibrate-handeye": HandEye,
     "calibrate-tooltip": TipCalibration,
     "calibrate-pivot": PivotOutput,

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from armsight.api.cameras import calibrate_camera as calibrate_camera
     from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
     from armsight.api.cameras import calibrate_stereo as calibrate_stereo
+    from armsight.api.cell import CellResult as CellResult
+    from armsight.api.cell import calibrate_cell as calibrate_cell
     from armsight.api.convert import convert as convert
     from armsight.api.convert import cut_recording as cut_recording
     from armsight.api.convert import export_recording as export_recording
@@ -184,6 +186,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.design": ("design",),
     "armsight.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
+    "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
         "NoiseResult",
         "TargetResult",

@@ -34,6 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "calibrate robot-world": "calibrate_robot_world",
     "calibrate target": "calibrate_target",
     "calibrate timing": "calibrate_timing",
+    "calibrate cell": "calibrate_cell",
     "convert recording": "export_recording",
     "convert camera": "convert",
     "convert rig": "convert",

@@ -40,6 +40,7 @@ OUTPUTS: Mapping[str, str] = {
     "calibrate robot-world": "world.yaml",
     "calibrate target": "target.yaml",
     "calibrate timing": "rig.yaml",
+    "calibrate cell": "",
     "kinematics fk": "poses.csv",
     "kinematics ik": "solutions.csv",
     "kinematics jacobian": "jacobian.csv",

@@ -37,7 +37,8 @@ WORLD = ("scenario.yaml", "rig.yaml", "target.yaml", "truth.csv", "times.csv")
 ARM = ("arm.yaml", "arm_true.yaml", "truth_world.csv", "joints.csv", "sweep_joints.csv", "handeye.yaml", "world.yaml")
 SET_TABLES = ("robot_poses.csv", "pairs.csv", "robot.csv", "flange.csv", "points.csv", "holdout.csv", "observed.csv")
 SET_FILES = ("photos", "complex", "lights", "camera.yaml", "rig_true.yaml", "arm_tool.yaml", "places_true.yaml")
-SETS = (*SET_TABLES, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
+CELL_SET = ("left.csv", "right.csv", "cell_true.yaml")
+SETS = (*SET_TABLES, *CELL_SET, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
 VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.csv")
 
 WRITTEN = {"out", "record", "log"}

@@ -12,6 +12,7 @@ from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
     batch,
     calibrate_cameras,
+    calibrate_cell,
     calibrate_robot,
     convert,
     design,
@@ -37,6 +38,7 @@ __all__ = [
     "app",
     "batch",
     "calibrate_cameras",
+    "calibrate_cell",
     "calibrate_robot",
     "convert",
     "design",

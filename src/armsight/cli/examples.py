@@ -128,6 +128,12 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight calibrate target --rig rig.yaml --left frames/left --right frames/right --lights 3 -o target.yaml",
     ),
     "calibrate timing": (f"armsight calibrate timing --left camera:0 --right camera:1 {RIG} -o rig-timed.yaml",),
+    "calibrate cell": (
+        "armsight calibrate cell --robot-log joints.csv --left left.mp4 --right right.mp4 --target target.yaml "
+        "--model ur10e --tip 0,0,0.12 -o cell",
+        "armsight calibrate cell --robot-log joints.csv --left-spots left.csv --right-spots right.csv --size 1280x720 "
+        "--target target.yaml --model arm.yaml -o cell",
+    ),
     "convert recording": (
         "armsight convert recording recording.mcap -o frames",
         "armsight convert recording recording.mcap --to rosbag2 -o bag",

@@ -297,6 +297,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
     "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
     "calibrate_timing": (armsight.calibrate_timing, PAIR),
+    "calibrate_cell": (armsight.calibrate_cell, {"robot_log": (np.arange(12.0), QS), "target": TARGET, "model": ARM}),
     "calibrate_noise": (armsight.calibrate_noise, {"frames": [LEFT]}),
     "calibrate_zoom_rig": (armsight.calibrate_zoom_rig, {"rig": RIG}),
     "check_mirrors": (armsight.check_mirrors, {"image": [LEFT], "board": BOARD}),

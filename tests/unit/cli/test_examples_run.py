@@ -33,6 +33,7 @@ NOT_HERE = {
     "twin": "serves until Ctrl-C: tests/contracts run it",
     "console": "serves until Ctrl-C: tests/browser runs it",
     "calibrate timing": "two cameras before which a target is waved: tests/unit/cli/test_timing.py draws their spots",
+    "calibrate cell --robot-log joints.csv --left left.mp4": "videos of a moving arm: tests/unit/cli/test_cell.py",
     "rsi:": "a robot's controller",
     "gamepad": "a gamepad",
 }
@@ -74,6 +75,7 @@ FROM = {
     "calibrate mirrors": "mirrors",
     "calibrate handeye": "handeye",
     "calibrate arm": "arm-points",
+    "calibrate cell": "cell",
     "calibrate robot-world": "robot-world",
     "calibrate pivot": "pivot",
     "calibrate tooltip": "pivot",
@@ -104,6 +106,7 @@ def given(tmp_path_factory: pytest.TempPathFactory, boards, mirror_boards) -> Pa
         "kapucu2005-rrp": 2,
         "handeye": 8,
         "arm-points": 40,
+        "cell": 700,
         "pivot": 16,
     }
     with pytest.MonkeyPatch.context() as patch:

@@ -9,24 +9,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
 from armsight.app.requests.calibrate_cameras import TimingJob
-from armsight.app.sources.frames import camera_source
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
 from armsight.drivers import is_live
-from armsight.errors import Cancelled, UsageError
-from armsight.measure.poses.beacon import without_standing
+from armsight.errors import UsageError
 from armsight.measure.poses.pipeline import check_size
-from armsight.measure.settings import SpotSettings
-from armsight.measure.spots import find_spots
 from armsight.optics import SIDES, Rig
-from armsight.records import Progress, Silent, Spots, SpotTrack, Target
+from armsight.records import Progress, Silent, SpotTrack, Target
 from armsight.store import read_rig, read_spot_track, read_target, write_rig
 
 Array = NDArray[np.float64]
-
-LIVE_S = 20.0
-"""For how long live cameras are watched where --frames says nothing."""
 
 
 def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingCalibration:
@@ -106,35 +100,15 @@ def _waved(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, Spo
 def _seen(
     job: TimingJob, rig: Rig, side: str, text: str, progress: Progress, origin_s: float | None = None
 ) -> SpotTrack:
-    """Return the spots of one camera's frames, those that stand still left out; of a live one those of LIVE_S."""
-    settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
-    stamps, found = [], []
-    with camera_source(
-        text, side, fps=job.fps, origin_of=job.left, origin_s=origin_s, settings=job.camera_settings
-    ) as source:
-        for frame in source:
-            check_size(rig, side, frame, "No timing is given")
-            stamps.append(frame.t_s)
-            found.append(find_spots(frame.image, settings))
-            progress.update(len(found), source.total or 0, f"looking for lights, {side}")
-            if progress.cancelled():
-                raise Cancelled(f"stopped after {len(found)} frames", consequence="Nothing was written")
-            if len(found) >= job.limit if job.limit is not None else source.total is None and _over(stamps):
-                break
-    return spot_track(np.array(stamps), without_standing(found))
-
-
-def _over(stamps_s: Sequence[float]) -> bool:
-    return stamps_s[-1] - stamps_s[0] > LIVE_S
-
-
-def spot_track(stamps_s: Array, found: list[Spots]) -> SpotTrack:
-    """Return the spots of frames without names."""
-    counts = [len(spots) for spots in found]
-    return SpotTrack(
-        t_s=stamps_s,
-        frame=np.repeat(np.arange(len(found)), counts),
-        names=("",) * sum(counts),
-        uv_px=np.concatenate([spots.uv_px for spots in found]) if found else np.empty((0, 2)),
-        covariance_px2=np.concatenate([spots.covariance_px2 for spots in found]) if found else np.empty((0, 2, 2)),
+    search = SpotSearch(
+        threshold=job.threshold,
+        inverted=job.inverted,
+        fps=job.fps,
+        limit=job.limit,
+        origin_of=job.left,
+        origin_s=origin_s,
+        settings=job.camera_settings,
+    )
+    return spots_of_frames(
+        search, side, text, progress, lambda frame: check_size(rig, side, frame, "No timing is given")
     )

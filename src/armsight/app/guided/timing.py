@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from armsight.app.calibrate.timing import LIVE_S, calibrate_cameras_timing
+from armsight.app.calibrate.spots_of_frames import LIVE_S
+from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import TimingJob

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from armsight.app.history.figures import AXES, TURNS, Content, unit_of
@@ -31,10 +31,12 @@ class Parameters:
 
 def parameters_of(result: Content, arm: Arm | None) -> Parameters:
     """Return what a result says, as its JSON object holds it; arm: the one that was calibrated, where one was."""
-    if arm is not None:
-        return of_arm(arm)
-    found = [*_scalars(result), *_tip(result), *_joints(result)]
+    found = [*_scalars(result), *_tip(result)]
     poses = tuple(_poses(result))
+    if arm is not None:
+        own = of_arm(arm)
+        return replace(own, quantities=(*own.quantities, *found), poses=poses)
+    found += _joints(result)
     kinds = [str(one.get("type", "")) for one in _rows(result)]
     joints = "".join(kind[:1].upper() for kind in kinds) if all(kinds) else "?" * len(kinds)
     return Parameters(quantities=tuple(found), poses=poses, joints=joints)
@@ -75,7 +77,7 @@ def _scalars(result: Content) -> Iterator[Quantity]:
     if not isinstance(stds, Mapping):
         return
     if "baseline_m" in result:
-        yield _quantity("baseline_m", result["baseline_m"], stds.get("baseline_m"))
+        yield _quantity("baseline_m", result["baseline_m"], stds.get("baseline_m", result.get("baseline_std_m")))
     for key in CAMERA:
         if key in result:
             yield _quantity(f"camera.{key}", result[key], stds.get(key))

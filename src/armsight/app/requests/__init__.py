@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from armsight.app.requests import batch as batch
     from armsight.app.requests import calibrate_cameras as calibrate_cameras
+    from armsight.app.requests import calibrate_cell as calibrate_cell
     from armsight.app.requests import calibrate_robot as calibrate_robot
     from armsight.app.requests import files as files
     from armsight.app.requests import history as history
@@ -23,6 +24,7 @@ else:
     _MODULES = (
         "batch",
         "calibrate_cameras",
+        "calibrate_cell",
         "calibrate_robot",
         "files",
         "history",

@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.calibrate.cell.checks import Suspicion
 from armsight.calibrate.cell.parts import CellParts
 from armsight.calibrate.cell.rounds import Solved
 from armsight.fields import Doc
+from armsight.kinematics import Arm
+from armsight.optics import Rig
+from armsight.records import Target
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import BothPixels, BothSeconds
+from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
 
 Array = NDArray[np.float64]
 
@@ -95,9 +99,39 @@ class CellCalibration(Output):
     advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
 
     @property
+    def rig(self) -> Rig:
+        """Both cameras, with their timing."""
+        return self.parts.rig
+
+    @property
+    def target(self) -> Target:
+        """With its lights where they were found."""
+        return self.parts.target
+
+    @property
+    def arm(self) -> Arm:
+        """As it was found, the target its tool."""
+        return self.parts.arm
+
+    @figure("Where the rig, its left camera, stands in base axes.")
     def T_base_rig(self) -> RigidTransform:
-        """Where the rig, its left camera, stands to the base."""
         return self.parts.T_base_rig
+
+    @figure("Standard deviations of T_base_rig.")
+    def std(self) -> PoseStd:
+        return PoseStd(**self.parts.base_covariance.std())
+
+    @figure("The target on the flange.")
+    def T_flange_target(self) -> RigidTransform:
+        return self.parts.T_flange_target
+
+    @figure("From camera to camera, m.")
+    def baseline_m(self) -> float:
+        return self.parts.rig.baseline_m
+
+    @figure("Standard deviation of the baseline, m.")
+    def baseline_std_m(self) -> float:
+        return baseline_std(self.parts.rig)
 
     @figure("Parameters of which the recording says nothing beyond what was known.")
     def unlearned(self) -> tuple[str, ...]:
@@ -107,7 +141,3 @@ class CellCalibration(Output):
     def verdict(self) -> str:
         known = f"the tip to {1e3 * self.tip.measured_m:.2g} mm, {1e3 * self.tip.measured_worst_m:.2g} mm at worst"
         return f"weak: {known}" if self.tip.measured_worst_m > COARSE_M else f"good: {known}"
-
-    def std(self) -> dict[str, float]:
-        """Return the standard deviations of all fitted parameters."""
-        return {one.name: one.std for one in self.learned}

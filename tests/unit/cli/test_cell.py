@@ -1,0 +1,221 @@
+"""armsight calibrate cell: from one recording's files to a cell's, to its report and into the history; what it refuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.app.history.parameters import parameters_of
+from armsight.app.simulate.run import simulate
+from armsight.records import Frame, JointReading
+from armsight.store import read_rig, read_target, read_world
+from armsight.store.arm_file import read_arm
+from armsight.store.recording import RecordingWriter
+
+Run = Callable[..., Any]
+WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html"}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cell")
+    simulate("cell", folder, frames=700)
+    return folder
+
+
+def words(folder: Path, out: Path, **other: object) -> list[object]:
+    """The command's words; other: flags with other values, None leaves one out."""
+    flags: dict[str, object] = {
+        "robot-log": folder / "joints.csv",
+        "left-spots": folder / "left.csv",
+        "right-spots": folder / "right.csv",
+        "size": "1280x720",
+        "target": folder / "target.yaml",
+        "model": folder / "arm.yaml",
+        "tip": "0,0,80mm",
+    }
+    flags |= {name.replace("_", "-"): value for name, value in other.items()}
+    given = [part for name, value in flags.items() if value is not None for part in (f"--{name}", value)]
+    return ["calibrate", "cell", *given, "-o", out]
+
+
+@pytest.fixture(scope="module")
+def done(made: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    from typer.testing import CliRunner
+
+    from armsight.cli.commands import app
+
+    out = tmp_path_factory.mktemp("out") / "cell"
+    ran = CliRunner().invoke(app, [*map(str, words(made, out)), "--json"])
+    assert ran.exit_code == 0, ran.stderr
+    return out, json.loads(ran.stdout)
+
+
+def test_the_cells_files_are_written_and_say_the_same(done: tuple[Path, Any]) -> None:
+    out, got = done
+    assert {file.name for file in out.iterdir()} == WRITTEN
+    assert json.loads((out / "cell.json").read_text()) == got
+    rig, world = read_rig(out / "rig.yaml"), read_world(out / "world.yaml")
+    assert rig.baseline_m == pytest.approx(got["baseline_m"])
+    assert all(timing is not None for timing in rig.timing)
+    assert world.parent == "base"
+    assert world.T_parent_rig.translation.tolist() == pytest.approx(got["T_base_rig"]["xyz_m"])
+    assert world.covariance is not None
+    assert world.covariance.std()["x_m"] == pytest.approx(got["std"]["x_m"])
+    arm, target = read_arm(out / "arm.yaml"), read_target(out / "target.yaml")
+    assert arm.covariance is not None
+    assert target.covariance is not None
+    assert arm.T_flange_tool.translation.tolist() == pytest.approx(got["T_flange_target"]["xyz_m"])
+    assert [point.name for point in arm.tool_points] == list(target.names)
+
+
+def test_what_was_found_is_within_what_is_claimed(made: Path, done: tuple[Path, Any]) -> None:
+    out, got = done
+    true, found = read_arm(made / "arm_true.yaml"), read_arm(out / "arm.yaml")
+    q = np.loadtxt(made / "joints.csv", delimiter=",", skiprows=1)[::200, 1:]
+    # where the target is, not how it is turned: the last joint's zero goes into its turn
+    off = np.linalg.norm((true.fk(q) - found.fk(q))[:, :3, 3], axis=1)
+    assert off.max() < 3.0 * got["tip"]["commanded_worst_m"]
+    assert 0.0 < got["tip"]["measured_m"] < 2e-3
+    assert got["verdict"].startswith("good")
+    learned = {one["name"]: one for one in got["learned"]}
+    assert learned["j3.theta_rad"]["bits"] > 2.0
+    zero = true.joints[2].theta_rad - read_arm(made / "arm.yaml").joints[2].theta_rad
+    assert abs(learned["j3.theta_rad"]["value"] - zero) < 4.0 * learned["j3.theta_rad"]["std"]
+
+
+def test_the_report_says_what_it_is_worth_and_from_what(done: tuple[Path, Any]) -> None:
+    out, got = done
+    page = (out / "report.html").read_text()
+    for heading in (
+        "How well the tip is known",
+        "Residuals over time",
+        "The arm before and after",
+        "What decided what",
+    ):
+        assert heading in page
+    assert got["verdict"].removeprefix("good: the ") in page
+    assert all(gauge.split(":")[0] in page for gauge in got["gauges"])
+    assert "joints.csv" in page
+
+
+def test_the_history_sees_zeros_baseline_and_place(done: tuple[Path, Any]) -> None:
+    out, got = done
+    found = parameters_of(got, read_arm(out / "arm.yaml"))
+    by_name = {one.name: one for one in found.quantities}
+    assert by_name["baseline_m"].std == pytest.approx(got["baseline_std_m"])
+    assert by_name["joint3.theta_rad"].std is not None
+    assert [pose.name for pose in found.poses] == ["world"]
+
+
+def recording(folder: Path, path: Path, every: int = 3) -> None:
+    """Write the cell's spots as drawn frames, every so many, and its joints, into one recording."""
+    with RecordingWriter(path) as writer:
+        log = np.loadtxt(folder / "joints.csv", delimiter=",", skiprows=1)
+        entries: list[tuple[float, str, Any]] = [(row[0], "joints", row[1:]) for row in log]
+        for side in ("left", "right"):
+            rows = np.loadtxt(folder / f"{side}.csv", delimiter=",", skiprows=1)
+            stamps = np.unique(rows[:, 0])[::every]
+            entries += [(float(t), side, rows[rows[:, 0] == t, 1:3]) for t in stamps]
+        for number, (t, kind, value) in enumerate(sorted(entries, key=lambda one: one[0])):
+            if kind == "joints":
+                writer.joints(JointReading(q=value, t_s=t, sequence=number, source="log"))
+            else:
+                writer.frame(kind, Frame(image=draw(value), t_s=t, sequence=number, source=kind))
+
+
+def draw(uv: np.ndarray) -> np.ndarray:
+    image = np.zeros((720, 1280))
+    for u, v in uv:
+        c, r = int(u), int(v)
+        rows, columns = np.arange(max(r - 7, 0), min(r + 8, 720)), np.arange(max(c - 7, 0), min(c + 8, 1280))
+        spot = np.exp(-((rows[:, None] - v) ** 2 + (columns - u) ** 2) / (2.0 * 1.8**2))
+        image[np.ix_(rows, columns)] += 180.0 * spot
+    return np.clip(np.rint(image + 8.0), 0, 255).astype(np.uint8)
+
+
+def test_one_recording_holds_pictures_and_joints(armsight: Run, made: Path, tmp_path: Path) -> None:
+    recording(made, tmp_path / "all.mcap")
+    frames = {"left": tmp_path / "all.mcap", "right": tmp_path / "all.mcap", "left_spots": None, "right_spots": None}
+    ran = armsight(*words(made, tmp_path / "cell", robot_log=tmp_path / "all.mcap", size=None, **frames))
+    assert ran.code == 0, ran.text
+    assert ran.json["tip"]["measured_m"] < 2e-3
+
+
+NO_SPOTS = {"left_spots": None, "right_spots": None}
+WRONG: dict[str, tuple[dict[str, object], tuple[str, ...], int]] = {
+    "no frames": (NO_SPOTS, ("which frames", "--left-spots"), 2),
+    "one table": ({"right_spots": None}, ("which frames",), 2),
+    "live": (NO_SPOTS | {"left": "camera:0", "right": "camera:1"}, ("live", "armsight record"), 2),
+    "no size": ({"size": None}, ("--size", "1280x720"), 2),
+    "small size": ({"size": "640x480"}, ("left.csv", "640x480", "--size"), 3),
+    "no size at all": ({"size": "wide"}, ("wide",), 2),
+    "no tip": ({"tip": "here"}, ("here", "X,Y,Z"), 2),
+    "no such compliance": ({"compliance": "some"}, ("some", "auto"), 2),
+    "another arm": ({"model": "kapucu2005"}, ("kapucu2005",), 2),
+    "an arm of 7 joints": ({"model": "iiwa14"}, ("6 joints", "has 7"), 3),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_call_is_refused(armsight: Run, made: Path, tmp_path: Path, name: str) -> None:
+    other, says, code = WRONG[name]
+    ran = armsight(*words(made, tmp_path / "cell", **other))
+    assert ran.code == code, ran.text
+    assert all(part in ran.text for part in says), ran.text
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
+def test_a_short_log_is_refused_and_nothing_is_written(armsight: Run, made: Path, tmp_path: Path) -> None:
+    lines = (made / "joints.csv").read_text().splitlines()
+    (tmp_path / "short.csv").write_text("\n".join(lines[:1500]) + "\n")
+    ran = armsight(*words(made, tmp_path / "cell", robot_log=tmp_path / "short.csv"))
+    assert ran.code == 3
+    for part in ("12.0 s", "so little", "Record one to two minutes"):
+        assert part in ran.text, ran.text
+    assert not (tmp_path / "cell").exists()
+
+
+def test_degrees_are_told(armsight: Run, made: Path, tmp_path: Path) -> None:
+    log = np.loadtxt(made / "joints.csv", delimiter=",", skiprows=1)
+    log[:, 1:] = np.rad2deg(log[:, 1:])
+    header = (made / "joints.csv").read_text().splitlines()[0]
+    np.savetxt(tmp_path / "deg.csv", log, delimiter=",", header=header, comments="")
+    ran = armsight(*words(made, tmp_path / "cell", robot_log=tmp_path / "deg.csv"))
+    assert ran.code == 3
+    assert "deg" in ran.text
+
+
+@pytest.mark.parametrize("name", ["arm.yaml", "target.yaml"])
+def test_inputs_are_never_written_over(armsight: Run, made: Path, tmp_path: Path, name: str) -> None:
+    kept = (made / name).read_bytes()
+    ran = armsight(*words(made, made), "--overwrite")
+    assert ran.code == 2
+    assert name in ran.text or "target.yaml" in ran.text
+    assert (made / name).read_bytes() == kept
+
+
+def test_results_of_another_run_stay(armsight: Run, made: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text("mine")
+    ran = armsight(*words(made, tmp_path))
+    assert ran.code == 2
+    assert "--overwrite" in ran.text
+    assert (tmp_path / "rig.yaml").read_text() == "mine"
+
+
+def test_frames_of_two_sizes_are_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for i, shape in enumerate(((40, 60), (40, 60), (30, 60))):
+            cv2.imwrite(str(tmp_path / side / f"{i}.png"), np.zeros(shape, np.uint8))
+    frames = {"left": tmp_path / "left", "right": tmp_path / "right", "fps": 30}
+    ran = armsight(*words(made, tmp_path / "cell", **NO_SPOTS, **frames))
+    assert ran.code == 3
+    assert "60x30" in ran.text
+    assert "60x40" in ran.text
