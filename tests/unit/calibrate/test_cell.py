@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -177,3 +179,19 @@ def test_lights_that_pass_each_other_are_not_mixed_up():
     assert ways
     for rows in ways:
         assert len(set((rows % 2).tolist())) == 1
+
+
+def test_the_lights_are_on_the_flange_whatever_tool_the_arms_file_has(cell):
+    model, x = cell
+    armed = replace(preset("ur5e"), T_flange_tool=RigidTransform.from_components([0.0, 0.1, 0.2], Rotation.identity()))
+    track = SpotTrack(
+        t_s=np.arange(0.0, 30.0, 1.0 / 30.0),
+        frame=np.zeros(0, np.intp),
+        names=(),
+        uv_px=np.zeros((0, 2)),
+        covariance_px2=np.zeros((0, 2, 2)),
+    )
+    log_s = np.arange(0.0, 32.0, 0.008)
+    other = recording_of(armed, Motion(t_s=log_s, q=moving(log_s)), (track, track), (SIZE, SIZE))
+    q = moving(np.array([3.0, 7.0]))
+    np.testing.assert_allclose(fk(other.arm, q), model.flange(x, q), atol=1e-12)

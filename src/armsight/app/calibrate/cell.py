@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
+from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
 from armsight.app.requests.calibrate_cell import CellJob
 from armsight.app.requests.shared import point_of
@@ -58,6 +59,7 @@ def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCa
         tip_m=tip,
         tolerance=ArmTolerance(length_m=job.tolerance_m, zero_rad=job.tolerance_rad, angle_rad=job.tolerance_rad),
         compliance=job.compliance,
+        priors=read_priors(job.prior or (), sizes),
     )
     done = calibrate_cell(arm, joints, tracks, target, sizes=sizes, options=options, progress=progress)
     _write(job, done)
@@ -66,7 +68,7 @@ def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCa
 
 def _write(job: CellJob, done: CellCalibration) -> None:
     parts, out = done.parts, job.out
-    given = (job.robot_log, job.target, job.left_spots, job.right_spots)
+    given = (job.robot_log, job.target, job.left_spots, job.right_spots, *(job.prior or ()))
     inputs = [path for path in given if path is not None]
     files = [("arm", job.model), ("target", str(job.target)), ("robot's log", str(job.robot_log))]
     files += [
@@ -107,7 +109,8 @@ def _check(job: CellJob) -> None:
             consequence="Nothing is calibrated",
             cure="Add --size 1280x720, and --right-size where the right camera's is another",
         )
-    given = (arm_file(job.model), job.target, job.robot_log, *tables, Path(job.tool) if _is_file(job.tool) else None)
+    tip = Path(job.tool) if _is_file(job.tool) else None
+    given = (arm_file(job.model), job.target, job.robot_log, *tables, *(job.prior or ()), tip)
     read = {real_path(path) for path in given if path is not None}
     for name in WRITTEN:
         if real_path(job.out / name) in read:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from armsight.app.requests.shared import (
     A_SRC,
@@ -23,9 +23,6 @@ from armsight.app.requests.shared import (
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM
-
-if TYPE_CHECKING:
-    pass
 
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px]"
 COMPLIANCE = {"auto": None, "on": True, "off": False}
@@ -69,6 +66,11 @@ class CellJob:
     tolerance_rad: Annotated[
         float, Doc("Standard deviation of nominal zeros and angles."), Bounds(least=1e-6), Flag(unit=DEG, default=1.72)
     ] = 0.03
+    prior: Annotated[
+        list[Path] | None,
+        Doc("rig.yaml, world.yaml or handeye.yaml of earlier calibrations, to count with their covariance; repeated."),
+        Flag(metavar="FILE"),
+    ] = None
     compliance: Annotated[
         bool | None,
         Doc("Whether joints give way under the arm's weight: auto, on or off."),

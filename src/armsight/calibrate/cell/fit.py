@@ -254,9 +254,11 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
     arm = [k for k, at in enumerate(free) if model.arm_at <= at < model.lights_at]
     names = [model.names[free[k]] for k in arm]
     classes: dict[str, list[int]] = {key: [] for key in LEAST}
+    measured = model.recording.arm.covariance
+    told_before = () if measured is None else measured.names  # by an earlier calibration, not by a class's tolerance
     for k, name in zip(arm, names, strict=True):
         key = tolerance.kind(name)
-        if key in classes:
+        if key in classes and name not in told_before:
             classes[key].append(k)
     before = np.diag(found.known.information)[free]
     off = (found.x - found.known.x)[free]

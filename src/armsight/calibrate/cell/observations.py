@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.timing.stamps import SteadyStamps, steady
 from armsight.errors import Inconsistent, NotEnoughData
@@ -126,9 +127,10 @@ def recording_of(
         )
     left, right = parts
     spots = Spots(**{name: np.concatenate([getattr(left, name), getattr(right, name)]) for name in Spots.__slots__})
-    return CellRecording(
-        arm=arm.based(), log=JointLog.of(motion), spots=spots, clocks=clocks, sizes=(sizes[0], sizes[1])
-    )
+    # what is seen is placed on the flange: a tool that the arm's file has stands between it and the lights
+    bare = replace(arm.based(), T_flange_tool=RigidTransform.identity())
+    driven = Motion(t_s=motion.t_s, q=motion.q @ arm.gearing.T)
+    return CellRecording(arm=bare, log=JointLog.of(driven), spots=spots, clocks=clocks, sizes=(sizes[0], sizes[1]))
 
 
 def robot_time(stamp_s: Array, line: Array, clock: Array, middle_s: float) -> Array:
