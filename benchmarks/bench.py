@@ -58,6 +58,6 @@ def test_scene(name: str) -> ModuleType:
         raise SystemExit(f"no {path}")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    sys.path.append(str(path.parents[1]))  # what the tests share
+    sys.path += [str(path.parents[1]), str(path.parent)]  # what the tests share
     spec.loader.exec_module(module)
     return module

@@ -1,0 +1,235 @@
+"""A cell calibrated from one recording, beside today's chain of single calibrations on as many pictures.
+
+    python benchmarks/cell.py [--cells 100] [--first SEED] [--faults N] [--good N] [--moving] [--quick]
+
+Cells are drawn in tests/truth/cell_world.py: arm, target, two free-running webcams, two minutes. Error: the true lights
+are seen without noise at joints over the work volume, the target's pose is measured with what was calibrated, and the
+tip goes to base axes: its distance to the true tip, RMS. The chain has 60 pairs of a board, and 30 pictures of each of
+118 rests of the arm, all without clutter; --moving: the chain from a recording in motion as well. --faults: so
+many cells with one planted fault each; --good: so many without, which must raise no alarm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import ArmsightError
+from bench import machine, table, test_scene
+from cell_chain import chain
+from cell_chain_moving import chain_moving
+from cell_ours import Ours, ours
+from cell_records import Calibrated, tip_errors
+
+made = test_scene("cell_world")
+
+Array = NDArray[np.float64]
+CHI2_3, NORMAL = 7.815, 1.96
+WRONG = 3.0
+"""Errors so many times the claimed 95 % are wrong."""
+MM = 1e-3
+OURS, AT_RESTS, BY_HAND_EYE, MOVING = "one recording", "chain at rests", "chain at rests, hand-eye", "chain in motion"
+CAUSES = {
+    "slipping_target": ("target",),
+    "touched_camera": ("camera",),
+    "clock_jump": ("clock", "stamps"),
+    "elastic_arm": ("give way", "gives way", "sag", "complian"),
+    "wrong_arm": ("arm",),
+    "degrees": ("degree",),
+    "mirrored": ("mirror",),
+    "other_day": ("log", "recording"),
+    "wrong_target": ("target", "shape"),
+    "joint_zero_jump": ("joint", "encoder", "zero"),
+    "dark_frames": ("dark", "few", "light"),
+    "still_joint": ("still", "did not move", "joint"),
+    "one_camera_blind": ("camera", "light"),
+}
+"""Words of which one tells each fault's cause."""
+
+
+@dataclass(kw_only=True)
+class Tally:
+    """Tip errors (RMS, m) by seed, refusals with their reasons, seconds."""
+
+    rms_m: dict[int, float] = field(default_factory=dict)
+    refused: dict[int, str] = field(default_factory=dict)
+    seconds: list[float] = field(default_factory=list)
+
+    def take(self, seed: int, run: Callable[[], Calibrated], world: Any) -> Array | None:
+        """Run one calibration and hold its tip errors; return them, None where it refused."""
+        begin = time.perf_counter()
+        try:
+            found = run()
+        except ArmsightError as error:
+            self.refused[seed] = str(error)
+            return None
+        self.seconds.append(time.perf_counter() - begin)
+        errors, lost = tip_errors(world, found)
+        if lost > len(errors):
+            self.refused[seed] = "most poses are lost with what was calibrated"
+            return None
+        self.rms_m[seed] = float(np.sqrt((errors**2).sum(axis=1).mean()))
+        return errors
+
+    def row(self, name: str, ours: Tally) -> list[object]:
+        """Median, 95 % and largest error in mm; median and 95 % of ours over it, of cells that both calibrate."""
+        rms = np.array(list(self.rms_m.values())) / MM
+        ratio = [ours.rms_m[seed] / value for seed, value in self.rms_m.items() if seed in ours.rms_m]
+        if not len(rms):
+            return [name, "-", "-", "-", "-", "-", len(self.refused), "-"]
+        figures = [float(np.median(rms)), float(np.percentile(rms, 95)), float(rms.max())]
+        both = [float(np.median(ratio)), float(np.percentile(ratio, 95))] if ratio and ours is not self else ["-", "-"]
+        return [name, *figures, *both, len(self.refused), float(np.median(self.seconds))]
+
+
+HEAD = ["", "tip off by, mm, median", "95 %", "largest", "ours over it, median", "95 %", "refused", "s, median"]
+
+
+@dataclass(kw_only=True)
+class Claims:
+    """What ours claims against the truth: squared Mahalanobis distances of tips, errors over deviations by kind of
+    parameter, seeds that are wrong and called good, and those with an alarm."""
+
+    tip: list[float] = field(default_factory=list)
+    kinds: dict[str, list[float]] = field(default_factory=dict)
+    wrong: list[int] = field(default_factory=list)
+    alarms: dict[int, str] = field(default_factory=dict)
+
+    def take(self, seed: int, found: Ours, errors: Array) -> None:
+        """Hold one calibration's claims."""
+        q = np.einsum("ni,ni->n", errors, np.linalg.solve(found.covariance, errors[..., None])[..., 0])
+        self.tip += q.tolist()
+        for kind, values in found.parameters.items():
+            self.kinds.setdefault(kind, []).extend(error / std for error, std in values if std > 0.0)
+        claimed = np.sqrt(CHI2_3 / 3.0 * np.trace(found.covariance, axis1=1, axis2=2).mean())
+        if found.alarm:
+            self.alarms[seed] = found.words
+        elif np.sqrt((errors**2).sum(axis=1).mean()) > WRONG * claimed:
+            self.wrong.append(seed)
+
+    def print(self) -> None:
+        """Print the tables."""
+        rows = [["tip, place", len(self.tip), 100.0 * float(np.mean(np.array(self.tip) < CHI2_3)), "-"]]
+        for kind, values in sorted(self.kinds.items()):
+            z = np.abs(values)
+            rows.append([kind, len(z), 100.0 * float(np.mean(z < NORMAL)), float(np.sqrt(np.mean(z**2)))])
+        table("What is claimed", ["", "values", "inside 95 %, %", "error over deviation, RMS"], rows)
+        print(f"\nwrong and called good: {len(self.wrong)} {self.wrong}; alarms: {len(self.alarms)}")
+        for seed, words in self.alarms.items():
+            print(f"  {seed}: {words[:300]}")
+
+
+def cells(first: int, count: int, *, moving: bool, chains: bool) -> None:
+    """Print the table of calibrations side by side, and what ours claims."""
+    tallies = {name: Tally() for name in (OURS, AT_RESTS, BY_HAND_EYE, MOVING)}
+    claims = Claims()
+    for seed in range(first, first + count):
+        world, kept = made.make_cell(seed), {}
+
+        def one(world: Any = world, kept: dict[str, Any] = kept) -> Calibrated:
+            kept["ours"] = ours(world)
+            return kept["ours"].measured_with
+
+        errors = tallies[OURS].take(seed, one, world)
+        if errors is not None:
+            claims.take(seed, kept["ours"], errors)
+
+        def by_arm(world: Any = world, kept: dict[str, Any] = kept) -> Calibrated:
+            kept["chain"] = chain(world, made)
+            return kept["chain"].by_arm
+
+        if chains:
+            tallies[AT_RESTS].take(seed, by_arm, world)
+        if "chain" in kept:
+            tallies[BY_HAND_EYE].take(seed, lambda kept=kept: kept["chain"].by_hand_eye, world)
+        if moving:
+            tallies[MOVING].take(seed, lambda world=world: chain_moving(world, made).by_arm, world)
+        told = {name: f"{tally.rms_m[seed] / MM:.3f}" for name, tally in tallies.items() if seed in tally.rms_m}
+        print(f"cell {seed}, {world.truth.arm.name}: {told}", flush=True)
+    rows = [tally.row(name, tallies[OURS]) for name, tally in tallies.items() if tally.rms_m or tally.refused]
+    table(f"{count} cells from seed {first}", HEAD, rows)
+    for name, tally in tallies.items():
+        for why, n in Counter(tally.refused.values()).most_common():
+            print(f"{name}: refused {n}: {why[:300]}")
+    if claims.tip:
+        claims.print()
+
+
+def faults(first: int, count: int) -> None:
+    """Print what is told of cells with one planted fault each."""
+    rows: dict[str, list[list[object]]] = {}
+    for seed in range(first, first + count):
+        fault = made.FAULTS[seed % len(made.FAULTS)]
+        world = made.make_cell(seed, fault=fault)
+        off_mm: float | str = "-"
+        try:
+            found = ours(world)
+        except ArmsightError as error:
+            told, words = "refused", str(error)
+        else:
+            told, words = "doubtful" if found.alarm else "called good", found.words
+            errors, _ = tip_errors(world, found.measured_with)
+            off_mm = float(np.sqrt((errors**2).sum(axis=1).mean())) / MM if len(errors) else "lost"
+        right = told != "called good" and any(word in words.lower() for word in CAUSES[fault])
+        rows.setdefault(fault, []).append([told, right, off_mm])
+        print(f"cell {seed}, {fault} {world.truth.told}: {told}, tip off {off_mm} mm: {words[:300]}", flush=True)
+    out = []
+    for fault, cases in rows.items():
+        counts = Counter(case[0] for case in cases)
+        good = [case[2] for case in cases if case[0] == "called good"]
+        named = sum(bool(case[1]) for case in cases)
+        out.append(
+            [fault, len(cases), counts["refused"], counts["doubtful"], named, counts["called good"], good or "-"]
+        )
+    head = ["fault", "cells", "refused", "doubtful", "cause named", "called good", "tip off in these, mm"]
+    table(f"{count} cells with one fault each, from seed {first}", head, out)
+
+
+def good(first: int, count: int) -> None:
+    """Print how often a cell without a fault raises an alarm."""
+    alarms = []
+    for seed in range(first, first + count):
+        try:
+            found = ours(made.make_cell(seed))
+        except ArmsightError as error:
+            alarms.append(f"{seed}: refused: {error}")
+        else:
+            alarms += [f"{seed}: {found.words}"] if found.alarm else []
+    print(f"\n{count} cells without a fault: {len(alarms)} alarms")
+    for words in alarms:
+        print(" ", words[:300])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--faults", type=int, default=0, help="cells with one planted fault each")
+    parser.add_argument("--good", type=int, default=0, help="cells without a fault, looked at for false alarms alone")
+    parser.add_argument("--without-chain", action="store_true", help="the one recording alone")
+    parser.add_argument("--moving", action="store_true", help="the chain in motion too")
+    parser.add_argument("--quick", action="store_true", help="three cells, one of each fault")
+    asked = parser.parse_args()
+    print(machine())
+    alone = asked.faults or asked.good
+    count = 3 if asked.quick else 0 if alone else asked.cells
+    if count:
+        cells(asked.first, count, moving=asked.moving, chains=not asked.without_chain)
+    n_faults = asked.faults or (len(made.FAULTS) if asked.quick else 0)
+    if n_faults:
+        faults(asked.first, n_faults)
+    if asked.good:
+        good(asked.first, asked.good)
+    print(f"\npeak memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""The calibration of a cell from its one recording, with what it claims beside the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cell_records import Calibrated
+
+Array = NDArray[np.float64]
+LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ours:
+    """What our calibration says: with what to measure; covariance (k, 3, 3) of the tip at the samples; each parameter's
+    error and claimed deviation by its kind; whether it raised an alarm, and its words."""
+
+    measured_with: Calibrated
+    covariance: Array
+    parameters: dict[str, list[tuple[float, float]]]
+    alarm: bool
+    words: str
+
+
+def true_parameters(world: Any, middle_s: tuple[float, float]) -> dict[str, float]:
+    """Return what is true of lenses, clocks and lights by name; delays at these stamps of the two cameras."""
+    out: dict[str, float] = {}
+    for name, camera, at_s in zip(("left", "right"), (world.truth.left, world.truth.right), middle_s, strict=True):
+        out |= {f"{name}.{key}": float(value) for key, value in zip(LENS, camera.intrinsics, strict=True)}
+        out[f"{name}.delay_s"] = camera.delay_s + 1e-6 * camera.drift_ppm * at_s
+        out |= {f"{name}.drift_ppm": camera.drift_ppm, f"{name}.readout_s": camera.readout_s}
+    for light, xyz in zip(world.target, world.truth.lights.tolist(), strict=True):
+        out |= {f"light:{light}.{axis}_m": value for axis, value in zip("xyz", xyz, strict=True)}
+    nominal = made_tables(world)
+    for i, (own, table) in enumerate(zip(world.truth.arm.rows.tolist(), nominal.tolist(), strict=True), 1):
+        out[f"j{i}.theta_rad"] = own[0] - table[0]
+    return out
+
+
+def made_tables(world: Any) -> Array:
+    """Return the nominal table (6, 5) of the arm that was recorded."""
+    keys = ("theta_rad", "d_m", "a_m", "alpha_rad")
+    return np.array([[*(joint[key] for key in keys), 0.0] for joint in world.nominal["joints"]])
+
+
+def camera_off(world: Any, side: str, T_base_camera: Array) -> Array:
+    """Return the error (6,) of a camera's place (4, 4): m, and a rotation vector in base axes."""
+    true = getattr(world.truth, side).T_base_camera
+    turn = Rotation.from_matrix(T_base_camera[:3, :3]) * Rotation.from_matrix(true[:3, :3]).inv()
+    return np.concatenate([T_base_camera[:3, 3] - true[:3, 3], turn.as_rotvec()])
+
+
+def ours(world: Any) -> Ours:
+    """Calibrate the cell from its one recording. Raises DataRefused."""
+    raise NotImplementedError
