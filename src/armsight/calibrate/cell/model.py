@@ -139,6 +139,25 @@ class CellModel:
         """Return pixels (m, 2) and their derivatives (m, 2, P) by the parameters."""
         return self._seen(x, spots)
 
+    def standing(self, x: Array, q: Array) -> tuple[Array, Array]:
+        """Return pixels (k, 2, n, 2) of all lights in both cameras where the arm stands at q (k, joints), and by x."""
+        k, n = len(q), len(self.lights)
+        m = 2 * n * k
+        side, light = np.tile(np.repeat([0, 1], n), k), np.tile(np.arange(n), 2 * k)
+        middle = np.asarray(self.recording.middle_s)[side]
+        spots = Spots(
+            side=side,
+            light=light,
+            frame=np.zeros(m, np.intp),
+            stamp_s=middle,
+            line=np.zeros(m),
+            uv_px=np.zeros((m, 2)),
+            covariance_px2=np.tile(np.eye(2), (m, 1, 1)),
+        )
+        rows = np.repeat(q, 2 * n, axis=0)
+        uv, J = self._seen_at(x, spots, rows, np.zeros_like(rows), derivatives=True)
+        return uv.reshape(k, 2, n, 2), J.reshape(k, 2, n, 2, -1)
+
     def retract(self, x: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
         out = x + step
@@ -155,6 +174,27 @@ class CellModel:
             turn = Rotation.from_rotvec(np.array(x[at])) * Rotation.from_rotvec(np.array(other[at])).inv()
             out[at] = turn.as_rotvec()
         return out
+
+    def flange_slopes(self, x: Array, q: Array) -> Array:
+        """Return (k, 6, arm's parameters): how T_base_flange moves, (dt, dw), where the arm stands at q (k, n)."""
+        p = self.arm_vector(x)
+        _, own, values, lever, scaled, _ = self._flange(p, q, None)
+        return self._by_arm(own[:, :, : 5 * self.arm.arm.n], q, values, lever, scaled)
+
+    def _by_arm(self, links: Array, q: Array, values: Array, lever: Array, scaled: Array) -> Array:
+        """Return (k, r, arm's parameters) from the derivatives (k, r, 5 n) by the links."""
+        n = self.arm.arm.n
+        sign = np.array([joint.sign for joint in self.arm.arm.joints])
+        turn = links[:, :, 5 * np.arange(n) + np.where(self.arm.arm.revolute, THETA, D)]  # by the joints' variables
+        return np.concatenate(
+            [
+                links,
+                turn * (sign * values)[:, None, :],
+                turn[:, :, 1:] * (scaled[1:] * q[:, :-1])[:, None, :],
+                turn * (scaled * lever)[:, None, :],
+            ],
+            axis=2,
+        )
 
     def _flange(self, p: Array, q: Array, speed: Array | None) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Return T (m, 4, 4), its derivatives (m, 6, 5 n + 12), driven values, lever, scaled signs, and their speed."""
@@ -173,10 +213,13 @@ class CellModel:
 
     def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
         """Return pixels (m, 2) and derivatives (m, 2, P)."""
+        q, speed = self.recording.log.at(self.times_s(x, spots))
+        return self._seen_at(x, spots, q, speed, derivatives=derivatives)
+
+    def _seen_at(self, x: Array, spots: Spots, q: Array, speed: Array, *, derivatives: bool) -> tuple[Array, Array]:
+        """Return the same where the joints stand at q (m, n) and move at speed (m, n)."""
         m, P, n = len(spots), len(x), self.arm.arm.n
         p = self.arm_vector(x)
-        t = self.times_s(x, spots)
-        q, speed = self.recording.log.at(t)
         T, own, values, lever, scaled, moving = self._flange(p, q, speed)
         arms = T[:, :3, :3] @ self.lights_m(x)[spots.light][:, :, None]  # (m, 3, 1) from the flange to the light
         X = np.ascontiguousarray(T[:, :3, 3] + arms[:, :, 0])
@@ -195,13 +238,8 @@ class CellModel:
         turned = own[:, 3:, : 5 * n]
         links = own[:, :3, : 5 * n] + np.cross(turned.transpose(0, 2, 1), arms.transpose(0, 2, 1)).transpose(0, 2, 1)
         by_links = slope @ links  # (m, 2, 5 n)
-        turn = by_links[:, :, 5 * np.arange(n) + np.where(self.arm.arm.revolute, THETA, D)]  # by the joints' variables
-        a = self.arm_at
-        J[:, :, a : a + 5 * n] = by_links
-        sign = np.array([joint.sign for joint in self.arm.arm.joints])
-        J[:, :, a + 5 * n : a + 6 * n] = turn * (sign * values)[:, None, :]
-        J[:, :, a + 6 * n : a + 7 * n - 1] = turn[:, :, 1:] * (scaled[1:] * q[:, :-1])[:, None, :]
-        J[:, :, a + 7 * n - 1 : a + 8 * n - 1] = turn * (scaled * lever)[:, None, :]
+        J[:, :, self.arm_at : self.lights_at] = self._by_arm(by_links, q, values, lever, scaled)
+        turn = by_links[:, :, 5 * np.arange(n) + np.where(self.arm.arm.revolute, THETA, D)]
         by_time = np.einsum("mkj,mj->mk", turn, moving)
         by_light = slope @ T[:, :3, :3]
         for k in range(len(self.lights)):
