@@ -119,6 +119,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated.yaml",
         "armsight calibrate arm --model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
     ),
+    "calibrate cell-plan": (
+        "armsight calibrate cell-plan --model ur5e --rig rig.yaml --world world.yaml --target target.yaml "
+        "--volume=0.3:0.6,-0.2:0.2,0.2:0.5 --limits limits.yaml -o motion.csv",
+        "armsight calibrate cell-plan --model ur5e --start=0,-1.2,1.4,-1.8,-1.5,0 --limits limits.yaml -o motion.csv",
+    ),
     "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points observed.csv -o world.yaml",),
     "calibrate mirrors": (
         "armsight calibrate mirrors --image board/ --board circles:7x11:0.02 -o rig.yaml",
@@ -180,6 +185,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight robot jog --robot sim:webcam-cell --joint 1 --by 0.02",
         "armsight robot jog --robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
     ),
+    "robot run": ("armsight robot run --robot rtde:192.168.0.10 --arm ur5e --motion motion.csv -o moved",),
 }
 """Command -> what to type; the help lists the commands of a panel in this order."""
 

@@ -107,9 +107,9 @@ def plan_motion(
     """
     settings, progress = settings or PlanSettings(), progress or Silent()
     rng = np.random.default_rng(settings.seed)
-    check_bounds(scene)
+    check_bounds(scene.arm, scene.bounds)
     if start is not None:
-        check_start(scene, start)
+        check_start(scene.arm, scene.bounds, scene.free, start)
     progress.update(0, settings.trials + 2, "looking for places in view")
     found = places(scene, rng, start)
     if start is None:
@@ -127,7 +127,7 @@ def plan_motion(
     J = rests(scene, known, road.q, settings.spot_px)
     J[~scene.seen(road.q)] = 0.0
     frames = settings.duration_s * settings.frames_hz / TYPICAL_PLACES
-    order = by_worth(J, known, known.information, MOST_PLACES, frames)
+    order = by_worth(J, known, road.long_s, MOST_PLACES, frames)
     best = longest(scene, road, order, settings.duration_s)
     if best is None:
         raise Inconsistent(
@@ -167,11 +167,11 @@ def refine(
     return plan_motion(now, target, T_flange_target, settings, start=start, learned=without, progress=progress)
 
 
-def check_bounds(scene: Scene) -> None:
+def check_bounds(arm: Arm, bounds: MotionBounds) -> None:
     """Raise Inconsistent for a joint whose limits nobody told."""
-    bare = np.flatnonzero(~(np.isfinite(scene.bounds.lower) & np.isfinite(scene.bounds.upper)))
+    bare = np.flatnonzero(~(np.isfinite(bounds.lower) & np.isfinite(bounds.upper)))
     if len(bare):
-        names = ", ".join(scene.arm.joints[j].name for j in bare.tolist())
+        names = ", ".join(arm.joints[j].name for j in bare.tolist())
         raise Inconsistent(
             f"the limits of {names} are not known",
             consequence="Where the arm may go cannot be told, and no motion is planned",
@@ -179,23 +179,22 @@ def check_bounds(scene: Scene) -> None:
         )
 
 
-def check_start(scene: Scene, start: Array) -> None:
+def check_start(arm: Arm, bounds: MotionBounds, free: Free, start: Array) -> None:
     """Raise Inconsistent for a start (n,) of another arm, beyond the limits, or where the arm may not be."""
-    if start.shape != (scene.arm.n,):
+    if start.shape != (arm.n,):
         raise Inconsistent(
-            f"the start has {start.size} values, {scene.arm.name} has {scene.arm.n} joints",
+            f"the start has {start.size} values, {arm.name} has {arm.n} joints",
             consequence="No motion is planned",
             cure="Give one value for each joint, rad or m (--start)",
         )
-    bounds = scene.bounds
     for j in np.flatnonzero((start < bounds.lower) | (start > bounds.upper)).tolist():
         raise Inconsistent(
-            f"the arm stands with {scene.arm.joints[j].name} at {start[j]:.4g}, beyond its limits "
+            f"the arm stands with {arm.joints[j].name} at {start[j]:.4g}, beyond its limits "
             f"{bounds.lower[j]:.4g} to {bounds.upper[j]:.4g} (rad or m, a margin kept)",
             consequence="No motion begins there",
             cure="Move it back within them, or give the limits that hold (--limits)",
         )
-    if not scene.free(start[None])[0]:
+    if not free(start[None])[0]:
         raise Inconsistent(
             "where the arm stands its tool, flange or lights are outside the workspace or in a forbidden box",
             consequence="No motion begins there",
@@ -272,8 +271,8 @@ def _improved(
             chosen.pop(int(rng.integers(len(chosen))))
         if left:
             chosen.append(left[int(rng.integers(len(left)))])
-        other = tour(scene, road, chosen)
-        if other is None or other.way.least_s > settings.duration_s:
+        other = tour(scene, road, chosen, settings.duration_s)
+        if other is None:
             continue
         there = _of_motion(scene, known, other, settings)
         value = known.worth(known.information + there)

@@ -35,7 +35,8 @@ MOST_SAMPLES = 60
 OPEN_M, OPEN_RAD, OPEN_FOCAL, OPEN_S = 0.05, 5.0 * DEG, 0.1, 0.3
 """Standard deviations of what a calibration begins with and asks nobody: places of cameras and lights, directions,
 focal length's share, delays. They give the deviation before a motion; after it they weigh nothing."""
-KINDS = ("lenses", "places of the cameras", "clocks", "arm", "lights")
+KINDS = ("lenses", "places of the cameras", "arm", "lights")
+"""Of what the tip at rest hangs on; clocks are asked with them, and do nothing to it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,7 +191,7 @@ def seen_spots(scene: Scene, model: CellModel, motion: Motion, spot_px: float) -
 
 
 def kind_of(model: CellModel, index: int) -> str:
-    """Return of which of KINDS a parameter is."""
+    """Return of which of KINDS a parameter is, or clocks."""
     if index >= model.lights_at:
         return "lights"
     if index >= model.arm_at:

@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 PARTS = 3
 """Pieces of a straight way between two places; the curve leaves it by a sixth of what its ends' pieces are apart."""
-GRID_S = 0.02
-"""Step along the way, in time at full speed, at which it is looked at."""
+GRID = 12
+"""Points of a piece at which the way is looked at."""
 SHARE = 0.9
 """Of the limits of speed and acceleration that is used: the guard keeps a reserve of its own."""
 NORM = 8
@@ -64,14 +64,16 @@ class Way:
 
     @property
     def least_s(self) -> float:
-        """The time it takes at the limits."""
-        return float(self.t_s[-1])
+        """The time it takes at the limits, with the moments at rest before and after."""
+        return float(self.t_s[-1]) + 4.0 * SOFTENED_S
 
     def motion(self, duration_s: float, rate_hz: float) -> Motion:
         """Return it as a motion of a duration, no less than least_s, in steps of a controller's rate."""
         t = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
         along = CubicHermiteSpline(self.t_s, self.u, self.rate)
-        u = np.clip(along(np.minimum(t * self.least_s / t[-1], self.least_s)), 0.0, self.u[-1])
+        # it rests for as long at both ends as softening spreads a motion
+        moving = np.clip((t - 2.0 * SOFTENED_S) / (t[-1] - 4.0 * SOFTENED_S), 0.0, 1.0)
+        u = np.clip(along(moving * self.t_s[-1]), 0.0, self.u[-1])
         q = _curve(self.control, u)
         width = 1 + 2 * int(0.5 * SOFTENED_S * rate_hz)
         for _ in range(2):
@@ -89,9 +91,9 @@ def way_through(arm: Arm, places: Array, bounds: MotionBounds, *, parts: int = P
     control = np.concatenate([control[:1], control[:1], control, *[places[-1:]] * 3])
     last = len(control) - 3.0
     # a first walk along it tells how long each stretch is, by the limits of speed
-    u = np.linspace(0.0, last, int(10 * last) + 1)
+    u = np.linspace(0.0, last, int(GRID * last) + 1)
     s = np.concatenate([[0.0], np.cumsum(_lengths(arm, _curve(control, u), bounds))])
-    s_even = np.linspace(0.0, s[-1], max(int(s[-1] / GRID_S), 20) + 1)
+    s_even = np.linspace(0.0, s[-1], len(u))
     u = np.interp(s_even, s, u)
     t, v = _timed(arm, _curve(control, u), s_even[1], bounds)
     keep = np.concatenate([[True], np.diff(t) > 1e-9])

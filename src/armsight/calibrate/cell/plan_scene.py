@@ -31,8 +31,8 @@ STRAY = 0.12
 WIDER = 1.5
 """Places are looked for in a space so many times as wide as the volume: its edges are told from both sides."""
 NEIGHBOURS = 14
-LOOK_S = 0.1
-"""Time at full speed between two looks along a way."""
+LOOK_RAD, LOOK_M = 0.06, 0.02
+"""How far a joint goes between two looks along a way."""
 LEAST_SEEN = 0.5
 """Share of a way between two places on which the lights are seen; with less the way is not gone."""
 UNSEEN = 4.0
@@ -225,12 +225,15 @@ def roadmap(scene: Scene, q: Array) -> Roadmap:
 
 def _ways(scene: Scene, a: Array, b: Array, far: Array, first: Mask) -> Array:
     """Return what each straight way from a to b (m, n) counts, infinite where it is not free or hardly seen."""
-    steps = np.maximum(np.ceil(far / LOOK_S).astype(np.intp), 2)
+    look = np.where(scene.arm.revolute, LOOK_RAD, LOOK_M)
+    steps = np.maximum(np.ceil((np.abs(b - a) / look).max(axis=1)).astype(np.intp), 2)
     way = np.repeat(np.arange(len(a)), steps + 1)
     at = np.concatenate([np.arange(n + 1) / n for n in steps.tolist()])
     q = a[way] + at[:, None] * (b - a)[way]
     blocked = np.bincount(way, weights=~scene.allowed(q), minlength=len(a)) > 0
     seen = np.bincount(way, weights=scene.seen(q), minlength=len(a)) / (steps + 1)
-    out = far * (1.0 + UNSEEN * (1.0 - seen)) + 1e-6
+    moved = np.linalg.norm(np.diff(scene.tips(q), axis=0), axis=1) * (np.diff(way) == 0)
+    tool = np.bincount(way[1:], weights=moved, minlength=len(a)) / scene.bounds.speed_m_s
+    out = np.hypot(far, tool) * (1.0 + UNSEEN * (1.0 - seen)) + 1e-6
     out[blocked | ((seen < LEAST_SEEN) & ~first)] = np.inf
     return np.asarray(out)

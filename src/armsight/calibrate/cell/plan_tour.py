@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 PARTS = (3, 6, 12)
 """Pieces of the straight ways, tried until the smooth way keeps clear: the more, the sharper its corners."""
 LOOKED_HZ = 50.0
+STOP_S = 1.0
+"""What a place costs beside the way to it: the turn there."""
 SWAPS = 200
 """Turns of a stretch of the round that are made at most, each shorter than before."""
 
@@ -31,25 +33,29 @@ class Tour:
     way: Way
 
 
-def by_worth(J: Array, known: Known, information: Array, count: int, frames: float) -> list[int]:
-    """Return count places, of J (k, r, F) in deviations of a frame, in the order of what they tell.
+def by_worth(J: Array, known: Known, long_s: Array, count: int, frames: float) -> list[int]:
+    """Return count places, of J (k, r, F) in deviations of a frame, in the order of what they tell for their time.
 
-    That is what they take off the tip's mean variance. frames: for how many each counts. Greedy, each by a rank-r update of the covariance (Fedorov 1972).
+    That is what they take off the tip's mean variance, over the time of the way to them from what is chosen already,
+    long_s (k, k). frames: for how many each counts. Greedy, by rank-r updates of the covariance (Fedorov 1972).
     """
     # in units of the parameters' own deviations, which are of many sizes
-    C = inverse(information)
-    size = np.sqrt(np.diag(C))
-    C, V, J = C / np.outer(size, size), known.goal.sum(axis=0) * np.outer(size, size), J * size
+    size = np.sqrt(np.diag(inverse(known.information)))
+    H, V = (part * np.outer(size, size) for part in (known.information, known.goal.sum(axis=0)))
+    J = J * size
     order: list[int] = []
     noise = np.eye(J.shape[1]) / frames
-    for _ in range(min(count, len(J))):
-        JC = J @ C
+    away_s = long_s[0].copy()
+    for _ in range(min(count, len(J) - 1)):
+        JC = J @ inverse(H)
         S = noise + JC @ J.transpose(0, 2, 1)
         gain = np.einsum("kii->k", np.linalg.solve(S, JC @ V @ JC.transpose(0, 2, 1)))
-        gain[order] = -np.inf
+        gain = gain / (STOP_S + away_s)
+        gain[[0, *order]] = -np.inf
         best = int(gain.argmax())
+        away_s = np.minimum(away_s, long_s[best])
         order.append(best)
-        C = C - JC[best].T @ np.linalg.solve(S[best], JC[best])
+        H = H + frames * J[best].T @ J[best]
     return order
 
 
@@ -73,8 +79,8 @@ def round_of(long_s: Array, chosen: Sequence[int]) -> list[int]:
     return [int(k) for k in r]
 
 
-def tour(scene: Scene, road: Roadmap, chosen: Sequence[int]) -> Tour | None:
-    """Return the round through chosen places; None where no smooth way through them keeps clear."""
+def tour(scene: Scene, road: Roadmap, chosen: Sequence[int], duration_s: float) -> Tour | None:
+    """Return the round through chosen places; None where no smooth way through them keeps clear, or fits the time."""
     order = round_of(road.long_s, chosen)
     stops = [0]
     for a, b in zip(order, [*order[1:], 0], strict=True):
@@ -82,7 +88,9 @@ def tour(scene: Scene, road: Roadmap, chosen: Sequence[int]) -> Tour | None:
     places = road.q[stops]
     for parts in PARTS:
         way = way_through(scene.arm, places, scene.bounds, parts=parts)
-        if clear(scene, way.motion(way.least_s, LOOKED_HZ)):
+        if way.least_s > duration_s:
+            return None
+        if clear(scene, way.motion(duration_s, LOOKED_HZ)):
             return Tour(chosen=tuple(chosen), places=places, way=way)
     return None
 
@@ -97,8 +105,8 @@ def longest(scene: Scene, road: Roadmap, order: Sequence[int], duration_s: float
     best, low, high = None, 1, len(order)
     while low <= high:
         middle = (low + high) // 2
-        found = tour(scene, road, order[:middle])
-        if found is not None and found.way.least_s <= duration_s:
+        found = tour(scene, road, order[:middle], duration_s)
+        if found is not None:
             best, low = found, middle + 1
         else:
             high = middle - 1

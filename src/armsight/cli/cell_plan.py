@@ -1,0 +1,72 @@
+"""armsight calibrate cell-plan, and armsight robot run: a motion that calibrates a cell, planned and run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from armsight.app.requests.cell_plan import KNOWN, MOTION, CellPlanJob, RunMotionJob
+from armsight.cli.command import calibrate, command, robot
+from armsight.cli.command_ui import CommandUI
+from armsight.cli.tables import figure
+from armsight.fields import Doc
+from armsight.units import DEG, MM
+
+if TYPE_CHECKING:
+    from armsight.app.calibrate.cell_plan import CellPlanOutput
+
+
+@command(calibrate, "cell-plan", panels=(KNOWN, MOTION))
+def cell_plan(face: CommandUI, job: CellPlanJob) -> None:
+    """Plan the motion that calibrates a cell best: two minutes that tell most of the tip over a volume.
+
+    Within the limits, in view of both cameras, clear of the boxes. Run it with armsight robot run.
+    """
+    from armsight.app.calibrate.cell_plan import run_cell_plan
+
+    done = run_cell_plan(job, face.progress("planning"))
+    plan_tables(face, done)
+    face.result(done)
+
+
+def plan_tables(face: CommandUI, done: CellPlanOutput) -> None:
+    """Print what a motion leads to."""
+    moved = ", ".join(figure(value / DEG, 3) for value in done.moved)
+    face.say(f"{done.kind}: {done.duration_s:.0f} s, {done.n_rows} rows; joints over {moved} deg (a slide's: m x 57.3)")
+    if done.kinds:
+        rows = [[one.name, figure(one.before_m / MM), figure(one.after_m / MM)] for one in done.kinds]
+        for name, before, after in (
+            ("tip, as the cameras measure it", done.measured_before_m, done.measured_after_m),
+            ("tip, as the arm says it", done.commanded_before_m, done.commanded_after_m),
+        ):
+            rows.append(
+                [name, figure(None if before is None else before / MM), figure(None if after is None else after / MM)]
+            )
+        face.table(
+            "Deviation of the tip over the volume, mm RMS, by the spots' noise alone", ["", "before", "after"], rows
+        )
+    if done.seen is not None:
+        face.say(f"both cameras see all lights in {100.0 * done.seen:.0f} % of the time")
+    if done.untold:
+        face.say("Not told by it: " + ", ".join(done.untold))
+    for note in done.notes:
+        face.say(f"- {note}")
+    face.say(f"Motion: {done.file}")
+
+
+@command(robot, keeps=("motion.json", "motion.mcap", "joints.csv"))
+def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move without asking.")] = False) -> None:
+    """Run a motion of the joints through the guard, and record the readings. Ctrl-C brings the arm to rest.
+
+    The whole motion is checked first. Cameras are recorded beside it with armsight record.
+    """
+    from armsight.app.robot.run_motion import run_motion
+
+    done = run_motion(job, face.moves(yes=yes), face.progress("moving"))
+    face.say(
+        f"{100.0 * done.share:.0f} % of {done.planned_s:.0f} s in {done.took_s:.1f} s; {done.n_cycles} cycles, "
+        f"{done.late} late, {done.missed} missed; ended by: {done.stopped_by}"
+    )
+    for why in done.holds:
+        face.say(f"  it held: {why}")
+    face.say(f"Recording: {done.recording}; readings: {done.joints}")
+    face.result(done)
