@@ -20,14 +20,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import ArmsightError
 from bench import machine, table, test_scene
 from cell_chain import chain
 from cell_chain_moving import chain_moving
 from cell_ours import Ours, ours
-from cell_records import Calibrated, tip_errors
+from cell_records import Calibrated, commanded_errors, tip_errors
 
 made = test_scene("cell_world")
 
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 CHI2_3, NORMAL = 7.815, 1.96
 WRONG = 3.0
 """Errors so many times the claimed 95 % are wrong."""
-MM = 1e-3
+MM = MS = 1e-3
 OURS, AT_RESTS, BY_HAND_EYE, MOVING = "one recording", "chain at rests", "chain at rests, hand-eye", "chain in motion"
 CAUSES = {
     "slipping_target": ("target",),
@@ -57,9 +57,10 @@ CAUSES = {
 
 @dataclass(kw_only=True)
 class Tally:
-    """Tip errors (RMS, m) by seed, refusals with their reasons, seconds."""
+    """Tip errors by seed (RMS, m), as measured and as commanded; refusals with their reasons, seconds."""
 
     rms_m: dict[int, float] = field(default_factory=dict)
+    commanded_m: dict[int, float] = field(default_factory=dict)
     refused: dict[int, str] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
 
@@ -76,21 +77,38 @@ class Tally:
         if lost > len(errors):
             self.refused[seed] = "most poses are lost with what was calibrated"
             return None
-        self.rms_m[seed] = float(np.sqrt((errors**2).sum(axis=1).mean()))
+        self.rms_m[seed] = rms(errors)
+        self.commanded_m[seed] = rms(commanded_errors(world, found))
         return errors
 
     def row(self, name: str, ours: Tally) -> list[object]:
         """Median, 95 % and largest error in mm; median and 95 % of ours over it, of cells that both calibrate."""
-        rms = np.array(list(self.rms_m.values())) / MM
+        if not self.rms_m:
+            return [name, *["-"] * 7, len(self.refused), "-"]
+        size = np.array(list(self.rms_m.values())) / MM
+        commanded = np.array(list(self.commanded_m.values())) / MM
         ratio = [ours.rms_m[seed] / value for seed, value in self.rms_m.items() if seed in ours.rms_m]
-        if not len(rms):
-            return [name, "-", "-", "-", "-", "-", len(self.refused), "-"]
-        figures = [float(np.median(rms)), float(np.percentile(rms, 95)), float(rms.max())]
-        both = [float(np.median(ratio)), float(np.percentile(ratio, 95))] if ratio and ours is not self else ["-", "-"]
-        return [name, *figures, *both, len(self.refused), float(np.median(self.seconds))]
+        figures = [*of(size), float(size.max()), *(of(ratio) if ratio and ours is not self else ["-", "-"])]
+        return [name, *figures, *of(commanded), len(self.refused), self.took()]
+
+    def took(self) -> float | str:
+        """Return the median of the seconds; "-" of a result that another row's calibration gave with its own."""
+        median_s = float(np.median(self.seconds))
+        return median_s if median_s > MS else "-"
 
 
-HEAD = ["", "tip off by, mm, median", "95 %", "largest", "ours over it, median", "95 %", "refused", "s, median"]
+def rms(errors: Array) -> float:
+    """Return the RMS of errors (k, 3)."""
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def of(values: ArrayLike) -> list[float]:
+    """Return median and 95 %."""
+    return [float(np.median(values)), float(np.percentile(values, 95))]
+
+
+HEAD = ["", "measured tip off by, mm, median", "95 %", "largest", "ours over it, median", "95 %"]
+HEAD += ["commanded tip off by, mm, median", "95 %", "refused", "s, median"]
 
 
 @dataclass(kw_only=True)
@@ -112,7 +130,7 @@ class Claims:
         claimed = np.sqrt(CHI2_3 / 3.0 * np.trace(found.covariance, axis1=1, axis2=2).mean())
         if found.alarm:
             self.alarms[seed] = found.words
-        elif np.sqrt((errors**2).sum(axis=1).mean()) > WRONG * claimed:
+        elif rms(errors) > WRONG * claimed:
             self.wrong.append(seed)
 
     def print(self) -> None:
@@ -177,7 +195,7 @@ def faults(first: int, count: int) -> None:
         else:
             told, words = "doubtful" if found.alarm else "called good", found.words
             errors, _ = tip_errors(world, found.measured_with)
-            off_mm = float(np.sqrt((errors**2).sum(axis=1).mean())) / MM if len(errors) else "lost"
+            off_mm = rms(errors) / MM if len(errors) else "lost"
         right = told != "called good" and any(word in words.lower() for word in CAUSES[fault])
         rows.setdefault(fault, []).append([told, right, off_mm])
         print(f"cell {seed}, {fault} {world.truth.told}: {told}, tip off {off_mm} mm: {words[:300]}", flush=True)

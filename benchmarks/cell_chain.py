@@ -186,7 +186,7 @@ def chain(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> Chain:
     target = called_as_built(calibrate_target(stereo.rig, lit_frames(rests), len(truth.lights)).target, world)
     poses = measured(rests, Setup(rig=stereo.rig, target=target))
     done = by_arm(nominal, poses)
-    common = {"rig": stereo.rig, "target": target, "T_nominal": nominal_axes(target, world)}
+    common = {"rig": stereo.rig, "target": target, "T_nominal": nominal_axes(target, world), "arm": done.arm}
     return Chain(
         by_arm=Calibrated(**common, T_base_rig=done.arm.T_world_base.inv()),
         by_hand_eye=Calibrated(**common, T_base_rig=by_hand_eye(done.arm, poses)),

@@ -131,5 +131,6 @@ def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> M
         target=target,
         T_nominal=nominal_axes(target, world),
         T_base_rig=done.arm.T_world_base.inv(),
+        arm=done.arm,
     )
     return MovingChain(by_arm=by_arm, arm=done, poses=len(points))

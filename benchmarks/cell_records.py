@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.kinematics import Arm
+from armsight.kinematics import Arm, fk
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import Rig
@@ -44,15 +44,16 @@ def target_of(world: Any) -> Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrated:
-    """What a calibration hands out to measure with: rig, target, T_base_rig; arm and tool where they are known.
+    """What a calibration hands out to measure with: rig, target, T_base_rig; and the arm, whose tool is the target.
 
-    T_nominal_target: where the target's nominal axes are in those of `target`, by which the tip is known.
+    T_nominal: where the target's nominal axes are in those of `target`, by which the tip is known.
     """
 
     rig: Rig
     target: Target
     T_base_rig: RigidTransform
     T_nominal: RigidTransform
+    arm: Arm
 
 
 def called_as_built(target: Target, world: Any) -> Target:
@@ -94,3 +95,11 @@ def tip_errors(world: Any, found: Calibrated) -> tuple[Array, int]:
         T_rig = RigidTransform.from_matrix(np.asarray(pose.T_parent_target))
         out.append((found.T_base_rig * T_rig).apply(at) - tip)
     return np.array(out).reshape(-1, 3), lost
+
+
+def commanded_errors(world: Any, found: Calibrated) -> Array:
+    """Return the errors (k, 3) of the tip where the calibrated arm's joints say that it is, in base axes."""
+    truth = world.truth
+    T = fk(found.arm.based(), truth.samples)
+    at = found.T_nominal.apply(truth.tip_target_m)
+    return np.asarray(T[:, :3, :3] @ at + T[:, :3, 3] - truth.tips(truth.samples))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.fit import Tolerance
 from armsight.calibrate.cell.model import PER_CAMERA, BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, Spots
+from armsight.calibrate.cell.wander import Wander, learned_wander
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
 from armsight.geometry import align_points
@@ -29,8 +29,36 @@ LENS = {"k1": 0.5, "k2": 0.5, "k3": 0.5, "p1": 0.01, "p2": 0.01}
 ASPECT = 0.02
 """Of fy over fx."""
 DRIFT_PPM = 300.0
+EM_ROUNDS = 50
+LEAST = {"length_m": 5e-5, "zero_rad": 1e-4, "angle_rad": 1e-4}
+"""No arm is built better."""
 SHAPE_M = 5e-4
 """Places of a target's lights, where its file does not say how well they are known: what a drawing and a drill give."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmTolerance:
+    """What a nominal arm is believed to: standard deviations of its lengths, joint zeros, directions of axes, and sag.
+
+    Zeros are set by hand at mastering, axes are bored on machines: the two are learned apart.
+    """
+
+    length_m: float = 2e-3
+    zero_rad: float = 0.03
+    angle_rad: float = 0.03
+    sag: float = 0.05
+
+    def kind(self, name: str) -> str:
+        """Return which of its fields a parameter goes by."""
+        if name.endswith(".sag"):
+            return "sag"
+        if name.endswith(".theta_rad"):
+            return "zero_rad"
+        return "length_m" if name.endswith("_m") else "angle_rad"
+
+    def of(self, name: str) -> float:
+        """Return the standard deviation of a parameter by its name."""
+        return float(getattr(self, self.kind(name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,6 +97,7 @@ class CellFit:
     """Parameters x (P,) with the spots they explain, their normal equations by stretches, and the spots' noise.
 
     scale: by how much the spots' deviations of each camera are larger than they say. free: names that were fitted.
+    wander: how the arm strays, where that was taken into account.
     """
 
     x: Array
@@ -79,9 +108,29 @@ class CellFit:
     free: tuple[str, ...]
     known: Knowledge
     fit: Fit
+    wander: Wander | None = None
+
+    @property
+    def places(self) -> NDArray[np.intp]:
+        """Where the fitted parameters (F,) are among all (P,)."""
+        return np.array([self.fit.names.index(name) for name in self.free], dtype=np.intp)
+
+    def information(self, model: CellModel) -> Array:
+        """Return the information (P, P) of spots and of what was known before, about all parameters."""
+        data = self.normals.A.sum(axis=0) if self.wander is None else self.wander.reduced(self.normals).A
+        return np.asarray(data + self.known.information + shape_information(model, self.x, self.known.shape))
+
+    def covariance(self, model: CellModel) -> Array:
+        """Return the covariance (P, P) of all parameters; zero for those that are held."""
+        free = self.places
+        H = self.information(model)[np.ix_(free, free)]
+        size = 1.0 / np.sqrt(np.diag(H))
+        out = np.zeros((len(self.x), len(self.x)))
+        out[np.ix_(free, free)] = np.linalg.inv(H * np.outer(size, size)) * np.outer(size, size)
+        return out
 
 
-def default_knowledge(model: CellModel, x: Array, tolerance: Tolerance, target: Target) -> Knowledge:
+def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, target: Target) -> Knowledge:
     """Return what is known of any cell with webcams: weak deviations of lenses and clocks, the nominal arm, the target.
 
     x (P,): a cell to begin with.
@@ -139,7 +188,7 @@ def _shape_terms(model: CellModel, x: Array, shape: TargetShape) -> tuple[Array,
     return W - W @ moves @ np.linalg.solve(inner, moves.T @ W), (lights - T.apply(shape.xyz_m)).ravel()
 
 
-def gauge(model: CellModel, information: Array, candidates: Collection[str], tolerance: Tolerance) -> list[str]:
+def gauge(model: CellModel, information: Array, candidates: Collection[str], tolerance: ArmTolerance) -> list[str]:
     """Return which of the arm's parameters can be told from cameras, lights and each other, by pivoting."""
     A = information
     index = np.array([model.names.index(name) for name in candidates], dtype=np.intp)
@@ -172,6 +221,7 @@ def fit_cell(
     known: Knowledge,
     scale: tuple[float, float],
     *,
+    wander: Wander | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
 ) -> CellFit:
@@ -189,8 +239,13 @@ def fit_cell(
         normals = model.normals(at, spots, W, block)
         pull = known.pull(model, at)
         shape, off = _shape_terms(model, at, known.shape)
-        r = np.concatenate([normals.residuals.ravel(), root @ pull, _root(shape) @ off])
-        A, b = normals.A.sum(axis=0) + information, normals.g.sum(axis=0) + information @ pull
+        if wander is None:
+            r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)
+        else:
+            reduced = wander.reduced(normals)
+            r, A, b = np.sqrt([max(reduced.square, 0.0)]), reduced.A, reduced.g
+        r = np.concatenate([r, root @ pull, _root(shape) @ off])
+        A, b = A + information, b + information @ pull
         A[a:, a:] += shape
         b[a:] += shape @ off
         condensed = NormalEquations(
@@ -221,6 +276,7 @@ def fit_cell(
         free=tuple(name for name in model.names if name in free),
         known=known,
         fit=fit,
+        wander=wander,
     )
 
 
@@ -228,6 +284,24 @@ def _root(information: Array) -> Array:
     """Return R with R' R = information, of which directions may be zero."""
     values, axes = np.linalg.eigh(information)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)
+
+
+def straying(model: CellModel, found: CellFit) -> Wander:
+    """Return how the arm strays by the residuals of a fit."""
+    t = model.times_s(found.x, found.spots)
+    count = np.bincount(found.block)
+    arm = model.arm.arm
+    drives = [f"{joint.name}.{'theta_rad' if turns else 'd_m'}" for joint, turns in zip(arm.joints, arm.revolute, strict=True)]
+    free = found.places
+    known = found.known.information + shape_information(model, found.x, found.known.shape)
+    return learned_wander(
+        found.normals,
+        np.bincount(found.block, weights=t) / count,
+        np.array([model.names.index(name) for name in drives], dtype=np.intp),
+        np.where(arm.revolute, 1.0, arm.length_m),
+        free,
+        known[np.ix_(free, free)],
+    )
 
 
 def side_scales(found: CellFit, *, robust: bool) -> tuple[float, float]:
@@ -243,3 +317,34 @@ def side_scales(found: CellFit, *, robust: bool) -> tuple[float, float]:
         size = np.median(np.linalg.norm(r, axis=1)) / 1.177 if robust else np.sqrt(np.mean(r**2))
         out.append(found.scale[side] * float(size) / np.sqrt(dof))
     return out[0], out[1]
+
+
+def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance) -> ArmTolerance:
+    """Return how far this arm is from its model, by class of parameter, as its own corrections show.
+
+    Expectation maximisation of the variance of each class's corrections (Dempster, Laird, Rubin 1977, example 4.7):
+    lengths; zeros and directions of axes. Never beyond what was given, never below what any arm is built to.
+    """
+    free = found.places
+    H = found.information(model)[np.ix_(free, free)]
+    arm = [k for k, at in enumerate(free) if model.arm_at <= at < model.lights_at]
+    names = [model.names[free[k]] for k in arm]
+    classes: dict[str, list[int]] = {key: [] for key in LEAST}
+    for k, name in zip(arm, names, strict=True):
+        key = tolerance.kind(name)
+        if key in classes:
+            classes[key].append(k)
+    before = np.diag(found.known.information)[free]
+    off = (found.x - found.known.x)[free]
+    sigma = {name: getattr(tolerance, name) for name in classes}
+    for _ in range(EM_ROUNDS):
+        change = np.zeros(len(free))
+        for name, rows in classes.items():
+            change[rows] = sigma[name] ** -2 - before[rows]
+        C = np.linalg.inv(H + np.diag(change))
+        moved = off - C @ (change * off)
+        for name, rows in classes.items():
+            if len(rows) > 2:
+                square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows])) * len(rows) / (len(rows) - 2)
+                sigma[name] = min(max(np.sqrt(square), LEAST[name]), getattr(tolerance, name))
+    return replace(tolerance, **sigma)

@@ -21,8 +21,8 @@ Index = NDArray[np.intp]
 
 LOG_GAP_S = 0.2
 """Readings further apart than this leave open where the arm was between them."""
-BLOCK_S = 2.0
-"""Length of the stretches of motion that are held against each other; errors of an arm are alike for less."""
+BLOCK_S = 1.0
+"""Length of the stretches of motion that are held against each other; an arm strays for longer than that."""
 FEWEST_READINGS = 100
 LEAST_S = 20.0
 """Of motion: less is no calibration of a cell."""

@@ -9,22 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.arm.fit import Tolerance
 from armsight.calibrate.cell.assignment import NamedLights, assign, name_lights, places_on_flange
 from armsight.calibrate.cell.fit import (
+    ArmTolerance,
     CellFit,
     Knowledge,
     blocks_of,
     default_knowledge,
     fit_cell,
     gauge,
+    learned_tolerance,
     shape_information,
     side_scales,
+    straying,
 )
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
 from armsight.calibrate.cell.tracklets import tracklets
+from armsight.calibrate.cell.wander import Wander
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import SIDES
 from armsight.records import Progress, Silent, Target
@@ -58,7 +61,7 @@ class Solved:
 def solve_cell(
     recording: CellRecording,
     target: Target,
-    tolerance: Tolerance,
+    tolerance: ArmTolerance,
     *,
     compliance: bool = False,
     progress: Progress | None = None,
@@ -80,13 +83,16 @@ def solve_cell(
     progress.update(2, 4, "fitting, a part of the spots")
     free = free_names(model, coarse, tolerance)
     found = _round(model, coarse, known, free, thin=True)
+    known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
     found = _round(model, found, known, free, thin=True)
+    known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
     progress.update(3, 4, "fitting, all spots")
-    found = _round(model, found, known, free, thin=False)
+    wander = straying(model, found)
+    found = _round(model, found, known, free, thin=False, wander=wander)
     return Solved(model=model, fit=found, lights=lights, coarse=coarse)
 
 
-def free_names(model: CellModel, found: CellFit, tolerance: Tolerance) -> tuple[str, ...]:
+def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance) -> tuple[str, ...]:
     """Return all that can be told: lenses, places, clocks, lights, and of the arm what is not the others' as well."""
     arm = model.arm
     candidates = (*arm.geometry, *(arm.sags if model.compliance else ()))
@@ -163,12 +169,14 @@ def _coarse(model: CellModel, x: Array, known: Knowledge, gate_px: tuple[float, 
     return fit_cell(model, x, spots, block, (*free, *model.names[model.lights_at :]), known, first)
 
 
-def _round(model: CellModel, before: CellFit, known: Knowledge, free: Collection[str], *, thin: bool) -> CellFit:
+def _round(model: CellModel, before: CellFit, known: Knowledge, free: Collection[str], *, thin: bool, wander: Wander | None = None) -> CellFit:
     """Return the fit after another assignment of the spots, with the noise of the fit before."""
     scale = side_scales(before, robust=True)
     spread = [float(np.sqrt(np.median(np.trace(before.spots.covariance_px2, axis1=1, axis2=2)) / 2.0))] * 2
     gates = [max(GATE * s * each, LEAST_GATE_PX) for s, each in zip(scale, spread, strict=True)]
     every = assign(model, before.x, model.recording.spots, (gates[0], gates[1]))
     spots, block = blocks_of(model, before.x, thinned(every, THIN) if thin else every)
-    found = fit_cell(model, before.x, spots, block, free, known, scale)
-    return replace(found, scale=side_scales(found, robust=True))
+    if wander is not None:
+        count = np.bincount(block)
+        wander = replace(wander, t_s=np.bincount(block, weights=model.times_s(before.x, spots)) / count)
+    return fit_cell(model, before.x, spots, block, free, known, scale, wander=wander)

@@ -39,14 +39,23 @@ ALTERNATIONS = 80
 SETTLED = 1e-3
 """Relative fall of what remains, over FEW_ALTERNATIONS, below which alternating has settled."""
 FEW_ALTERNATIONS = 5
-STEPS_S = tuple(np.linspace(-0.15, 0.15, 9).tolist())
+STEPS_S = tuple(np.linspace(-0.12, 0.12, 7).tolist())
 """About each of them, in which the linear solution is looked for."""
 PIECES = 16
 """Pieces of ways used at first, those with the most motion."""
-ROWS = 120
-"""Spots used of each."""
-VIEWS = (0.6, 1.0, 1.7)
-"""Focal lengths over the image's width, to straighten by before one is known."""
+ROWS, QUICK_ROWS = 120, 40
+"""Spots used of each; while delays are tried, fewer."""
+QUICK_ALTERNATIONS = 15
+AS_ONE_M, AS_ONE_KEPT = 0.16, 2
+"""Places along each axis of the flange at which all lights may be for a start, and how many of them are gone on with."""
+FARTHEST_M = 1.0
+"""No light is further from the flange."""
+VIEW = (0.2, 5.0)
+"""Focal length over the image's width: lenses that open less wide than a phone's or wider than a telescope's."""
+GOOD = 3e-3
+"""Of the image's width: what a right delay leaves at most, before lens and delay are found exactly."""
+FINER = (-0.6, -0.3, 0.3, 0.6)
+"""Parts of a step, by which the best delay is looked at again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,7 +109,7 @@ def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tupl
     b = np.where(known, b, 0.0)
     w = known.astype(float)
     one = np.ones(len(a))
-    n = _correlated(one, w)
+    n = np.maximum(_correlated(one, w), 0.0)
     sa, sb, saa, sbb, sab = (
         _correlated(x, y) for x, y in ((a, w), (one, b), (a * a, w), (one, b * b), (a, b))
     )
@@ -136,55 +145,63 @@ def find_start(
 ) -> Start | None:
     """Return the camera that explains the ways best, near any of the delays (c,); None where nothing does."""
     pieces = best_pieces(spots, ways)
-    tried = [delay + step for delay in delays_s.tolist() for step in STEPS_S]
-    quick = [linear_start(arm, log, spots, pieces, size, delay, lenses=(0.0,)) for delay in tried]
-    found = sorted((each for each in quick if each is not None), key=lambda each: each.rms_px)
-    if not found:
-        return None
-    steps = found[0].delay_s + np.linspace(-STEPS_S[1] + STEPS_S[0], STEPS_S[1] - STEPS_S[0], 9) / 2.0
-    fine = [linear_start(arm, log, spots, pieces, size, delay) for delay in steps.tolist()]
-    return min((each for each in (*fine, found[0]) if each is not None), key=lambda each: each.rms_px)
-
-
-def linear_start(
-    arm: Arm,
-    log: JointLog,
-    spots: Spots,
-    pieces: Sequence[Index],
-    size: tuple[int, int],
-    delay_s: float,
-    lenses: Sequence[float] = LENS_TRIED,
-) -> Start | None:
-    """Return the camera that explains the pieces best at a delay; None where nothing does."""
+    few = [rows[np.linspace(0, len(rows) - 1, min(QUICK_ROWS, len(rows))).astype(np.intp)] for rows in pieces]
+    quick = _Look(arm=arm, log=log, spots=spots, pieces=few, size=size, turns=QUICK_ALTERNATIONS)
     best: Start | None = None
-    centre = (np.array(size) - 1.0) / 2.0
-    T = [fk(arm, log.at(np.clip(spots.stamp_s[rows] + delay_s, log.t_s[0], log.t_s[-1]))[0]) for rows in pieces]
-    middle = np.concatenate(T)[:, :3, 3].mean(axis=0)
-    for k1 in lenses:
-        for view in VIEWS[: 1 if k1 == 0.0 else None]:
-            focal = view * size[0]
-            xy = [_straight((spots.uv_px[rows] - centre) / focal, k1) for rows in pieces]
-            found = _camera(T, xy, middle)
-            if found is None:
-                continue
-            P, lights, rms, mirrored = found
-            K, middle_px, R, t = _decomposed(P, mirrored)
-            if not (0.2 < K < 5.0):
-                continue
-            start = Start(
-                focal_px=K * focal,
-                centre_px=centre + focal * middle_px,
-                k1=k1 * K**2,
-                R=R,
-                t=t + middle,
-                delay_s=delay_s,
-                lights_m=lights,
-                rms_px=rms * focal,
-                mirrored=mirrored,
-            )
-            if best is None or start.rms_px < best.rms_px:
-                best = start
-    return best
+    for delay in delays_s.tolist():
+        best = _better([best, *(quick.start(delay + step, size[0], 0.0) for step in STEPS_S)])
+        if best is not None and best.rms_px < GOOD * size[0]:
+            break
+    if best is None:
+        return None
+    width = STEPS_S[1] - STEPS_S[0]
+    best = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)])
+    whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
+    return _better([whole.start(best.delay_s, best.focal_px, k1) for k1 in LENS_TRIED])
+
+
+def _better(starts: Sequence[Start | None]) -> Start | None:
+    """Return that which leaves least."""
+    return min((each for each in starts if each is not None), key=lambda each: each.rms_px, default=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Look:
+    """What a camera is looked for in: pieces of ways, and how often lights and camera are found by turns."""
+
+    arm: Arm
+    log: JointLog
+    spots: Spots
+    pieces: Sequence[Index]
+    size: tuple[int, int]
+    turns: int
+
+    def start(self, delay_s: float, focal_px: float, k1: float) -> Start | None:
+        """Return the camera at a delay that explains the pieces best, straightened by k1 and a focal length."""
+        log, spots = self.log, self.spots
+        centre = (np.array(self.size) - 1.0) / 2.0
+        times = [np.clip(spots.stamp_s[rows] + delay_s, log.t_s[0], log.t_s[-1]) for rows in self.pieces]
+        T = [fk(self.arm, log.at(t)[0]) for t in times]
+        middle = np.concatenate(T)[:, :3, 3].mean(axis=0)
+        xy = [_straight((spots.uv_px[rows] - centre) / focal_px, k1) for rows in self.pieces]
+        found = _camera(T, xy, middle, self.turns)
+        if found is None:
+            return None
+        P, lights, rms, mirrored = found
+        K, middle_px, R, t = _decomposed(P, mirrored)
+        if not VIEW[0] < K * focal_px / self.size[0] < VIEW[1]:
+            return None
+        return Start(
+            focal_px=K * focal_px,
+            centre_px=centre + focal_px * middle_px,
+            k1=k1 * K**2,
+            R=R,
+            t=t + middle,
+            delay_s=delay_s,
+            lights_m=lights,
+            rms_px=rms * focal_px,
+            mirrored=mirrored,
+        )
 
 
 def _straight(xy: Array, k1: float) -> Array:
@@ -195,35 +212,115 @@ def _straight(xy: Array, k1: float) -> Array:
     return np.asarray(out)
 
 
-def _camera(T: Sequence[Array], xy: Sequence[Array], middle: Array) -> tuple[Array, Array, float, bool] | None:
+def _camera(
+    T: Sequence[Array], xy: Sequence[Array], middle: Array, turns: int
+) -> tuple[Array, Array, float, bool] | None:
     """Return P (3, 4) about the middle, the pieces' lights (k, 3), what remains, and whether it shows a mirror."""
+    pieces = _Pieces.of(T, xy, middle)
+    found = [_alternated(P, pieces, turns) for P in (_eliminated(T, xy, middle), *_as_one(pieces))]
+    near = [each for each in found if each is not None and np.linalg.norm(each[1], axis=1).max() < FARTHEST_M]
+    best = min(near, key=lambda each: each[2], default=None)
+    if best is None:
+        return None
+    P, lights, rms = best
+    depth = pieces.places(lights) @ P[2, :3] + P[2, 3]
+    if np.median(depth) < 0.0:
+        P, depth = -P, -depth
+    if np.mean(depth > 0.0) < 0.9:
+        return None
+    return P, lights, rms, bool(np.linalg.det(P[:, :3]) < 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pieces:
+    """All pieces' spots in one: R (m, 3, 3), t (m, 3) of the flange about the middle, rays xy (m, 2), begin (k,)."""
+
+    R: Array
+    t: Array
+    xy: Array
+    begin: Index
+    of_piece: Index
+
+    @classmethod
+    def of(cls, T: Sequence[Array], xy: Sequence[Array], middle: Array) -> _Pieces:
+        """Return them."""
+        every = np.concatenate(list(T))
+        length = np.array([len(pose) for pose in T])
+        return cls(
+            R=every[:, :3, :3],
+            t=every[:, :3, 3] - middle,
+            xy=np.concatenate(list(xy)),
+            begin=np.cumsum(length) - length,
+            of_piece=np.repeat(np.arange(len(T)), length),
+        )
+
+    def places(self, lights: Array) -> Array:
+        """Return where the spots' lights are (m, 3), lights (k, 3) or one (3,) being on the flange."""
+        on_flange = lights[self.of_piece] if lights.ndim == 2 else np.broadcast_to(lights, self.t.shape)
+        return np.asarray(np.einsum("mij,mj->mi", self.R, on_flange) + self.t)
+
+    def lights(self, P: Array) -> Array:
+        """Return where on the flange the light of each piece is (k, 3) for P."""
+        D = P[None, :2, :3] - self.xy[:, :, None] * P[None, 2:, :3]  # (m, 2, 3): D X = d
+        d = self.xy * P[2, 3] - P[None, :2, 3]
+        A = D @ self.R
+        b = d - np.einsum("mij,mj->mi", D, self.t)
+        N = np.add.reduceat(A.transpose(0, 2, 1) @ A, self.begin)
+        g = np.add.reduceat(np.einsum("mij,mi->mj", A, b), self.begin)
+        N += 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        return np.asarray(np.linalg.solve(N, g[:, :, None])[:, :, 0])
+
+    def matrix(self, lights: Array) -> tuple[Array, float]:
+        """Return P for known lights (normalised DLT), and the median of what remains in the image."""
+        X = self.places(lights)
+        if not (np.isfinite(X).all() and np.abs(X).max() < 1e3):
+            return np.zeros((3, 4)), np.inf
+        size = float(np.sqrt((X**2).mean())) + 1e-12
+        H = np.concatenate([X / size, np.ones((len(X), 1))], axis=1)
+        HH = H[:, :, None] * H[:, None, :]
+        x, y = self.xy.T
+        A = np.zeros((3, 4, 3, 4))
+        A[0, :, 0] = A[1, :, 1] = HH.sum(axis=0)
+        A[0, :, 2] = A[2, :, 0] = -np.tensordot(x, HH, axes=1)
+        A[1, :, 2] = A[2, :, 1] = -np.tensordot(y, HH, axes=1)
+        A[2, :, 2] = np.tensordot(x**2 + y**2, HH, axes=1)
+        P = np.linalg.eigh(A.reshape(12, 12))[1][:, 0].reshape(3, 4)
+        seen = H @ P.T
+        rms = float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - self.xy) ** 2).sum(axis=1))))
+        return P / np.array([size, size, size, 1.0]), rms
+
+
+def _as_one(pieces: _Pieces) -> list[Array]:
+    """Return the best P as if all lights were at one place near the flange: rough, but never short of motion."""
+    steps = np.linspace(-AS_ONE_M, AS_ONE_M, 5)
+    found = [pieces.matrix(np.array([x, y, z])) for x in steps for y in steps for z in steps]
+    return [P for P, _ in sorted(found, key=lambda each: each[1])[:AS_ONE_KEPT]]
+
+
+def _eliminated(T: Sequence[Array], xy: Sequence[Array], middle: Array) -> Array:
+    """Return P (3, 4) by linear least squares, the products of each piece eliminated."""
     S = np.zeros((12, 12))
     for pose, seen in zip(T, xy, strict=True):
         shared, own = _rows(pose, seen, middle)
         Q, _, _ = scipy.linalg.qr(own, mode="economic", pivoting=True)
         left = shared - Q @ (Q.T @ shared)
         S += left.T @ left
-    P = np.linalg.eigh(S)[1][:, 0].reshape(3, 4)
-    lights = np.zeros((len(T), 3))
+    return np.asarray(np.linalg.eigh(S)[1][:, 0].reshape(3, 4))
+
+
+def _alternated(P: Array, pieces: _Pieces, turns: int) -> tuple[Array, Array, float] | None:
+    """Return P, lights (k, 3) and what remains, each found from the other by turns."""
     rms = before = np.inf
-    for turn in range(ALTERNATIONS):
-        for k, (pose, seen) in enumerate(zip(T, xy, strict=True)):
-            lights[k] = _light(P, pose, seen, middle)
-        P, rms = _matrix(lights, T, xy, middle)
+    for turn in range(turns):
+        lights = pieces.lights(P)
+        P, rms = pieces.matrix(lights)
         if not np.isfinite(rms):
             return None
         if turn % FEW_ALTERNATIONS == 0:
             if rms > (1.0 - SETTLED) * before:
                 break
             before = rms
-    depth = np.concatenate(
-        [(pose[:, :3, :3] @ p + pose[:, :3, 3] - middle) @ P[2, :3] + P[2, 3] for p, pose in zip(lights, T, strict=True)]
-    )
-    if np.median(depth) < 0.0:
-        P, depth = -P, -depth
-    if np.mean(depth > 0.0) < 0.9:
-        return None
-    return P, lights, rms, bool(np.linalg.det(P[:, :3]) < 0.0)
+    return P, lights, rms
 
 
 def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:
@@ -239,33 +336,6 @@ def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:
         block[:, :, 2] = -xy[:, :, None] * part[:, None, :]
         out.append(block.reshape(2 * m, 3 * k))
     return out[0], out[1]
-
-
-def _light(P: Array, pose: Array, xy: Array, middle: Array) -> Array:
-    """Return where on the flange the light of a piece is (3,) for P."""
-    D = P[None, :2, :3] - xy[:, :, None] * P[None, 2:, :3]  # (m, 2, 3): D X = d
-    d = xy * P[2, 3] - P[None, :2, 3]
-    A = D @ pose[:, :3, :3]
-    b = d - np.einsum("mij,mj->mi", D, pose[:, :3, 3] - middle)
-    return np.asarray(np.linalg.lstsq(A.reshape(-1, 3), b.ravel(), rcond=None)[0])
-
-
-def _matrix(lights: Array, T: Sequence[Array], xy: Sequence[Array], middle: Array) -> tuple[Array, float]:
-    """Return P for known lights (normalised DLT), and the RMS of what remains in the image."""
-    X = np.concatenate([pose[:, :3, :3] @ p + pose[:, :3, 3] - middle for p, pose in zip(lights, T, strict=True)])
-    x = np.concatenate(list(xy))
-    if not (np.isfinite(X).all() and np.abs(X).max() < 1e3):
-        return np.zeros((3, 4)), np.inf
-    size = float(np.sqrt((X**2).mean())) + 1e-12
-    H = np.concatenate([X / size, np.ones((len(X), 1))], axis=1)
-    rows = np.zeros((len(X), 2, 3, 4))
-    rows[:, 0, 0], rows[:, 1, 1] = H, H
-    rows[:, :, 2] = -x[:, :, None] * H[:, None, :]
-    flat = rows.reshape(-1, 12)
-    P = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(3, 4)
-    seen = H @ P.T
-    rms = float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - x) ** 2).sum(axis=1))))
-    return P / np.array([size, size, size, 1.0]), rms
 
 
 def _decomposed(P: Array, mirrored: bool) -> tuple[float, Array, Array, Array]:
