@@ -14,6 +14,9 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     from armsight.app.calibrate.cell_plan import CellPlanOutput
 
+MOST_M = 0.1
+"""A tip known no better than this is not known."""
+
 
 @command(calibrate, "cell-plan", panels=(KNOWN, MOTION))
 def cell_plan(face: CommandUI, job: CellPlanJob) -> None:
@@ -33,17 +36,13 @@ def plan_tables(face: CommandUI, done: CellPlanOutput) -> None:
     moved = ", ".join(figure(value / DEG, 3) for value in done.moved)
     face.say(f"{done.kind}: {done.duration_s:.0f} s, {done.n_rows} rows; joints over {moved} deg (a slide's: m x 57.3)")
     if done.kinds:
-        rows = [[one.name, figure(one.before_m / MM), figure(one.after_m / MM)] for one in done.kinds]
+        rows = [[one.name, _before(one.before_m), figure(one.after_m / MM)] for one in done.kinds]
         for name, before, after in (
             ("tip, as the cameras measure it", done.measured_before_m, done.measured_after_m),
             ("tip, as the arm says it", done.commanded_before_m, done.commanded_after_m),
         ):
-            rows.append(
-                [name, figure(None if before is None else before / MM), figure(None if after is None else after / MM)]
-            )
-        face.table(
-            "Deviation of the tip over the volume, mm RMS, by the spots' noise alone", ["", "before", "after"], rows
-        )
+            rows.append([name, _before(before), figure(None if after is None else after / MM)])
+        face.table("Deviation of the tip over the volume, mm RMS", ["", "before", "after"], rows)
     if done.seen is not None:
         face.say(f"both cameras see all lights in {100.0 * done.seen:.0f} % of the time")
     if done.untold:
@@ -51,6 +50,11 @@ def plan_tables(face: CommandUI, done: CellPlanOutput) -> None:
     for note in done.notes:
         face.say(f"- {note}")
     face.say(f"Motion: {done.file}")
+
+
+def _before(value_m: float | None) -> str:
+    """Return what is known beforehand in mm; that it is nothing, where it is far beyond what is linear."""
+    return "unknown" if value_m is None or value_m > MOST_M else figure(value_m / MM)
 
 
 @command(robot, keeps=("motion.json", "motion.mcap", "joints.csv"))

@@ -166,7 +166,7 @@ def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:
     )
     spots = seen_spots(made, model, first.motion, QUICK.spot_px)
     normals = model.normals(made.x, spots, spots.whitening(), np.zeros(len(spots), np.intp))
-    found = SimpleNamespace(x=made.x, normals=normals)
+    found = SimpleNamespace(x=made.x, normals=normals, wander=None)
     second = refine(made, model, found, target, arm.T_flange_tool, QUICK, start=Q)
     assert second.before_m[0] < 0.1 * first.before_m[0]
     assert second.after_m[0] < first.after_m[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -95,7 +96,7 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
             consequence="What the cameras would see cannot be told, and no motion is planned",
             cure="Give --rig, --world, --target and --volume; or none of them, for small moves about --start",
         )
-    target = _lights(job)
+    target = _lights(job.target)
     T_flange_target = arm.T_flange_tool if job.mount is None else _mounted(job.mount)
     scene = scene_of(job, arm, bounds, limits, target, T_flange_target)
     scene = replace(scene, normal=_normal(scene, start))
@@ -256,11 +257,11 @@ def _mounted(values: tuple[float, ...]) -> RigidTransform:
     return pose_from_euler(values[:3], [DEG * value for value in values[3:] or (0.0, 0.0, 0.0)])
 
 
-def _lights(job: CellPlanJob) -> Target:
-    target = target_of(job.target)
+def _lights(path: Path) -> Target:
+    target = target_of(path)
     if target.is_board or not target.model_known:
         raise Inconsistent(
-            f"{job.target} holds no lights whose places are known",
+            f"{path} holds no lights whose places are known",
             consequence="A cell is calibrated by lights on the flange; no motion is planned",
             cure="Give a target.yaml with spots_m: as drawn is enough",
         )

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.arm.fit import Tolerance
-from armsight.calibrate.cell.fit import CellFit
+from armsight.calibrate.cell.fit import ArmTolerance, CellFit
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.plan_information import (
     KINDS,
@@ -19,6 +18,7 @@ from armsight.calibrate.cell.plan_information import (
     kind_of,
     known_before,
     motion_information,
+    noise_px,
     rests,
 )
 from armsight.calibrate.cell.plan_path import MotionBounds
@@ -40,7 +40,9 @@ AMONG = 40
 """Best of the places left, of which the other one is drawn."""
 LEAST_IN_VOLUME = 5
 """Places with the tip in the volume; over fewer nothing is averaged."""
-BUILT = Tolerance(length_m=3e-4, angle_rad=5e-3, scale=1e-3, coupling=1e-2, sag=1e-3)
+STRAY_M = 3e-5
+"""What gears, play and encoders leave at the flange of an arm of industry."""
+BUILT = ArmTolerance(length_m=3e-4, zero_rad=5e-3, angle_rad=6e-4, sag=1e-3)
 """How far arms of industry are from their tables, zeros included: what is foretold stands on it, as how large the cell
 is follows from the arm's lengths alone."""
 UNTOLD = 0.7
@@ -56,7 +58,10 @@ LITTLE_SEEN = 0.6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanSettings:
-    """duration_s of the motion in steps of rate_hz; frames_hz and spot_px of the cameras; seed of what is drawn."""
+    """duration_s of the motion in steps of rate_hz; frames_hz and spot_px of the cameras; seed of what is drawn.
+
+    stray_m: how far the flange strays from where its joints say, otherwise every BLOCK_S. trials: exchanges of places.
+    """
 
     duration_s: float = 120.0
     rate_hz: float = 125.0
@@ -64,12 +69,13 @@ class PlanSettings:
     spot_px: float = 0.1
     seed: int = 1
     trials: int = TRIALS
-    tolerance: Tolerance = BUILT
+    tolerance: ArmTolerance = BUILT
+    stray_m: float = STRAY_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellPlan:
-    """A motion, and what is foretold of it, by the spots' noise alone.
+    """A motion, and what is foretold of it, by the spots' noise and how the arm strays.
 
     before_m, after_m: RMS deviation of the tip over the volume, as the cameras measure it and as the arm says it.
     kinds: the same of each kind of parameter before and after, all else exact. untold: parameters that stay as unknown
@@ -122,9 +128,10 @@ def plan_motion(
             consequence="How well it is known there cannot be foretold, and no motion is planned",
             cure="Give a volume that arm and cameras reach (--volume, in base axes), or place the cameras otherwise",
         )
-    known = known_before(scene, target, T_flange_target, road.q, settings.tolerance, settings.spot_px, learned)
+    spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
+    known = known_before(scene, target, T_flange_target, road.q, settings.tolerance, spot_px, learned)
     progress.update(1, settings.trials + 2, "choosing places")
-    J = rests(scene, known, road.q, settings.spot_px)
+    J = rests(scene, known, road.q, spot_px)
     J[~scene.seen(road.q)] = 0.0
     frames = settings.duration_s * settings.frames_hz / TYPICAL_PLACES
     order = by_worth(J, known, road.long_s, MOST_PLACES, frames)
@@ -156,7 +163,7 @@ def refine(
     The clocks' delays are those of another recording, and are asked anew. Raises as plan_motion.
     """
     now = replace(scene, model=CellModel(recording=scene.model.recording, lights=model.lights), x=found.x)
-    learned = found.normals.A.sum(axis=0)
+    learned = found.normals.A.sum(axis=0) if found.wander is None else found.wander.reduced(found.normals).A
     clocks = np.array([k for k in range(model.arm_at) if kind_of(model, k) == "clocks"], dtype=np.intp)
     keep = np.setdiff1d(np.arange(len(learned)), clocks)
     # what the first recording says of all else, whatever its clocks were
@@ -283,7 +290,8 @@ def _improved(
 
 def _of_motion(scene: Scene, known: Known, found: Tour, settings: PlanSettings) -> Array:
     motion = found.way.motion(settings.duration_s, LOOKED_HZ)
-    return motion_information(scene, known, motion, settings.spot_px, settings.frames_hz)
+    spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
+    return motion_information(scene, known, motion, spot_px, settings.frames_hz)
 
 
 def _told(scene: Scene, known: Known, found: Tour, information: Array, settings: PlanSettings) -> CellPlan:

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.arm.fit import Tolerance
-from armsight.calibrate.cell.fit import Knowledge, default_knowledge, gauge, shape_information
+from armsight.calibrate.cell.fit import ArmTolerance, Knowledge, default_knowledge, gauge, shape_information
 from armsight.calibrate.cell.model import CAMERA_POSE, PER_CAMERA, CellModel
-from armsight.calibrate.cell.observations import CellRecording, JointLog, Spots
+from armsight.calibrate.cell.observations import BLOCK_S, CellRecording, JointLog, Spots
 from armsight.calibrate.cell.plan_scene import Scene
 from armsight.calibrate.cell.tip import tip_slopes
 from armsight.calibrate.timing.stamps import SteadyStamps
@@ -97,7 +96,7 @@ def known_before(
     target: Target,
     T_flange_target: RigidTransform,
     q: Array,
-    tolerance: Tolerance,
+    tolerance: ArmTolerance,
     spot_px: float,
     learned: Array | None = None,
 ) -> Known:
@@ -125,7 +124,7 @@ def known_before(
     return Known(free=at, information=information[np.ix_(at, at)], goal=np.array(goal))
 
 
-def _free(model: CellModel, x: Array, spots: Array, knowledge: Knowledge, tolerance: Tolerance) -> tuple[str, ...]:
+def _free(model: CellModel, x: Array, spots: Array, knowledge: Knowledge, tolerance: ArmTolerance) -> tuple[str, ...]:
     """Return the names of what the calibration will fit."""
     information = spots + shape_information(model, x, knowledge.shape)
     arm = gauge(model, information, model.arm.geometry, tolerance)
@@ -155,8 +154,24 @@ def rests(scene: Scene, known: Known, q: Array, spot_px: float) -> Array:
     return np.asarray(J[..., known.free].reshape(len(q), -1, len(known.free)) / spot_px)
 
 
+def noise_px(scene: Scene, spot_px: float, stray_m: float, frames_hz: float) -> float:
+    """Return the deviation of a spot as if all were independent: the arm strays by stray_m alike for BLOCK_S."""
+    far = [
+        float(
+            np.linalg.norm(scene.volume.mean(axis=1) - np.asarray(scene.model.T_base_camera(scene.x, side).translation))
+        )
+        for side in (0, 1)
+    ]
+    stray_px = np.mean([scene.model.camera(scene.x, side).intrinsics[0] * stray_m / far[side] for side in (0, 1)])
+    alike = frames_hz * BLOCK_S * len(scene.model.lights)
+    return float(np.hypot(spot_px, np.sqrt(alike) * stray_px))
+
+
 def motion_information(scene: Scene, known: Known, motion: Motion, spot_px: float, rate_hz: float) -> Array:
-    """Return the information (F, F) of all that both cameras see of a motion, frame by frame while it moves."""
+    """Return the information (F, F) of all that both cameras see of a motion, frame by frame while it moves.
+
+    spot_px: as noise_px has it, of the frames' own errors and of how the arm strays.
+    """
     model = CellModel(recording=replace(scene.model.recording, log=JointLog.of(motion)), lights=scene.model.lights)
     spots = seen_spots(scene, model, motion, spot_px)
     if not len(spots):
