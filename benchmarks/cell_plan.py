@@ -6,7 +6,8 @@ Cells are drawn in tests/truth/cell_world.py. What is known beforehand is rough:
 distortion, cameras 10 mm and 1 deg off, the target as built. Each motion takes as long, within the same limits:
 planned; random: through places in view in random order, by the same road map and timing; sines: each joint about the
 middle, a rhythm and 12 deg for each, nobody looks at the view; drawn: reaches from place to place as a person may
-program them, up to 0.9 rad/s. Each is recorded and calibrated alike. Error: as in benchmarks/cell.py, RMS over the work volume.
+program them, up to 0.9 rad/s. Each is recorded and calibrated alike. Error: as in benchmarks/cell.py, RMS over the
+work volume.
 """
 
 from __future__ import annotations

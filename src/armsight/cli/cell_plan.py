@@ -67,7 +67,7 @@ def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move witho
 
     done = run_motion(job, face.moves(yes=yes), face.progress("moving"))
     face.say(
-        f"{100.0 * done.share:.0f} % of {done.planned_s:.0f} s in {done.took_s:.1f} s; {done.n_cycles} cycles, "
+        f"{100.0 * done.share:.0f} % of the motion in {done.took_s:.1f} s; {done.n_cycles} cycles, "
         f"{done.late} late, {done.missed} missed; ended by: {done.stopped_by}"
     )
     for why in done.holds:

@@ -120,9 +120,9 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight calibrate arm --model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
     ),
     "calibrate cell-plan": (
-        "armsight calibrate cell-plan --model ur5e --rig rig.yaml --world world.yaml --target target.yaml "
-        "--volume=0.3:0.6,-0.2:0.2,0.2:0.5 --limits limits.yaml -o motion.csv",
-        "armsight calibrate cell-plan --model ur5e --start=0,-1.2,1.4,-1.8,-1.5,0 --limits limits.yaml -o motion.csv",
+        f"armsight calibrate cell-plan --model arm.yaml {RIG} --world world.yaml "
+        "--volume=-0.95:-0.75,-0.3:0.05,0.1:0.4 --facing-deg 60 -o motion.csv",
+        "armsight calibrate cell-plan --model arm.yaml --start=0,-1.07,1.63,-0.57,1.73,0.16 -o motion.csv",
     ),
     "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points observed.csv -o world.yaml",),
     "calibrate mirrors": (
@@ -185,7 +185,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight robot jog --robot sim:webcam-cell --joint 1 --by 0.02",
         "armsight robot jog --robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
     ),
-    "robot run": ("armsight robot run --robot rtde:192.168.0.10 --arm ur5e --motion motion.csv -o moved",),
+    "robot run": ("armsight robot run --robot sim:webcam-cell --motion motion.csv -o moved",),
 }
 """Command -> what to type; the help lists the commands of a panel in this order."""
 

@@ -33,6 +33,7 @@ NOT_HERE = {
     "twin": "serves until Ctrl-C: tests/contracts run it",
     "console": "serves until Ctrl-C: tests/browser runs it",
     "calibrate timing": "two cameras before which a target is waved: tests/unit/cli/test_timing.py draws their spots",
+    "robot run": "takes as long as its motion: tests/unit/app/test_cell_plan.py runs one by a clock of its own",
     "rsi:": "a robot's controller",
     "gamepad": "a gamepad",
 }

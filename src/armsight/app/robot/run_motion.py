@@ -19,7 +19,7 @@ from armsight.control.guard import Guard, GuardState
 from armsight.control.guard.space import Space
 from armsight.control.loop import ControlLoop
 from armsight.control.play.joint_motion import JointMotionSource
-from armsight.control.status import RobotStatus
+from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
@@ -44,16 +44,13 @@ FEWEST_ROWS = 4
 class RunMotionOutput(Output):
     """armsight robot run."""
 
-    state: Annotated[str, Doc("The guard's last state: running, holding, retreating, disabled or stopped.")]
     n_cycles: Annotated[int, Doc("Cycles of the control loop.")]
     late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
     missed: Annotated[int, Doc("Cycles that never began.")]
     stopped_by: Annotated[str, Doc("Why it ended: end (of the motion), operator, or in words what stopped it.")]
     finished: Annotated[bool, Doc("Whether the motion was run to its end.")]
     share: Annotated[float, Doc("Share of the motion that was run, 0 to 1.")]
-    planned_s: Annotated[float, Doc("How long the motion takes by itself, s.")]
     took_s: Annotated[float, Doc("How long it took, with the way to its start, s.")]
-    outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
     recording: Annotated[str, Doc("The recording: commands, readings and events.")]
     joints: Annotated[str, Doc("The readings by themselves, joints.csv, for a calibration.")]
@@ -124,37 +121,46 @@ def run_motion(
             asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(outside)
         if not confirm(asked):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
-        with LoopRecorder(job.out / RECORDING, clock) as recorder:
-            tally = _Tally(progress.cancelled)
-            loop = ControlLoop(
-                robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=recorder.sink
-            )
-
-            def show() -> None:
-                progress.update(source.at_s, source.length_s, source.stage)
-
-            timing = run_with_progress(lambda: loop.run(until=tally), show)
-    if recorder.failed is not None:
-        raise recorder.failed
-    finished = source.stage == "finished"
+        tally = _Tally(progress.cancelled)
+        timing = _followed(job, robot, guard, source, clock, tally, progress)
     _write_readings(job)
+    finished = source.stage == "finished"
     done = RunMotionOutput(
-        state="disabled" if tally.last is None else tally.last.guard.value,
         n_cycles=timing.n_cycles,
         late=timing.late,
         missed=timing.missed,
         stopped_by=tally.stopped_by(finished=finished),
         finished=finished,
         share=source.at_s / source.length_s,
-        planned_s=source.length_s,
         took_s=tally.took_s,
-        outside=outside,
         holds=tally.holds,
         recording=str(job.out / RECORDING),
         joints=str(job.out / READINGS),
     )
     write_json(job.out / SUMMARY, done.to_dict())
     return done
+
+
+def _followed(
+    job: RunMotionJob,
+    robot: Robot,
+    guard: Guard,
+    source: JointMotionSource,
+    clock: Clock,
+    tally: _Tally,
+    progress: Progress,
+) -> Timing:
+    """Run the loop, and record it. Raises what the recorder failed of."""
+    with LoopRecorder(job.out / RECORDING, clock) as recorder:
+        loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=recorder.sink)
+
+        def show() -> None:
+            progress.update(source.at_s, source.length_s, source.stage)
+
+        timing = run_with_progress(lambda: loop.run(until=tally), show)
+    if recorder.failed is not None:
+        raise recorder.failed
+    return timing
 
 
 def question(robot: Robot, guard: Guard, motion: Motion, stands: Array) -> str:

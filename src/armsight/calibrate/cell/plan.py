@@ -121,13 +121,7 @@ def plan_motion(
     if start is None:
         found = _from_middle(scene, found)
     road = roadmap(scene, found)
-    inside = int((scene.inside(road.q) & scene.seen(road.q)).sum())
-    if inside < LEAST_IN_VOLUME:
-        raise NotEnoughData(
-            f"the tip comes into the volume at {inside} of {len(road.q)} positions that can be gone to in view",
-            consequence="How well it is known there cannot be foretold, and no motion is planned",
-            cure="Give a volume that arm and cameras reach (--volume, in base axes), or place the cameras otherwise",
-        )
+    _check_volume(scene, road)
     spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
     known = known_before(scene, target, T_flange_target, road.q, settings.tolerance, spot_px, learned)
     progress.update(1, settings.trials + 2, "choosing places")
@@ -144,6 +138,17 @@ def plan_motion(
         )
     best, information = _improved(scene, road, known, best, order, settings, rng, progress)
     return _told(scene, known, best, information, settings)
+
+
+def _check_volume(scene: Scene, road: Roadmap) -> None:
+    """Raise NotEnoughData where the tip hardly comes into the volume."""
+    inside = int((scene.inside(road.q) & scene.seen(road.q)).sum())
+    if inside < LEAST_IN_VOLUME:
+        raise NotEnoughData(
+            f"the tip comes into the volume at {inside} of {len(road.q)} positions that can be gone to in view",
+            consequence="How well it is known there cannot be foretold, and no motion is planned",
+            cure="Give a volume that arm and cameras reach (--volume, in base axes), or place the cameras otherwise",
+        )
 
 
 def refine(
