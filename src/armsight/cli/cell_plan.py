@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app.requests.cell_plan import KNOWN, MOTION, CellPlanJob, RunMotionJob
 from armsight.cli.command import calibrate, command, robot
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.motion import PLAY_KEYS, STEP
 from armsight.cli.tables import figure
 from armsight.fields import Doc
-from armsight.units import DEG, MM
+from armsight.units import MM
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from armsight.app.calibrate.cell_plan import CellPlanOutput
+    from armsight.control.play.joint_motion import JointMotionSource
 
 MOST_M = 0.1
 """A tip known no better than this is not known."""
@@ -33,8 +38,8 @@ def cell_plan(face: CommandUI, job: CellPlanJob) -> None:
 
 def plan_tables(face: CommandUI, done: CellPlanOutput) -> None:
     """Print what a motion leads to."""
-    moved = ", ".join(figure(value / DEG, 3) for value in done.moved)
-    face.say(f"{done.kind}: {done.duration_s:.0f} s, {done.n_rows} rows; joints over {moved} deg (a slide's: m x 57.3)")
+    moved = ", ".join(figure(value, 3) for value in done.moved)
+    face.say(f"{done.kind}: {done.duration_s:.0f} s, {done.n_rows} rows; joints over {moved} (rad or m)")
     if done.kinds:
         rows = [[one.name, _before(one.before_m), figure(one.after_m / MM)] for one in done.kinds]
         for name, before, after in (
@@ -57,15 +62,37 @@ def _before(value_m: float | None) -> str:
     return "unknown" if value_m is None or value_m > MOST_M else figure(value_m / MM)
 
 
+def run_keys(source: JointMotionSource) -> dict[str, Callable[[], None]]:
+    """Return what each key does."""
+
+    def space() -> None:
+        if source.paused:
+            source.resume()
+        else:
+            source.pause()
+
+    def by(step: float) -> None:
+        source.override = min(max(source.override + step, STEP), 1.0)
+
+    return {" ": space, "+": lambda: by(STEP), "-": lambda: by(-STEP)}
+
+
 @command(robot, keeps=("motion.json", "motion.mcap", "joints.csv"))
 def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move without asking.")] = False) -> None:
     """Run a motion of the joints through the guard, and record the readings. Ctrl-C brings the arm to rest.
 
     The whole motion is checked first. Cameras are recorded beside it with armsight record.
     """
+    from armsight.app.robot.jog_by_hand import listening
     from armsight.app.robot.run_motion import run_motion
 
-    done = run_motion(job, face.moves(yes=yes), face.progress("moving"))
+    with ExitStack() as stack:
+
+        def begun(source: JointMotionSource) -> None:
+            face.say(PLAY_KEYS)
+            stack.enter_context(listening(run_keys(source)))
+
+        done = run_motion(job, face.moves(yes=yes), face.progress("moving"), begun=begun)
     face.say(
         f"{100.0 * done.share:.0f} % of the motion in {done.took_s:.1f} s; {done.n_cycles} cycles, "
         f"{done.late} late, {done.missed} missed; ended by: {done.stopped_by}"

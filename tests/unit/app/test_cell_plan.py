@@ -24,6 +24,7 @@ from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import longest
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
+from armsight.control.play.joint_motion import JointMotionSource
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.records import Motion, Silent
@@ -76,11 +77,13 @@ def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([T[:, :3, 3], flange[:, :3, 3]])
 
 
-def moved(motion: Path, out: Path, *, confirm=lambda _: True, progress=None, **more: object) -> RunMotionOutput:
+def moved(
+    motion: Path, out: Path, *, confirm=lambda _: True, progress=None, begun=lambda _: None, **more: object
+) -> RunMotionOutput:
     clock = ManualClock()
     robot = open_robot("sim:webcam-cell", clock)
     wanted = RunMotionJob(robot="sim:webcam-cell", motion=motion, out=out, **more)
-    return run_motion(wanted, confirm, progress, clock=clock, opened=robot)
+    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun)
 
 
 def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard(cell: Path, tmp_path: Path) -> None:
@@ -266,3 +269,29 @@ def test_a_motion_ends_where_the_operator_lets_go_and_its_speed_is_cut(tmp_path:
     assert slow.finished and slow.took_s > 10.0
     with refuses(UsageError, "slow"):
         moved(tmp_path / "motion.csv", tmp_path / "slow")
+
+
+def test_a_motion_waits_while_it_is_paused(tmp_path: Path) -> None:
+    write_joints(tmp_path / "motion.csv", swing(by=0.05))
+    stages: list[tuple[str, bool, float]] = []
+
+    class Resumed(Silent):
+        """An operator who pauses a second after the start, and goes on three seconds later."""
+
+        looks = 0
+
+        def cancelled(self) -> bool:
+            self.looks += 1
+            source = sources[0]
+            if self.looks == 300:
+                source.pause()
+            if self.looks == 900:
+                source.resume()
+            stages.append((source.stage, source.paused, source.at_s))
+            return False
+
+    sources: list[JointMotionSource] = []
+    done = moved(tmp_path / "motion.csv", tmp_path / "out", progress=Resumed(), begun=sources.append)
+    waited = [at for _, paused, at in stages if paused]
+    assert done.finished and stages[-1][0] == "finished"
+    assert waited[-1] - waited[0] < 0.5 and waited[-1] == waited[len(waited) // 2]

@@ -39,6 +39,9 @@ CHECKED_S = 0.02
 """Time of the motion between two of its rows that are checked before it is run."""
 FEWEST_ROWS = 4
 
+Begun = Callable[[JointMotionSource], None]
+"""Is given the motion once it may move, so that a key may pause it and change its override."""
+
 
 @output
 class RunMotionOutput(Output):
@@ -99,19 +102,20 @@ def run_motion(
     *,
     clock: Clock | None = None,
     opened: Robot | None = None,
+    begun: Begun = lambda _: None,
 ) -> RunMotionOutput:
     """Run a motion after asking: to its first reading, then along it; write recording and readings into job.out.
 
-    The whole motion is checked first: the joints' ranges and speeds, boxes of tool and flange. opened: in place of the
-    robot named. Raises UsageError, DataRefused for a motion beyond a limit, DeviceFailed, Cancelled.
+    The whole motion is checked first: ranges of the joints, boxes of tool and flange. opened: in place of the robot.
+    begun: is given the motion once it may move. Raises UsageError, DataRefused for a motion beyond a limit,
+    DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     if (job.out / RECORDING).exists():
         raise UsageError(
             f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
-    motion = read_joints(job.motion)
-    model = given_arm(job.arm)
+    motion, model = read_joints(job.motion), given_arm(job.arm)
     robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
     guard = guard_for(robot, model, job.limits, share=job.speed)
     source = JointMotionSource(_checked(job, motion, guard), override=job.override)
@@ -122,10 +126,17 @@ def run_motion(
         if not confirm(asked):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
         tally = _Tally(progress.cancelled)
+        begun(source)
         timing = _followed(job, robot, guard, source, clock, tally, progress)
     _write_readings(job)
+    done = _output(job, source, tally, timing)
+    write_json(job.out / SUMMARY, done.to_dict())
+    return done
+
+
+def _output(job: RunMotionJob, source: JointMotionSource, tally: _Tally, timing: Timing) -> RunMotionOutput:
     finished = source.stage == "finished"
-    done = RunMotionOutput(
+    return RunMotionOutput(
         n_cycles=timing.n_cycles,
         late=timing.late,
         missed=timing.missed,
@@ -137,8 +148,6 @@ def run_motion(
         recording=str(job.out / RECORDING),
         joints=str(job.out / READINGS),
     )
-    write_json(job.out / SUMMARY, done.to_dict())
-    return done
 
 
 def _followed(
