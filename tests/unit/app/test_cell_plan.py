@@ -18,7 +18,7 @@ from armsight.app.robot.run_motion import RunMotionOutput, run_motion
 from armsight.app.simulate.run import simulate
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
-from armsight.calibrate.cell.plan import PlanSettings, cautious_motion, plan_motion, refine
+from armsight.calibrate.cell.plan import CAUTIOUS_RAD, PlanSettings, cautious_motion, plan_motion, refine
 from armsight.calibrate.cell.plan_information import known_before, motion_information, seen_spots
 from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import longest
@@ -180,13 +180,14 @@ def test_small_moves_where_nothing_is_known_stay_near(cell: Path, tmp_path: Path
     done = run_cell_plan(job(cell, tmp_path, **nothing))
     motion, arm = read_joints(tmp_path / "motion.csv"), load_arm(str(cell / "arm.yaml"))
     at = tool_and_flange(arm, motion.q)[len(motion.q) :]
-    assert done.kind == "cautious" and np.linalg.norm(at - at[0], axis=1).max() < 0.1
-    assert (np.ptp(motion.q, axis=0) > 0.02).all()
+    assert done.kind == "cautious" and np.linalg.norm(at - at[0], axis=1).max() < 0.25
+    assert (np.ptp(motion.q, axis=0) > 0.05).all() and np.abs(motion.q - Q).max() < CAUTIOUS_RAD
+    assert np.allclose(motion.q[[0, -1]], Q)
     tool = np.linalg.norm(np.diff(at, axis=0), axis=1) / motion.t_s[1]
-    assert tool.max() < Limits().speed_m_s
-    # each joint at a rhythm of its own
-    swings = np.abs(np.fft.rfft(motion.q - Q, axis=0)).argmax(axis=0)
-    assert len(set(swings.tolist())) == 6
+    assert 0.5 * Limits().speed_m_s < tool.max() < Limits().speed_m_s
+    # it stops and goes, by which clocks are found, and its joints do not move alike
+    assert (tool < 0.1 * tool.max()).mean() > 0.1
+    assert np.abs(np.corrcoef(motion.q.T) - np.eye(6)).max() < 0.95
     with refuses(UsageError, "--start"):
         run_cell_plan(job(cell, tmp_path, **nothing, start=None))
     bounds = motion_bounds(arm, Limits())

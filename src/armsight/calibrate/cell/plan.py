@@ -21,7 +21,7 @@ from armsight.calibrate.cell.plan_information import (
     noise_px,
     rests,
 )
-from armsight.calibrate.cell.plan_path import MotionBounds
+from armsight.calibrate.cell.plan_path import SHARE, MotionBounds
 from armsight.calibrate.cell.plan_scene import Free, Roadmap, Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import LOOKED_HZ, Tour, by_worth, longest, tour
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
@@ -49,9 +49,12 @@ UNTOLD = 0.7
 """A parameter that keeps so much of the deviation it had is not told by the motion."""
 LITTLE = {True: 20.0 * DEG, False: 0.05}
 """A joint that turns (rad) or slides (m) less is hardly told."""
-CAUTIOUS_M, CAUTIOUS_RAD = 0.05, 12.0 * DEG
-"""How far the flange goes, and each joint turns, in a motion about the place where the arm stands."""
-EASED_S = 4.0
+CAUTIOUS_M, CAUTIOUS_RAD = 0.16, 45.0 * DEG
+"""How far the flange goes, and each joint turns, in a motion about the place where the arm stands; from 0.1 m and
+25 deg no simulated cell could be calibrated (benchmarks/cell_plan.py --cautious)."""
+REST_S = 0.5
+PEAK, PEAK_CHANGE = 1.875, 5.774
+"""Of a reach of least jerk: largest speed and acceleration over way per time, and per time squared."""
 HALVED = 5
 LITTLE_SEEN = 0.6
 
@@ -217,39 +220,59 @@ def check_start(arm: Arm, bounds: MotionBounds, free: Free, start: Array) -> Non
 def cautious_motion(
     arm: Arm, bounds: MotionBounds, free: Free, start: Array, settings: PlanSettings | None = None
 ) -> Motion:
-    """Return small moves of all joints about start (n,), for a cell of which nothing is known.
+    """Return small moves of all joints about start (n,) and back, for a cell of which nothing is known.
 
-    The user sees the lights in both images there. No joint turns further than CAUTIOUS_RAD, and the flange goes no
-    further than CAUTIOUS_M.
-
-    Each joint swings at a rhythm of its own, so that what each does can be told apart. Raises Inconsistent where even
-    the smallest of them leaves the limits.
+    The user sees the lights in both images there. No joint turns further than CAUTIOUS_RAD from it, and each moves the
+    flange by its share of CAUTIOUS_M at the most. Reaches of many lengths with rests between: by the speeds of joints
+    and lights the clocks are found. Raises Inconsistent where even the smallest of them leaves the limits.
     """
     settings = settings or PlanSettings()
-    n, T = arm.n, settings.duration_s
-    J = jacobian(arm.based(), arm.values(start))
-    lever = np.linalg.norm(J[:3], axis=0)
+    rng = np.random.default_rng(settings.seed)
+    J = np.abs(jacobian(arm.based(), arm.values(start))[:3])
     most = np.where(arm.revolute, CAUTIOUS_RAD, CAUTIOUS_M)
-    size = np.minimum(most, CAUTIOUS_M / np.sqrt(n) / np.maximum(lever, 1e-6))
-    turns = np.rint(T / 12.0) + 2.0 * np.arange(n) + 1.0
-    rhythm = 2.0 * np.pi * turns / T
-    lasting = max(float((rhythm * size / (0.5 * bounds.speed)).max()), 1e-9)
-    speed = float((np.abs(J[:3]) @ (size * rhythm)).max()) / (0.5 * bounds.speed_m_s)
-    size = size / max(lasting, speed, 1.0)
-    t = np.arange(int(T * settings.rate_hz) + 1) / settings.rate_hz
-    ease = np.clip(np.minimum(t, T - t) / min(EASED_S, 0.25 * T), 0.0, 1.0)
-    ease = ease**3 * (10.0 - 15.0 * ease + 6.0 * ease**2)
-    swing = ease[:, None] * np.sin(np.outer(t, rhythm))
+    size = np.minimum(most, CAUTIOUS_M / np.sqrt(arm.n) / np.maximum(np.linalg.norm(J, axis=0), 1e-6))
+    size = np.minimum(size, np.minimum(bounds.upper - start, start - bounds.lower))
     for _ in range(HALVED):
-        q = start + size * swing
-        if (bounds.within(q) & free(q)).all():
-            return Motion(t_s=t, q=q)
+        motion = _reaches(start, size, J, bounds, settings, rng)
+        if (bounds.within(motion.q) & free(motion.q)).all():
+            return motion
         size = 0.5 * size
     raise Inconsistent(
         "even the smallest moves about where the arm stands leave its limits",
         consequence="No motion is planned",
         cure="Bring it away from the ends of its joints and from walls and boxes, still in view of both cameras",
     )
+
+
+def _reaches(
+    start: Array, size: Array, J: Array, bounds: MotionBounds, settings: PlanSettings, rng: np.random.Generator
+) -> Motion:
+    """Return reaches of least jerk (Flash, Hogan 1985) between places within size (n,) of start, and back at the end.
+
+    J (3, n): by how much a joint moves the tool; the peak of such a reach is PEAK times its mean speed.
+    """
+    t = np.arange(int(settings.duration_s * settings.rate_hz) + 1) / settings.rate_hz
+    q, here, at_s = np.tile(start, (len(t), 1)), start, REST_S
+    while at_s < t[-1]:
+        goal = start + size * rng.uniform(-1.0, 1.0, len(start))
+        took = _reach_s(goal - here, J, bounds) * rng.uniform(1.0, 3.0)
+        back = _reach_s(goal - start, J, bounds)
+        if at_s + took + back + 2.0 * REST_S > t[-1]:
+            goal, took = start, _reach_s(start - here, J, bounds)
+        s = np.clip((t - at_s) / took, 0.0, 1.0)
+        q += (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None] * (goal - here)
+        if goal is start:
+            break
+        here, at_s = goal, at_s + took + rng.uniform(0.0, 2.0 * REST_S)
+    return Motion(t_s=t, q=q)
+
+
+def _reach_s(way: Array, J: Array, bounds: MotionBounds) -> float:
+    """Return the shortest time of a reach over way (n,) within the limits of speed and acceleration."""
+    tool = float(np.linalg.norm(J @ np.abs(way)))
+    speed = max(float((np.abs(way) / bounds.speed).max()), tool / bounds.speed_m_s)
+    sharp = max(float((np.abs(way) / bounds.acceleration).max()), tool / bounds.acceleration_m_s2)
+    return max(PEAK * speed, np.sqrt(PEAK_CHANGE * sharp), 0.2) / SHARE
 
 
 def _from_middle(scene: Scene, found: Array) -> Array:
