@@ -38,19 +38,19 @@ WRONG = 3.0
 MM = MS = 1e-3
 OURS, AT_RESTS, BY_HAND_EYE, MOVING = "one recording", "chain at rests", "chain at rests, hand-eye", "chain in motion"
 CAUSES = {
-    "slipping_target": ("target",),
-    "touched_camera": ("camera",),
-    "clock_jump": ("clock", "stamps"),
-    "elastic_arm": ("give way", "gives way", "sag", "complian"),
-    "wrong_arm": ("arm",),
-    "degrees": ("degree",),
+    "slipping_target": ("target slipped",),
+    "touched_camera": ("camera moved",),
+    "clock_jump": ("clock jumped",),
+    "elastic_arm": ("give way", "gives way"),
+    "wrong_arm": ("of this arm", "by the arm's lengths"),
+    "degrees": ("degrees",),
     "mirrored": ("mirror",),
-    "other_day": ("log", "recording"),
-    "wrong_target": ("target", "shape"),
-    "joint_zero_jump": ("joint", "encoder", "zero"),
-    "dark_frames": ("dark", "few", "light"),
-    "still_joint": ("still", "did not move", "joint"),
-    "one_camera_blind": ("camera", "light"),
+    "other_day": ("never move alike", "of this recording"),
+    "wrong_target": ("target's file", "by the arm's lengths"),
+    "joint_zero_jump": ("reading jumped",),
+    "dark_frames": ("% of its frames",),
+    "still_joint": ("did not move",),
+    "one_camera_blind": ("spots that move", "% of its frames"),
 }
 """Words of which one tells each fault's cause."""
 
@@ -196,7 +196,8 @@ def faults(first: int, count: int) -> None:
             told, words = "doubtful" if found.alarm else "called good", found.words
             errors, _ = tip_errors(world, found.measured_with)
             off_mm = rms(errors) / MM if len(errors) else "lost"
-        right = told != "called good" and any(word in words.lower() for word in CAUSES[fault])
+        held = told == "called good" and fault != "elastic_arm"  # which may be taken into the model, and told
+        right = not held and any(word in words.lower() for word in CAUSES[fault])
         rows.setdefault(fault, []).append([told, right, off_mm])
         print(f"cell {seed}, {fault} {world.truth.told}: {told}, tip off {off_mm} mm: {words[:300]}", flush=True)
     out = []

@@ -7,6 +7,7 @@ and arm stand still, nobody mixes up which spot is which, and every picture of a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -186,7 +187,12 @@ def chain(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> Chain:
     target = called_as_built(calibrate_target(stereo.rig, lit_frames(rests), len(truth.lights)).target, world)
     poses = measured(rests, Setup(rig=stereo.rig, target=target))
     done = by_arm(nominal, poses)
-    common = {"rig": stereo.rig, "target": target, "T_nominal": nominal_axes(target, world), "arm": done.arm}
+    common = {
+        "rig": stereo.rig,
+        "target": target,
+        "T_nominal": nominal_axes(target, world),
+        "commanded": partial(fk, done.arm.based()),
+    }
     return Chain(
         by_arm=Calibrated(**common, T_base_rig=done.arm.T_world_base.inv()),
         by_hand_eye=Calibrated(**common, T_base_rig=by_hand_eye(done.arm, poses)),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,6 +27,7 @@ from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.arm import ArmCalibration, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
+from armsight.kinematics import fk
 from armsight.store import write_rig, write_target
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
@@ -131,6 +133,6 @@ def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> M
         target=target,
         T_nominal=nominal_axes(target, world),
         T_base_rig=done.arm.T_world_base.inv(),
-        arm=done.arm,
+        commanded=partial(fk, done.arm.based()),
     )
     return MovingChain(by_arm=by_arm, arm=done, poses=len(points))

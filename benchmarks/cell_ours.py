@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cell_records import Calibrated
+from armsight.calibrate.cell import calibrate_cell
+from armsight.calibrate.cell.rounds import Solved
+from armsight.calibrate.cell.tip import tip_slopes
+from armsight.kinematics import fk
+from armsight.records import Motion
+from cell_records import Calibrated, arm_of, nominal_axes, target_of, track_of
 
 Array = NDArray[np.float64]
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -56,6 +62,49 @@ def camera_off(world: Any, side: str, T_base_camera: Array) -> Array:
     return np.concatenate([T_base_camera[:3, 3] - true[:3, 3], turn.as_rotvec()])
 
 
+def parameters(world: Any, solved: Solved, covariance: Array) -> dict[str, list[tuple[float, float]]]:
+    """Return errors and claimed deviations by kind of parameter; of what cannot be told apart, nothing.
+
+    The delay of a camera whose stamps only come late is known but for how late they are in the mean, and left out.
+    """
+    model, x = solved.model, solved.fit.x
+    std = dict(zip(model.names, np.sqrt(np.diag(covariance)), strict=True))
+    value = dict(zip(model.names, x, strict=True))
+    out: dict[str, list[tuple[float, float]]] = {}
+    for name, true in true_parameters(world, model.recording.middle_s).items():
+        kind = name.rpartition(".")[2]
+        late = kind == "delay_s" and getattr(world.truth, name.partition(".")[0]).late
+        if std[name] > 0.0 and not late:
+            out.setdefault("light_m" if name.startswith("light") else kind, []).append((value[name] - true, std[name]))
+    for side, name in enumerate(("left", "right")):
+        off = camera_off(world, name, model.T_base_camera(x, side).as_matrix())
+        for key, error in zip(POSE, off, strict=True):
+            out.setdefault("camera_" + ("m" if key[0] == "t" else "rad"), []).append((error, std[f"{name}.{key}"]))
+    return out
+
+
 def ours(world: Any) -> Ours:
     """Calibrate the cell from its one recording. Raises DataRefused."""
-    raise NotImplementedError
+    done = calibrate_cell(
+        arm_of(world),
+        Motion(t_s=world.log_t_s, q=world.log_q),
+        [track_of(track) for track in (world.left, world.right)],
+        target_of(world),
+        sizes=[track.size for track in (world.left, world.right)],
+    )
+    parts, model, truth = done.parts, done.solved.model, world.truth
+    sigma = (truth.left.noise_px, truth.right.noise_px)
+    slopes = tip_slopes(model, done.solved.fit.x, truth.samples, parts.T_flange_target, truth.tip_target_m, sigma)
+    return Ours(
+        measured_with=Calibrated(
+            rig=parts.rig,
+            target=parts.target,
+            T_base_rig=parts.T_base_rig,
+            T_nominal=nominal_axes(parts.target, world),
+            commanded=partial(fk, parts.arm.based()),
+        ),
+        covariance=slopes.spread_m(slopes.measured, done.covariance),
+        parameters=parameters(world, done.solved, done.covariance),
+        alarm=not done.verdict.startswith("good"),
+        words="; ".join([done.verdict, *done.notes, *done.advice]),
+    )

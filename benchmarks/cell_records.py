@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.kinematics import Arm, fk
+from armsight.kinematics import Arm
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import Rig
@@ -44,16 +45,17 @@ def target_of(world: Any) -> Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrated:
-    """What a calibration hands out to measure with: rig, target, T_base_rig; and the arm, whose tool is the target.
+    """What a calibration hands out to measure with: rig, target, T_base_rig.
 
-    T_nominal: where the target's nominal axes are in those of `target`, by which the tip is known.
+    commanded: T_base_target (m, 4, 4) by the calibrated arm, from its joints (m, 6). T_nominal: where the target's
+    nominal axes are in those of `target`, by which the tip is known.
     """
 
     rig: Rig
     target: Target
     T_base_rig: RigidTransform
     T_nominal: RigidTransform
-    arm: Arm
+    commanded: Callable[[Array], Array]
 
 
 def called_as_built(target: Target, world: Any) -> Target:
@@ -100,6 +102,6 @@ def tip_errors(world: Any, found: Calibrated) -> tuple[Array, int]:
 def commanded_errors(world: Any, found: Calibrated) -> Array:
     """Return the errors (k, 3) of the tip where the calibrated arm's joints say that it is, in base axes."""
     truth = world.truth
-    T = fk(found.arm.based(), truth.samples)
+    T = found.commanded(truth.samples)
     at = found.T_nominal.apply(truth.tip_target_m)
     return np.asarray(T[:, :3, :3] @ at + T[:, :3, 3] - truth.tips(truth.samples))

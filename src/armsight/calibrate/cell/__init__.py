@@ -1,1 +1,7 @@
 """One recording of a moving arm calibrates its whole cell: lenses, rig, timing, base, target and the arm itself."""
+
+from armsight.calibrate.cell.calibrate import CellOptions, calibrate_cell
+from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors
+from armsight.calibrate.cell.result import CellCalibration
+
+__all__ = ["ArmTolerance", "CellCalibration", "CellOptions", "CellPriors", "calibrate_cell"]

@@ -8,107 +8,75 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.cell.model import PER_CAMERA, BlockNormals, CellModel
+from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, shape_information, shape_terms
+from armsight.calibrate.cell.model import BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, Spots
 from armsight.calibrate.cell.wander import Wander, learned_wander
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
-from armsight.geometry import align_points
-from armsight.geometry.poses import skew
-from armsight.records import Progress, Target
 
 Array = NDArray[np.float64]
 
 APART = 1e-4
 """Share of an arm's parameter's effect that must be its own; of one that base, target and others take up wholly,
 rounding leaves 1e-7."""
-CENTRE = 0.05
-"""Of the image's width: the principal point is about so far from the middle, where nothing else is known."""
-LENS = {"k1": 0.5, "k2": 0.5, "k3": 0.5, "p1": 0.01, "p2": 0.01}
-"""Standard deviations of a lens's coefficients, where nothing else is known."""
-ASPECT = 0.02
-"""Of fy over fx."""
-DRIFT_PPM = 300.0
 EM_ROUNDS = 50
+FEWEST_TOLD = 4.0
+"""Corrections by which a class's deviation is told, at least: of fewer nobody could say."""
 LEAST = {"length_m": 5e-5, "zero_rad": 1e-4, "angle_rad": 1e-4}
 """No arm is built better."""
-SHAPE_M = 5e-4
-"""Places of a target's lights, where its file does not say how well they are known: what a drawing and a drill give."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArmTolerance:
-    """What a nominal arm is believed to: standard deviations of its lengths, joint zeros, directions of axes, and sag.
-
-    Zeros are set by hand at mastering, axes are bored on machines: the two are learned apart.
-    """
-
-    length_m: float = 2e-3
-    zero_rad: float = 0.03
-    angle_rad: float = 0.03
-    sag: float = 0.05
-
-    def kind(self, name: str) -> str:
-        """Return which of its fields a parameter goes by."""
-        if name.endswith(".sag"):
-            return "sag"
-        if name.endswith(".theta_rad"):
-            return "zero_rad"
-        return "length_m" if name.endswith("_m") else "angle_rad"
-
-    def of(self, name: str) -> float:
-        """Return the standard deviation of a parameter by its name."""
-        return float(getattr(self, self.kind(name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TargetShape:
-    """How a target's lights (n, 3) m lie to each other, and the covariance (3 n, 3 n) of that."""
+class CellData:
+    """Spots of lights in the order of time, the stretch (m,) that each is of, and their noise.
 
-    xyz_m: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, target: Target) -> TargetShape:
-        """Return a target's; without a covariance each place is good to SHAPE_M."""
-        n = 3 * len(target.names)
-        given = target.covariance
-        return cls(xyz_m=target.xyz_m, covariance=np.eye(n) * SHAPE_M**2 if given is None else given + np.eye(n) * 1e-12)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Knowledge:
-    """What is known before: a vector x (P,) and the information (P, P) about steps from it; zero where nothing is.
-
-    shape: of the target, which is known but for its place on the flange.
+    scale: by how much the spots' deviations of each camera are larger than they say. wander: how the arm strays, where
+    that is taken into account.
     """
 
-    x: Array
-    information: Array
-    shape: TargetShape
-
-    def pull(self, model: CellModel, x: Array) -> Array:
-        """Return the step (P,) from what is known to x."""
-        return model.difference(x, self.x)
+    spots: Spots
+    block: NDArray[np.intp]
+    scale: tuple[float, float]
+    wander: Wander | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellFit:
-    """Parameters x (P,) with the spots they explain, their normal equations by stretches, and the spots' noise.
-
-    scale: by how much the spots' deviations of each camera are larger than they say. free: names that were fitted.
-    wander: how the arm strays, where that was taken into account.
-    """
+    """Parameters x (P,), the data they explain and its normal equations by stretches. free: names that were fitted."""
 
     x: Array
-    spots: Spots
-    block: NDArray[np.intp]
+    data: CellData
     normals: BlockNormals
-    scale: tuple[float, float]
     free: tuple[str, ...]
     known: Knowledge
     fit: Fit
-    wander: Wander | None = None
+
+    @property
+    def spots(self) -> Spots:
+        """The spots used."""
+        return self.data.spots
+
+    @property
+    def block(self) -> NDArray[np.intp]:
+        """Which stretch (m,) each is of."""
+        return self.data.block
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """By how much each camera's spots scatter more than they say."""
+        return self.data.scale
+
+    @property
+    def wander(self) -> Wander | None:
+        """How the arm strays."""
+        return self.data.wander
+
+    @property
+    def spread_px(self) -> Array:
+        """The standard deviation (m,) of each spot's coordinate."""
+        own = np.sqrt(np.trace(self.spots.covariance_px2, axis1=1, axis2=2) / 2.0)
+        return np.asarray(own * np.asarray(self.scale)[self.spots.side])
 
     @property
     def places(self) -> NDArray[np.intp]:
@@ -130,36 +98,6 @@ class CellFit:
         return out
 
 
-def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, target: Target) -> Knowledge:
-    """Return what is known of any cell with webcams: weak deviations of lenses and clocks, the nominal arm, the target.
-
-    x (P,): a cell to begin with.
-    """
-    sigma = np.full(len(x), np.inf)
-    mean = x.copy()
-    for side in (0, 1):
-        width, height = model.recording.sizes[side]
-        first = side * len(PER_CAMERA)
-        period = model.recording.clocks[side].period_s
-        at = {name: first + k for k, name in enumerate(PER_CAMERA)}
-        mean[at["cx"]], mean[at["cy"]] = (width - 1) / 2.0, (height - 1) / 2.0
-        sigma[at["cx"]] = sigma[at["cy"]] = CENTRE * width
-        for name, std in LENS.items():
-            mean[at[name]], sigma[at[name]] = 0.0, std
-        mean[at["drift_ppm"]], sigma[at["drift_ppm"]] = 0.0, DRIFT_PPM
-        mean[at["readout_s"]], sigma[at["readout_s"]] = 0.5 * period, 0.5 * period
-    for k, name in enumerate(model.names[model.arm_at : model.lights_at]):
-        mean[model.arm_at + k], sigma[model.arm_at + k] = 0.0, tolerance.of(name)
-    information = np.diag(1.0 / sigma**2)
-    for side in (0, 1):
-        a = side * len(PER_CAMERA)
-        # square pixels: fy - fx is small
-        w = 1.0 / (ASPECT * x[a]) ** 2
-        information[np.ix_([a, a + 1], [a, a + 1])] += w * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        mean[a + 1] = mean[a] = x[a]
-    return Knowledge(x=mean, information=information, shape=TargetShape.of(target))
-
-
 def blocks_of(model: CellModel, x: Array, spots: Spots) -> tuple[Spots, NDArray[np.intp]]:
     """Return the spots in the order of time that the log covers, and which stretch each is of, from 0."""
     t = model.times_s(x, spots)
@@ -169,30 +107,11 @@ def blocks_of(model: CellModel, x: Array, spots: Spots) -> tuple[Spots, NDArray[
     return spots.take(rows), np.unique(number, return_inverse=True)[1].astype(np.intp)
 
 
-def shape_information(model: CellModel, x: Array, shape: TargetShape) -> Array:
-    """Return the information (P, P) that the target's shape is about the lights, wherever it is on the flange."""
-    out = np.zeros((len(x), len(x)))
-    out[model.lights_at :, model.lights_at :] = _shape_terms(model, x, shape)[0]
-    return out
-
-
-def _shape_terms(model: CellModel, x: Array, shape: TargetShape) -> tuple[Array, Array]:
-    """Return information (3 n, 3 n) about the lights, and how far (3 n,) they are from the shape laid onto them."""
-    lights = model.lights_m(x)
-    T = align_points(lights, shape.xyz_m).T_a_b
-    turned = np.kron(np.eye(len(lights)), T.rotation.as_matrix())
-    W = np.linalg.inv(turned @ shape.covariance @ turned.T)
-    # a rigid motion of all lights costs nothing: what it does is taken out of the information
-    moves = np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights - lights.mean(axis=0)).reshape(-1, 3)], axis=1)
-    inner = moves.T @ W @ moves
-    return W - W @ moves @ np.linalg.solve(inner, moves.T @ W), (lights - T.apply(shape.xyz_m)).ravel()
-
-
 def gauge(model: CellModel, information: Array, candidates: Collection[str], tolerance: ArmTolerance) -> list[str]:
     """Return which of the arm's parameters can be told from cameras, lights and each other, by pivoting."""
     A = information
     index = np.array([model.names.index(name) for name in candidates], dtype=np.intp)
-    mounts = [k for k in range(len(A)) if not model.arm_at <= k < model.lights_at and A[k, k] > 0.0]
+    mounts = np.array([k for k in range(len(A)) if not model.arm_at <= k < model.lights_at and A[k, k] > 0.0])
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))
     scaled = A / np.outer(size, size)
     M = scaled[np.ix_(mounts, mounts)] + 1e-12 * np.eye(len(mounts))
@@ -215,18 +134,13 @@ def gauge(model: CellModel, information: Array, candidates: Collection[str], tol
 def fit_cell(
     model: CellModel,
     x: Array,
-    spots: Spots,
-    block: NDArray[np.intp],
+    data: CellData,
     free: Collection[str],
     known: Knowledge,
-    scale: tuple[float, float],
-    *,
-    wander: Wander | None = None,
-    settings: Settings | None = None,
-    progress: Progress | None = None,
 ) -> CellFit:
-    """Return the fit of the parameters named in free. Raises NotConverged, Undetermined."""
-    W = spots.whitening(scale)
+    """Return the fit of the parameters named in free, from x (P,) on. Raises NotConverged, Undetermined."""
+    spots, block, wander = data.spots, data.block, data.wander
+    W = spots.whitening(data.scale)
     held = [k for k, name in enumerate(model.names) if name not in free]
     information = known.information.copy()
     information[held] = information[:, held] = 0.0
@@ -238,7 +152,7 @@ def fit_cell(
     def evaluate(at: Array, local: Array) -> Evaluation:
         normals = model.normals(at, spots, W, block)
         pull = known.pull(model, at)
-        shape, off = _shape_terms(model, at, known.shape)
+        shape, off = shape_terms(model, at, known.shape)
         if wander is None:
             r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)
         else:
@@ -265,18 +179,15 @@ def fit_cell(
         fixed=frozenset(model.names) - frozenset(free),
         retract=model.retract,
     )
-    fit = solve(problem, settings or Settings(cost_tolerance=1e-9), progress)
+    fit = solve(problem, Settings(cost_tolerance=1e-9))
     normals = model.normals(fit.shared, spots, W, block)
     return CellFit(
         x=fit.shared,
-        spots=spots,
-        block=block,
+        data=data,
         normals=normals,
-        scale=scale,
         free=tuple(name for name in model.names if name in free),
         known=known,
         fit=fit,
-        wander=wander,
     )
 
 
@@ -291,7 +202,9 @@ def straying(model: CellModel, found: CellFit) -> Wander:
     t = model.times_s(found.x, found.spots)
     count = np.bincount(found.block)
     arm = model.arm.arm
-    drives = [f"{joint.name}.{'theta_rad' if turns else 'd_m'}" for joint, turns in zip(arm.joints, arm.revolute, strict=True)]
+    drives = [
+        f"{joint.name}.{'theta_rad' if turns else 'd_m'}" for joint, turns in zip(arm.joints, arm.revolute, strict=True)
+    ]
     free = found.places
     known = found.known.information + shape_information(model, found.x, found.known.shape)
     return learned_wander(
@@ -344,7 +257,11 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
         C = np.linalg.inv(H + np.diag(change))
         moved = off - C @ (change * off)
         for name, rows in classes.items():
-            if len(rows) > 2:
-                square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows])) * len(rows) / (len(rows) - 2)
+            if rows:
+                square = float(np.mean(moved[rows] ** 2 + np.diag(C)[rows]))
                 sigma[name] = min(max(np.sqrt(square), LEAST[name]), getattr(tolerance, name))
+    for name, rows in classes.items():
+        # how many of them the recording tells; of a variance estimated from so few Student's t has wider tails
+        told = max(float(np.sum(1.0 - np.diag(C)[rows] / sigma[name] ** 2)), FEWEST_TOLD)
+        sigma[name] = min(sigma[name] * float(np.sqrt(told / (told - 2.0))), getattr(tolerance, name))
     return replace(tolerance, **sigma)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.arm.model import D, THETA, ArmModel
+from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.cell.kernels import see_points
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
 from armsight.geometry.poses import skew
@@ -25,6 +25,8 @@ CELL_CLOCK = ("delay_s", "drift_ppm", "readout_s")
 """Robot's time of a line: stamp + delay + drift (stamp - middle) + readout line, of line from -0.5 to 0.5."""
 PER_CAMERA = (*INTRINSICS, *CAMERA_POSE, *CELL_CLOCK)
 XYZ = ("x_m", "y_m", "z_m")
+AT_ONCE = 3000
+"""Spots whose derivatives are formed together."""
 POSE_AT, CLOCK_AT = len(INTRINSICS), len(INTRINSICS) + len(CAMERA_POSE)
 
 
@@ -42,12 +44,20 @@ class BlockNormals:
     count: Array
     residuals: Array
 
+    def take(self, blocks: NDArray[np.intp]) -> BlockNormals:
+        """Return those of some stretches, without the residuals of single spots."""
+        return BlockNormals(
+            A=self.A[blocks],
+            g=self.g[blocks],
+            chi2=self.chi2[blocks],
+            count=self.count[blocks],
+            residuals=np.empty((0, 2)),
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellModel:
     """A recording and the names of its lights; what is fitted are the parameters in `names`, in that order.
-
-    compliance: whether joints may be found to give way.
 
     '<side>.<PER_CAMERA>' of both cameras, the arm's as ArmModel has them ('j2.theta_rad', 'j3.scale', 'j2.sag' ..), and
     'light:<name>.x_m' .. in the flange's axes.
@@ -55,7 +65,6 @@ class CellModel:
 
     recording: CellRecording
     lights: tuple[str, ...]
-    compliance: bool = False
     arm: ArmModel = field(init=False)
     names: tuple[str, ...] = field(init=False)
 
@@ -123,16 +132,20 @@ class CellModel:
         A, g, chi2 = np.zeros((count, P, P)), np.zeros((count, P)), np.zeros(count)
         residuals = np.empty((len(spots), 2))
         edges = np.searchsorted(block, np.arange(count + 1))
-        for b in range(count):
-            rows = slice(edges[b], edges[b + 1])
-            if edges[b] == edges[b + 1]:
-                continue
-            part = spots.take(np.arange(edges[b], edges[b + 1]))
+        b = 0
+        while b < count:
+            # so many stretches at once as make the derivatives fit into a processor's cache
+            end = max(int(np.searchsorted(edges, edges[b] + AT_ONCE, side="right")) - 1, b + 1)
+            rows = slice(edges[b], edges[end])
+            part = spots.take(np.arange(edges[b], edges[end]))
             uv, J = self._seen(x, part)
-            r = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
-            flat = (whitening[rows] @ J).reshape(-1, P)
-            residuals[rows] = r
-            A[b], g[b], chi2[b] = flat.T @ flat, flat.T @ r.ravel(), np.vdot(r, r)
+            residuals[rows] = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
+            J = whitening[rows] @ J
+            for k in range(b, end):
+                flat = J[edges[k] - edges[b] : edges[k + 1] - edges[b]].reshape(-1, P)
+                r = residuals[edges[k] : edges[k + 1]].ravel()
+                A[k], g[k], chi2[k] = flat.T @ flat, flat.T @ r, r @ r
+            b = end
         return BlockNormals(A=A, g=g, chi2=chi2, count=2.0 * np.diff(edges), residuals=residuals)
 
     def columns(self, x: Array, spots: Spots) -> tuple[Array, Array]:
@@ -208,8 +221,8 @@ class CellModel:
 
     @property
     def sagging(self) -> bool:
-        """Whether anything hangs on how the joints give way: the arm has compliant joints, or they are looked for."""
-        return self.compliance or self.arm.arm.compliant
+        """Whether a joint carries something, and so could give way."""
+        return bool(self.arm.sags)
 
     def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
         """Return pixels (m, 2) and derivatives (m, 2, P)."""

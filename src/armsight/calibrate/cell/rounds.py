@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,18 +10,24 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cell.assignment import NamedLights, assign, name_lights, places_on_flange
+from armsight.calibrate.cell.checks import Cause, Suspicion, alarming, refusal, suspicions
 from armsight.calibrate.cell.fit import (
-    ArmTolerance,
+    CellData,
     CellFit,
-    Knowledge,
     blocks_of,
-    default_knowledge,
     fit_cell,
     gauge,
     learned_tolerance,
-    shape_information,
     side_scales,
     straying,
+)
+from armsight.calibrate.cell.knowledge import (
+    ArmTolerance,
+    CellPriors,
+    Knowledge,
+    default_knowledge,
+    shape_information,
+    with_priors,
 )
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
@@ -46,16 +52,23 @@ MAX_START_PX = 12.0
 """What a right start leaves at most: rolling shutters and what a nominal arm is wrong by."""
 FIRST_FREE = ("fx", "fy", "cx", "cy", "k1", "tx", "ty", "tz", "rx", "ry", "rz", "delay_s", "readout_s")
 FEWEST_SPOTS = 400
+FEWEST_LIT = 0.55
+"""Of the frames: a camera that sees the lights in fewer was dark, or looked elsewhere."""
+ROUNDS = 2
+"""Of fits with the arm's straying, the last one with all spots."""
+PLAIN = 30.0
+"""Times beyond chance (without the straying, which makes up some of it) that a change is told before more is fitted."""
+PLAINLY_VISIBLE = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solved:
-    """The final fit, its model, the lights as they were named, and the first, coarse fit."""
+    """The final fit, its model, the lights as they were named, and what speaks against one model, likeliest first."""
 
     model: CellModel
     fit: CellFit
     lights: NamedLights
-    coarse: CellFit
+    doubts: tuple[Suspicion, ...]
 
 
 def solve_cell(
@@ -63,7 +76,8 @@ def solve_cell(
     target: Target,
     tolerance: ArmTolerance,
     *,
-    compliance: bool = False,
+    priors: CellPriors | None = None,
+    compliance: bool | None = None,
     progress: Progress | None = None,
 ) -> Solved:
     """Return the fit of everything that the recording can tell. Raises DataRefused with the reason."""
@@ -74,28 +88,47 @@ def solve_cell(
     near = _least_distance(target.xyz_m)
     places, _ = places_on_flange([start.lights_m for start in starts], weights, near)
     lights = name_lights(places, shape_m)
-    model = CellModel(recording=recording, lights=lights.names, compliance=compliance)
+    model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
-    known = default_knowledge(model, x, tolerance, target)
+
+    def before(at: Array, believed: ArmTolerance) -> Knowledge:
+        known = default_knowledge(model, at, believed, target)
+        return known if priors is None else with_priors(model, known, priors, at)
+
+    known = before(x, tolerance)
     gate = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
     coarse = _coarse(model, x, known, (gate[0], gate[1]))
     coarse = _coarse(model, coarse.x, known, (gate[0], gate[1]))
     progress.update(2, 4, "fitting, a part of the spots")
-    free = free_names(model, coarse, tolerance)
+    free = free_names(model, coarse, tolerance, compliance=bool(compliance))
     found = _round(model, coarse, known, free, thin=True)
-    known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
-    found = _round(model, found, known, free, thin=True)
-    known = default_knowledge(model, found.x, learned_tolerance(model, found, tolerance), target)
-    progress.update(3, 4, "fitting, all spots")
-    wander = straying(model, found)
-    found = _round(model, found, known, free, thin=False, wander=wander)
-    return Solved(model=model, fit=found, lights=lights, coarse=coarse)
+    _require_one_model(suspicions(model, found))
+    wander: Wander | None = None
+    for number in range(ROUNDS):
+        known = before(found.x, learned_tolerance(model, found, tolerance))
+        last = number == ROUNDS - 1
+        if last:
+            progress.update(3, 4, "fitting, all spots")
+        wander = straying(model, found)
+        found = _round(model, found, known, free, thin=not last, wander=wander)
+        doubts = suspicions(model, found)
+        if compliance is None and not last and any(alarming(each) for each in doubts if each.cause is Cause.ELASTIC):
+            compliance = True
+            free = free_names(model, found, tolerance, compliance=True)
+    return Solved(model=model, fit=found, lights=lights, doubts=tuple(doubts))
 
 
-def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance) -> tuple[str, ...]:
+def _require_one_model(doubts: Sequence[Suspicion]) -> None:
+    """Raise Inconsistent where something plainly changed on the way: nothing more is fitted then."""
+    first = doubts[0]
+    if first.evidence > PLAIN and first.visible > PLAINLY_VISIBLE and first.cause is not Cause.ELASTIC:
+        raise refusal(doubts)
+
+
+def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance, *, compliance: bool) -> tuple[str, ...]:
     """Return all that can be told: lenses, places, clocks, lights, and of the arm what is not the others' as well."""
     arm = model.arm
-    candidates = (*arm.geometry, *(arm.sags if model.compliance else ()))
+    candidates = (*arm.geometry, *(arm.sags if compliance else ()))
     information = found.normals.A.sum(axis=0) + shape_information(model, found.x, found.known.shape)
     chosen = gauge(model, information, candidates, tolerance)
     lens = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA if name != "skew"]
@@ -117,6 +150,8 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
         tried, alike = delays(recording.arm, recording.log, spots, ways)
         start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
         if start is None or start.rms_px > MAX_START_PX:
+            seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
+            require_lit(seen / len(recording.clocks[side].t_s), name)
             require_alike(float(alike[0]), name)
             raise Inconsistent(
                 f"no camera explains what the {name} one saw by the arm's motion"
@@ -134,6 +169,16 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
         starts.append(start)
         weights.append(np.array([len(rows) for rows in best_pieces(spots, ways)], float))
     return starts, weights
+
+
+def require_lit(share: float, side: str) -> None:
+    """Raise NotEnoughData where a camera saw the target's lights in too few of its frames."""
+    if share < FEWEST_LIT:
+        raise NotEnoughData(
+            f"the {side} camera saw the target's lights in {100.0 * share:.0f} % of its frames",
+            consequence="What the rest would say is not known, and no cell is calibrated",
+            cure="See that the lights shine all the time and stay in view, and record again",
+        )
 
 
 def _camera_vector(recording: CellRecording, side: int, start: Start) -> Array:
@@ -166,10 +211,19 @@ def _coarse(model: CellModel, x: Array, known: Knowledge, gate_px: tuple[float, 
     free = [f"{side}.{name}" for side in SIDES for name in FIRST_FREE]
     spread = float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0))
     first = (1.0 / spread, 1.0 / spread)  # of a pixel: what the nominal arm leaves, not the spots' own
-    return fit_cell(model, x, spots, block, (*free, *model.names[model.lights_at :]), known, first)
+    data = CellData(spots=spots, block=block, scale=first)
+    return fit_cell(model, x, data, (*free, *model.names[model.lights_at :]), known)
 
 
-def _round(model: CellModel, before: CellFit, known: Knowledge, free: Collection[str], *, thin: bool, wander: Wander | None = None) -> CellFit:
+def _round(
+    model: CellModel,
+    before: CellFit,
+    known: Knowledge,
+    free: Collection[str],
+    *,
+    thin: bool,
+    wander: Wander | None = None,
+) -> CellFit:
     """Return the fit after another assignment of the spots, with the noise of the fit before."""
     scale = side_scales(before, robust=True)
     spread = [float(np.sqrt(np.median(np.trace(before.spots.covariance_px2, axis1=1, axis2=2)) / 2.0))] * 2
@@ -179,4 +233,5 @@ def _round(model: CellModel, before: CellFit, known: Knowledge, free: Collection
     if wander is not None:
         count = np.bincount(block)
         wander = replace(wander, t_s=np.bincount(block, weights=model.times_s(before.x, spots)) / count)
-    return fit_cell(model, before.x, spots, block, free, known, scale, wander=wander)
+    data = CellData(spots=spots, block=block, scale=scale, wander=wander)
+    return fit_cell(model, before.x, data, free, known)

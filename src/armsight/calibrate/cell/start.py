@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -47,7 +46,7 @@ ROWS, QUICK_ROWS = 120, 40
 """Spots used of each; while delays are tried, fewer."""
 QUICK_ALTERNATIONS = 15
 AS_ONE_M, AS_ONE_KEPT = 0.16, 2
-"""Places along each axis of the flange at which all lights may be for a start, and how many of them are gone on with."""
+"""Places along each axis of the flange at which all lights may be for a start; how many of them are gone on with."""
 FARTHEST_M = 1.0
 """No light is further from the flange."""
 VIEW = (0.2, 5.0)
@@ -60,7 +59,7 @@ FINER = (-0.6, -0.3, 0.3, 0.6)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Start:
-    """A camera to begin with: focal length, principal point, k1, T_base_camera as R (3, 3), t (3,), delay, and what fits.
+    """A camera to begin with: focal length, principal point, k1, T_base_camera as R (3, 3), t (3,), delay, what fits.
 
     lights_m (k, 3): of the pieces, in the flange's axes. rms_px: what remains. mirrored: the image shows the scene in a
     mirror.
@@ -80,9 +79,10 @@ class Start:
 def flange_speed(arm: Arm, log: JointLog, grid_s: Array) -> Array:
     """Return about how fast (k,) lights on the flange move in m/s."""
     T = fk(arm, log.at(np.clip(grid_s, log.t_s[0], log.t_s[-1]))[0])
-    v = np.gradient(T[:, :3, 3], GRID_S, axis=0)
-    turn = Rotation.from_matrix(T[1:, :3, :3] @ T[:-1, :3, :3].transpose(0, 2, 1)).magnitude() / GRID_S
-    return np.asarray(np.hypot(np.linalg.norm(v, axis=1), LEVER_M * np.append(turn, turn[-1])))
+    v = np.asarray(np.gradient(T[:, :3, 3], GRID_S, axis=0))
+    turn = Rotation.from_matrix(T[1:, :3, :3] @ T[:-1, :3, :3].transpose(0, 2, 1)).as_rotvec()
+    rate = np.linalg.norm(np.concatenate([turn, turn[-1:]]), axis=1) / GRID_S
+    return np.asarray(np.hypot(np.linalg.norm(v, axis=1), LEVER_M * rate))
 
 
 def image_speed(spots: Spots, ways: Sequence[Index], grid_s: Array) -> Array:
@@ -110,9 +110,7 @@ def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tupl
     w = known.astype(float)
     one = np.ones(len(a))
     n = np.maximum(_correlated(one, w), 0.0)
-    sa, sb, saa, sbb, sab = (
-        _correlated(x, y) for x, y in ((a, w), (one, b), (a * a, w), (one, b * b), (a, b))
-    )
+    sa, sb, saa, sbb, sab = (_correlated(x, y) for x, y in ((a, w), (one, b), (a * a, w), (one, b * b), (a, b)))
     with np.errstate(invalid="ignore", divide="ignore"):
         r = (n * sab - sa * sb) / np.sqrt((n * saa - sa**2) * (n * sbb - sb**2))
     r[(n * GRID_S < min(FEWEST_COMMON_S, 0.5 * known.sum() * GRID_S)) | ~np.isfinite(r)] = 0.0
@@ -130,7 +128,8 @@ def delays(arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index]) -> tupl
 
 def _correlated(a: Array, b: Array) -> Array:
     """Return sum_i a[i + lag] b[i] for all lags from 1 - len(b) on."""
-    return np.asarray(scipy.signal.fftconvolve(a, b[::-1]))
+    n = len(a) + len(b) - 1
+    return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
 
 
 def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
@@ -155,9 +154,9 @@ def find_start(
     if best is None:
         return None
     width = STEPS_S[1] - STEPS_S[0]
-    best = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)])
+    near = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)]) or best
     whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
-    return _better([whole.start(best.delay_s, best.focal_px, k1) for k1 in LENS_TRIED])
+    return _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
 
 
 def _better(starts: Sequence[Start | None]) -> Start | None:
@@ -346,7 +345,7 @@ def _decomposed(P: Array, mirrored: bool) -> tuple[float, Array, Array, Array]:
     K, R = K @ turn, turn @ R
     centre = -np.linalg.solve(P[:, :3], P[:, 3])
     focal = float(np.sqrt(abs(K[0, 0] * K[1, 1])) / abs(K[2, 2]))
-    return focal, np.asarray(K[:2, 2] / K[2, 2]), np.asarray(R.T), centre
+    return focal, np.asarray(K[:2, 2] / K[2, 2]), np.asarray(R.T), np.asarray(centre, np.float64)
 
 
 def require_alike(r: float, side: str) -> None:

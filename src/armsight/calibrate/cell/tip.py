@@ -30,6 +30,12 @@ class TipSlopes:
     noise: Array
     seen: NDArray[np.bool_]
 
+    def take(self, rows: NDArray[np.intp]) -> TipSlopes:
+        """Return those of some positions."""
+        return TipSlopes(
+            measured=self.measured[rows], commanded=self.commanded[rows], noise=self.noise[rows], seen=self.seen[rows]
+        )
+
     def spread_m(self, slopes: Array, covariance: Array) -> Array:
         """Return the covariance (k, 3, 3) of the tip by that (P, P) of the parameters."""
         return np.asarray(slopes @ covariance @ slopes.transpose(0, 2, 1))
@@ -52,7 +58,9 @@ def tip_slopes(
     weight = inside / np.square(np.asarray(sigma_px))[None, :, None]
     # by the target's own motion (dt, dw) about the tip: a light at T (light - tip) moves by dt + dw x that
     a = model.lights_at
-    by_flange = np.stack([J[:, :, i, :, a + 3 * i : a + 3 * i + 3] for i in range(n)], axis=2)  # by lights in flange axes
+    by_flange = np.stack(
+        [J[:, :, i, :, a + 3 * i : a + 3 * i + 3] for i in range(n)], axis=2
+    )  # by lights in flange axes
     by_base = by_flange @ T[:, None, None, :3, :3].transpose(0, 1, 2, 4, 3)
     lever = (T[:, :3, :3] @ (lights - arm_at).T).transpose(0, 2, 1)  # (k, n, 3)
     by_pose = np.concatenate([by_base, by_base @ -skew(lever)[:, None]], axis=-1)  # (k, 2, n, 2, 6)
@@ -78,9 +86,7 @@ def tip_slopes(
 
 def _moves(lights: Array, tip: Array) -> Array:
     """Return (3 n, 6): what a rigid motion of the target about the tip does to its lights, in flange axes."""
-    return np.concatenate(
-        [np.tile(np.eye(3), (len(lights), 1)), -skew(lights - tip).reshape(-1, 3)], axis=1
-    )
+    return np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights - tip).reshape(-1, 3)], axis=1)
 
 
 def _carried(lights: Array, tip: Array) -> Array:

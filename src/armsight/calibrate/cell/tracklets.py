@@ -68,8 +68,8 @@ def _joined(ways: list[_Way], uv: Array, now: int) -> dict[int, _Way]:
     ahead = np.array([way.uv + way.step * (now - way.frame) for way in ways])
     back, there = cKDTree(ahead), cKDTree(uv)
     near, which = back.query(uv, k=min(2, len(ways)), distance_upper_bound=GATE_PX * RIVAL)
-    near, which = near.reshape(len(uv), -1), which.reshape(len(uv), -1)
-    _, mutual = there.query(ahead)
+    near, which = np.reshape(near, (len(uv), -1)), np.reshape(which, (len(uv), -1))
+    mutual = np.atleast_1d(there.query(ahead)[1])
     out = {}
     for k in range(len(uv)):
         rival = near[k, 1] if near.shape[1] > 1 else np.inf

@@ -8,7 +8,7 @@ equations of the stretches become those of generalised least squares; no spot is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -33,6 +33,10 @@ class Wander:
     time_s: float
     columns: NDArray[np.intp]
     t_s: Array
+
+    def take(self, blocks: NDArray[np.intp]) -> Wander:
+        """Return it for some of the stretches."""
+        return replace(self, t_s=self.t_s[blocks])
 
     def reduced(self, normals: BlockNormals) -> Reduced:
         """Return the normal equations with the straying eliminated."""

@@ -1,0 +1,270 @@
+"""Calibrate a whole cell: lenses, rig, clocks, base, target and arm from one recording of the moving arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.cell.checks import Cause, alarming, refusal
+from armsight.calibrate.cell.fit import CellFit
+from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors, shape_terms
+from armsight.calibrate.cell.model import CLOCK_AT
+from armsight.calibrate.cell.observations import recording_of
+from armsight.calibrate.cell.parts import CellParts, parts_of
+from armsight.calibrate.cell.result import CellCalibration, Learned, ScaleCheck, StrayingArm, TipDeviation
+from armsight.calibrate.cell.rounds import Solved, require_lit, solve_cell
+from armsight.calibrate.cell.tip import TipSlopes, tip_slopes
+from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.geometry import align_points
+from armsight.kinematics import Arm
+from armsight.optics import SIDES
+from armsight.records import Motion, Progress, SpotTrack, Target
+from armsight.records.result_parts import BothPixels, BothSeconds
+
+Array = NDArray[np.float64]
+
+SAMPLES = 60
+"""Joint positions of the recording at which the tip's deviation is told."""
+FOLD_S = 10.0
+"""Stretches that are left out by turns."""
+ODD_SCALE = 4.0
+"""Standard deviations by which arm and target may differ in scale."""
+LEAST_MOVE = 0.1
+"""rad, or of the mean link: a joint that moves less tells nothing of its axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CellOptions:
+    """What may be said of a cell beforehand.
+
+    tip_m (3,): of the tool in target axes, for telling how well it is known; the target's origin where not given.
+    compliance: whether joints may give way under the arm's weight; None where the recording shows it. priors: of
+    earlier calibrations.
+    """
+
+    tip_m: Array | None = None
+    tolerance: ArmTolerance = field(default_factory=ArmTolerance)
+    priors: CellPriors | None = None
+    compliance: bool | None = None
+
+
+def calibrate_cell(
+    arm: Arm,
+    joints: Motion,
+    tracks: Sequence[SpotTrack],
+    target: Target,
+    *,
+    sizes: Sequence[tuple[int, int]],
+    options: CellOptions | None = None,
+    progress: Progress | None = None,
+) -> CellCalibration:
+    """Return the cell's calibration from the arm's log and the spots of two cameras, left and right, by their clocks.
+
+    arm: its nominal model. tracks: spots without names. sizes: of the images (w, h) px. Raises NotEnoughData,
+    Inconsistent (another arm, log or target, something changed on the way), Ambiguous, Degenerate (a joint that did not
+    move), NotConverged.
+    """
+    options = options or CellOptions()
+    compliance = options.compliance
+    tip = np.zeros(3) if options.tip_m is None else np.asarray(options.tip_m, float)
+    recording = recording_of(arm, joints, tracks, sizes)
+    _require_motion(arm, joints)
+    solved = solve_cell(
+        recording, target, options.tolerance, priors=options.priors, compliance=compliance, progress=progress
+    )
+    first = solved.doubts[0]
+    if alarming(first) and not (first.cause is Cause.ELASTIC and compliance is False):
+        raise refusal(solved.doubts)
+    model, found = solved.model, solved.fit
+    covariance = found.covariance(model)
+    parts = parts_of(model, found, covariance, target)
+    _require_lit(solved, tracks)
+    scale = _scale(solved, target)
+    q, slopes, places = _tips(solved, parts, tip)
+    measured, commanded = slopes.spread_m(slopes.measured, covariance), slopes.spread_m(slopes.commanded, covariance)
+    residual = _rms(found)
+    wander = found.wander
+    learned = _learned(solved, covariance)
+    return CellCalibration(
+        parts=parts,
+        solved=solved,
+        covariance=covariance,
+        doubts=solved.doubts,
+        samples=q,
+        tip_places_m=places,
+        tip_measured=measured,
+        tip_commanded=commanded,
+        n_frames=sum(map(len, tracks)),
+        n_spots=len(found.spots),
+        n_left_out=len(recording.spots) - len(found.spots),
+        duration_s=float(len(found.normals.chi2)),
+        residual_px=residual,
+        left_out_px=_left_out(solved, residual),
+        delay_s=BothSeconds(*(float(found.x[model.camera_slice(side)][CLOCK_AT]) for side in (0, 1))),
+        learned=learned,
+        gauges=_gauges(arm, scale),
+        fixed=tuple(name for name in model.arm.geometry if name not in found.free),
+        straying=StrayingArm(
+            std_rad=float(np.median(wander.std[arm.revolute])) if wander is not None and arm.revolute.any() else 0.0,
+            time_s=0.0 if wander is None else wander.time_s,
+        ),
+        scale=scale,
+        tip=TipDeviation(**_deviations(measured, commanded, slopes)),
+        notes=_notes(solved),
+        advice=_advice(solved, learned),
+    )
+
+
+def _require_motion(arm: Arm, joints: Motion) -> None:
+    """Raise Degenerate where a joint hardly moved: nothing is known of it then but its model."""
+    moved = np.ptp(joints.q, axis=0) / np.where(arm.revolute, 1.0, arm.length_m)
+    resting = [joint.name for joint, much in zip(arm.joints, moved, strict=True) if much < LEAST_MOVE]
+    if resting:
+        raise Degenerate(
+            f"joint {', '.join(resting)} did not move",
+            consequence="Its axis and zero cannot be told, and no cell is calibrated",
+            cure="Record a motion in which every joint turns by 20 degrees and more: "
+            "armsight calibrate cell --plan proposes one",
+        )
+
+
+def _require_lit(solved: Solved, tracks: Sequence[SpotTrack]) -> None:
+    spots = solved.fit.spots
+    for side, track in enumerate(tracks):
+        require_lit(len(np.unique(spots.frame[spots.side == side])) / max(len(track), 1), SIDES[side])
+
+
+def _tips(solved: Solved, parts: CellParts, tip: Array) -> tuple[Array, TipSlopes, Array]:
+    """Return joint positions (k, n) of the recording, how the tip hangs on the parameters there, and where it is."""
+    model, found = solved.model, solved.fit
+    t = model.times_s(found.x, found.spots)
+    q = model.recording.log.at(np.linspace(t.min(), t.max(), 4 * SAMPLES))[0]
+    own = [float(np.median(found.spread_px[found.spots.side == side])) for side in (0, 1)]
+    slopes = tip_slopes(model, found.x, q, parts.T_flange_target, tip, (own[0], own[1]))
+    rows = np.flatnonzero(slopes.seen)
+    if not len(rows):
+        raise NotEnoughData("both cameras never saw three lights together", consequence="No cell is calibrated")
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, SAMPLES).astype(np.intp))]
+    T = model.flange(found.x, q[rows])
+    places = T[:, :3, :3] @ np.array(parts.T_flange_target.apply(tip)) + T[:, :3, 3]
+    return q[rows], slopes.take(rows), places
+
+
+def _deviations(measured: Array, commanded: Array, slopes: TipSlopes) -> dict[str, float]:
+    def size(C: Array) -> Array:
+        return np.asarray(np.sqrt(np.trace(C, axis1=1, axis2=2)))
+
+    return {
+        "measured_m": float(np.median(size(measured))),
+        "measured_worst_m": float(size(measured).max()),
+        "commanded_m": float(np.median(size(commanded))),
+        "commanded_worst_m": float(size(commanded).max()),
+        "noise_m": float(np.median(size(slopes.noise))),
+    }
+
+
+def _rms(found: CellFit) -> BothPixels:
+    """Return the RMS residual of each camera's spots in px."""
+    r = found.normals.residuals * found.spread_px[:, None]
+    left, right = (float(np.sqrt(np.mean(r[found.spots.side == side] ** 2))) for side in (0, 1))
+    return BothPixels(left, right)
+
+
+def _left_out(solved: Solved, residual: BothPixels) -> BothPixels:
+    """Return the RMS residuals in stretches that are left out of the fit by turns, to first order."""
+    model, found = solved.model, solved.fit
+    free = found.places
+    H = found.information(model)[np.ix_(free, free)]
+    normals, wander = found.normals, found.wander
+    if wander is None:
+        return residual
+    fold = np.floor(np.arange(len(normals.chi2)) / FOLD_S).astype(np.intp)
+    before = after = 0.0
+    for number in range(int(fold[-1]) + 1):
+        rows = np.flatnonzero(fold == number)
+        part = normals.take(rows)
+        own = wander.take(rows).reduced(part)
+        rest = H - own.A[np.ix_(free, free)]
+        step = np.linalg.solve(rest, own.g[free])
+        A, g = part.A.sum(axis=0)[np.ix_(free, free)], part.g.sum(axis=0)[free]
+        before += float(part.chi2.sum())
+        after += float(part.chi2.sum() + 2.0 * g @ step + step @ A @ step)
+    factor = float(np.sqrt(max(after, 0.0) / before))
+    return BothPixels(factor * residual[0], factor * residual[1])
+
+
+def _learned(solved: Solved, covariance: Array) -> tuple[Learned, ...]:
+    found, model = solved.fit, solved.model
+    std, prior = np.sqrt(np.diag(covariance)), np.diag(found.known.information)
+    out = []
+    for k in found.places:
+        before = float(prior[k] ** -0.5) if prior[k] > 0.0 else None
+        bits = None if before is None else float(np.log2(before / std[k]))
+        out.append(Learned(model.names[k], float(found.x[k]), float(std[k]), before, bits))
+    return tuple(out)
+
+
+def _scale(solved: Solved, target: Target) -> ScaleCheck:
+    """Return the target's size by the arm's lengths over that of its file. Raises Inconsistent where they differ."""
+    model, found = solved.model, solved.fit
+    free = found.places
+    shape, off = shape_terms(model, found.x, found.known.shape)
+    at = model.lights_at
+    S, pull = np.zeros((len(found.x),) * 2), np.zeros(len(found.x))
+    S[at:, at:], pull[at:] = shape, shape @ off
+    rest = found.information(model)[np.ix_(free, free)] - S[np.ix_(free, free)]
+    C = np.linalg.inv(rest + 1e-12 * np.diag(np.diag(rest)))
+    x = found.x.copy()
+    x[free] += C @ pull[free]  # where the lights would be by the arm alone
+    order = [model.lights.index(name) for name in target.names]
+    lights, centred = model.lights_m(x)[order], target.xyz_m - target.xyz_m.mean(axis=0)
+    turned = centred @ align_points(lights, target.xyz_m).T_a_b.rotation.as_matrix().T
+    weight = turned / np.vdot(turned, turned)
+    row = np.zeros(len(found.x))
+    for k, name in enumerate(order):
+        row[at + 3 * name : at + 3 * name + 3] = weight[k]
+    ratio = float(np.vdot(weight, lights - lights.mean(axis=0)))
+    by_arm = float(row[free] @ C @ row[free])
+    w = (centred / np.vdot(centred, centred)).ravel()
+    by_target = float(w @ found.known.shape.covariance @ w)
+    std = float(np.sqrt(by_arm + by_target))
+    if abs(ratio - 1.0) > ODD_SCALE * std:
+        raise Inconsistent(
+            f"by the arm's lengths the target is {ratio:.4f} times as large as its file says, +- {std:.4f}",
+            consequence="One of the two is wrong, and no cell is calibrated",
+            cure="Check that --model is this arm (a larger or smaller one of the same series?) and that the target's "
+            "places are in metres and as built",
+        )
+    return ScaleCheck(set_by="arm" if by_arm < by_target else "target", ratio=ratio, std=std)
+
+
+def _gauges(arm: Arm, scale: ScaleCheck) -> tuple[str, ...]:
+    first, last = arm.joints[0].name, arm.joints[-1].name
+    return (
+        f"Base: its z axis is that of joint {first}, whose zero and height are as in the model.",
+        f"Flange: as in the model behind joint {last}, whose zero is that of the model; the lights are placed in it.",
+        f"Scale: from the lengths of the {scale.set_by}, which are known better than the other's.",
+    )
+
+
+def _notes(solved: Solved) -> tuple[str, ...]:
+    soft = [name for name in solved.fit.free if name.endswith(".sag")]
+    out = []
+    if soft:
+        out.append(f"The joints give way under the arm's weight; taken in: {', '.join(soft)}")
+    return tuple(out)
+
+
+def _advice(solved: Solved, learned: Sequence[Learned]) -> tuple[str, ...]:
+    weak = [one.name for one in learned if one.bits is not None and one.bits < 0.2 and ".theta" in one.name]
+    out = []
+    if weak:
+        joints = sorted({name.partition(".")[0] for name in weak})
+        out.append(
+            f"the zero of joint {', '.join(joints)} is hardly told: move the joints behind and before it further, with "
+            "the target in view"
+        )
+    return tuple(out)

@@ -1,0 +1,211 @@
+"""Whether one model explains the whole recording: what may have changed on the way, or was left out of the model.
+
+Each suspicion is a few parameters more (a camera that stands otherwise from a moment on, a target that slipped, a clock
+that jumped, a joint that gives way). How much they would take off the sum of squares is a score test (Rao 1948): it
+needs the normal equations of the stretches alone, at the fit as it is, with the arm's straying eliminated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from armsight.calibrate.cell.fit import CellFit
+from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT, BlockNormals, CellModel
+from armsight.calibrate.cell.wander import Wander
+from armsight.errors import Inconsistent
+from armsight.fitting.quantiles import chi2_isf
+from armsight.geometry.poses import skew
+from armsight.optics import SIDES
+
+Array = NDArray[np.float64]
+
+FALSE_ALARM = 1e-7
+"""Chance by which pure noise raises one of the alarms of a recording, over all moments tried."""
+RIVAL = 0.5
+"""Another cause with so much of the first one's evidence is told too."""
+EDGE = 3
+"""Stretches from either end at which nothing is held to have changed."""
+ALARM = 2.0
+"""Times beyond chance: an arm strays in more ways than any model of it."""
+VISIBLE = 0.15
+"""What changed must move the spots by so much of their noise (RMS): less is of no consequence, no model is exact."""
+
+
+class Cause(StrEnum):
+    """What may be behind residuals that one model does not explain."""
+
+    LEFT_MOVED = "left camera moved"
+    RIGHT_MOVED = "right camera moved"
+    TARGET_SLIPPED = "target slipped"
+    LEFT_CLOCK = "left clock jumped"
+    RIGHT_CLOCK = "right clock jumped"
+    JOINT_JUMPED = "joint reading jumped"
+    ELASTIC = "joints give way"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Suspicion:
+    """A change and when: gain of chi-square by k parameters, their values, and how far spots move by it in deviations.
+
+    part: which joint. t_s: when by the robot's clock, None for what holds all along.
+    """
+
+    cause: Cause
+    part: str
+    t_s: float | None
+    gain: float
+    k: int
+    size: Array
+    visible: float
+
+    @property
+    def told(self) -> str:
+        """It in words."""
+        what = f"{self.cause.value} ({self.part})" if self.cause is Cause.JOINT_JUMPED else self.cause.value
+        return what if self.t_s is None else f"{what} at {self.t_s:.1f} s of the robot's log"
+
+    @property
+    def evidence(self) -> float:
+        """The gain over what k parameters take off by chance at the most."""
+        return self.gain / float(chi2_isf(FALSE_ALARM, self.k))
+
+
+def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
+    """Return what speaks against one model for all of the recording, the best explanation first."""
+    system = _System.of(model, found)
+    t = model.times_s(found.x, found.spots)
+    edges = np.searchsorted(found.block, np.arange(int(found.block[-1]) + 1))
+    out: list[Suspicion] = []
+    for cause, part, U in _changes(model, found.x):
+        best: Suspicion | None = None
+        for b in range(EDGE, len(edges) - EDGE):
+            each = system.tested(cause, part, U, b, float(t[edges[b]]))
+            if best is None or each.gain > best.gain:
+                best = each
+        if best is not None:
+            out.append(best)
+    soft = [name for name in model.arm.sags if name not in found.free]
+    if soft:
+        U = np.zeros((len(found.x), len(soft)))
+        for k, name in enumerate(soft):
+            U[model.names.index(name), k] = 1.0
+        out.append(system.tested(Cause.ELASTIC, "", U, 0, None))
+    return sorted(out, key=lambda each: -each.evidence)
+
+
+def alarming(each: Suspicion) -> bool:
+    """Tell whether a suspicion is beyond chance and of consequence."""
+    return each.evidence > ALARM and each.visible > VISIBLE
+
+
+CURES = {
+    Cause.LEFT_MOVED: "Fasten the left camera, and record again without touching it",
+    Cause.RIGHT_MOVED: "Fasten the right camera, and record again without touching it",
+    Cause.TARGET_SLIPPED: "Clamp the target to the flange, and record again",
+    Cause.LEFT_CLOCK: "Record again with the left camera's own stamps, or close other programs that use it",
+    Cause.RIGHT_CLOCK: "Record again with the right camera's own stamps, or close other programs that use it",
+    Cause.JOINT_JUMPED: "Look at that joint's encoder and coupling (a slipped belt, a lost reference); record again",
+    Cause.ELASTIC: "Give the links' masses in the arm's file and --compliance on",
+}
+
+
+def refusal(doubts: Sequence[Suspicion]) -> Inconsistent:
+    """Return the error for doubts of which the first is alarming."""
+    first = doubts[0]
+    others = [each for each in doubts[1:] if alarming(each) and each.evidence > RIVAL * first.evidence]
+    also = "" if not others else "; less likely: " + ", ".join(each.told for each in others)
+    return Inconsistent(
+        f"{first.told}: the spots move by {first.visible:.2g} of their noise by it{also}",
+        consequence="One calibration does not hold for all of the recording, and none is given",
+        cure=CURES[first.cause],
+    )
+
+
+def _changes(model: CellModel, x: Array) -> Iterator[tuple[Cause, str, Array]]:
+    """Yield what may change at a moment: its cause, which part, and its directions (P, k) among the parameters."""
+    P = len(x)
+    for side, (moved, clock) in enumerate(
+        ((Cause.LEFT_MOVED, Cause.LEFT_CLOCK), (Cause.RIGHT_MOVED, Cause.RIGHT_CLOCK))
+    ):
+        first = side * len(PER_CAMERA)
+        U = np.zeros((P, 6))
+        U[first + POSE_AT : first + CLOCK_AT] = np.eye(6)
+        yield moved, SIDES[side], U
+        U = np.zeros((P, 1))
+        U[first + CLOCK_AT] = 1.0
+        yield clock, SIDES[side], U
+    lights = model.lights_m(x)
+    U = np.zeros((P, 6))
+    U[model.lights_at :] = np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights).reshape(-1, 3)], axis=1)
+    yield Cause.TARGET_SLIPPED, "", U
+    for joint, turns in zip(model.arm.arm.joints, model.arm.arm.revolute, strict=True):
+        U = np.zeros((P, 1))
+        U[model.names.index(f"{joint.name}.{'theta_rad' if turns else 'd_m'}")] = 1.0
+        yield Cause.JOINT_JUMPED, joint.name, U
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _System:
+    """The fit's normal equations with what is eliminated from them: the straying w and the fitted parameters."""
+
+    normals: BlockNormals
+    free: NDArray[np.intp]
+    H: Array
+    wander: Wander | None
+    C: Array
+    chol: Array
+    right: Array
+
+    @classmethod
+    def of(cls, model: CellModel, found: CellFit) -> _System:
+        free = found.places
+        H = found.information(model)[np.ix_(free, free)]
+        if found.wander is None:
+            none = np.zeros((0, 0))
+            return cls(normals=found.normals, free=free, H=H, wander=None, C=none, chol=none, right=np.zeros(0))
+        C, M, right = found.wander.system(found.normals)
+        L = np.asarray(np.linalg.cholesky(M), np.float64)
+        half = scipy.linalg.solve_triangular(L, C, lower=True, check_finite=False)
+        return cls(
+            normals=found.normals,
+            free=free,
+            H=H,
+            wander=found.wander,
+            C=half,
+            chol=L,
+            right=scipy.linalg.solve_triangular(L, right, lower=True, check_finite=False),
+        )
+
+    def tested(self, cause: Cause, part: str, U: Array, begin: int, t_s: float | None) -> Suspicion:
+        """Return what directions U (P, k) would take off that apply from stretch begin on."""
+        A, g = self.normals.A[begin:], self.normals.g[begin:]
+        AU = A @ U  # (b, P, k)
+        everything = AU.sum(axis=0)
+        own = U.T @ everything
+        S, N, grad = own.copy(), everything.T, U.T @ g.sum(axis=0)
+        if self.wander is not None:
+            at = self.wander.columns
+            n = len(at)
+            rows = AU[:, at].reshape(-1, U.shape[1])
+            # rows before the change are zero, and stay so through the triangular solve
+            L = self.chol[begin * n :, begin * n :]
+            half = scipy.linalg.solve_triangular(L, rows, lower=True, check_finite=False)
+            S -= half.T @ half
+            N = N - half.T @ self.C[begin * n :]
+            grad = grad - half.T @ self.right[begin * n :]
+        N = N[:, self.free]
+        S = S - N @ np.linalg.solve(self.H, N.T)
+        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        scaled = S / np.outer(size, size) + 1e-9 * np.eye(len(S))
+        step = -np.linalg.solve(scaled, grad / size)
+        gain = float(-step @ (grad / size))
+        value = step / size
+        count = max(float(self.normals.count[begin:].sum()), 1.0)
+        visible = float(np.sqrt(max(value @ own @ value, 0.0) / count))
+        return Suspicion(cause=cause, part=part, t_s=t_s, gain=gain, k=U.shape[1], size=value, visible=visible)

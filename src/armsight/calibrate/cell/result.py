@@ -1,0 +1,113 @@
+"""What the calibration of a whole cell returns."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.calibrate.cell.checks import Suspicion
+from armsight.calibrate.cell.parts import CellParts
+from armsight.calibrate.cell.rounds import Solved
+from armsight.fields import Doc
+from armsight.records.output import Output, figure, output
+from armsight.records.result_parts import BothPixels, BothSeconds
+
+Array = NDArray[np.float64]
+
+UNLEARNED_BITS = 0.2
+"""Of a parameter that the recording says so little about, only what was known before is known."""
+COARSE_M = 2e-3
+"""A tip known no better than this is told as weak: welding and gluing want a half of it."""
+
+
+class Learned(NamedTuple):
+    """A parameter, what was known of it before, and what the recording says."""
+
+    name: Annotated[str, Doc("Its name, the unit in it; px and none for a lens's.")]
+    value: Annotated[float, Doc("Its value; of the arm's links the change to the model.")]
+    std: Annotated[float, Doc("Standard deviation.")]
+    prior_std: Annotated[float | None, Doc("Standard deviation before the recording; null where nothing was known.")]
+    bits: Annotated[float | None, Doc("Information gained: log2 of the ratio of the two; null with no prior.")]
+
+
+@output
+class TipDeviation(Output):
+    """How well the tip is known in base axes over the volume of the recording, standard deviations of its place."""
+
+    measured_m: Annotated[float, Doc("As both cameras see the target: by the calibration, median, m.")]
+    measured_worst_m: Annotated[float, Doc("The same where it is worst, m.")]
+    commanded_m: Annotated[float, Doc("As the calibrated arm's joints say, median, m.")]
+    commanded_worst_m: Annotated[float, Doc("The same where it is worst, m.")]
+    noise_m: Annotated[float, Doc("What the spots' noise of one pair of frames adds to a measurement, median, m.")]
+
+
+@output
+class ScaleCheck(Output):
+    """The arm's lengths and the target's, each held against the other; the better known one sets the scale."""
+
+    set_by: Annotated[str, Doc("arm or target: whose lengths weigh more.")]
+    ratio: Annotated[float, Doc("The target's size as the arm says, over that in its file.")]
+    std: Annotated[float, Doc("Standard deviation of the ratio.")]
+
+
+@output
+class StrayingArm(Output):
+    """How far the arm strays from its readings, slowly."""
+
+    std_rad: Annotated[float, Doc("Of a turning joint, rad.")]
+    time_s: Annotated[float, Doc("After which it is forgotten, s.")]
+
+
+@output
+class CellCalibration(Output):
+    """armsight calibrate cell.
+
+    parts: rig, place, target and arm as files hold them. covariance (P, P) of solved.model.names. doubts: what speaks
+    against one model, none of it alarming. samples (k, n), tip_measured, tip_commanded (k, 3, 3): covariances of the
+    tip in base axes at joint positions over the volume; tip_places_m (k, 3).
+    """
+
+    parts: CellParts
+    solved: Solved
+    covariance: Array
+    doubts: tuple[Suspicion, ...]
+    samples: Array
+    tip_places_m: Array
+    tip_measured: Array
+    tip_commanded: Array
+    n_frames: Annotated[int, Doc("Frames of both cameras together.")]
+    n_spots: Annotated[int, Doc("Spots used, each of one light.")]
+    n_left_out: Annotated[int, Doc("Spots of no light: lamps, reflections, touched ones.")]
+    duration_s: Annotated[float, Doc("How long the arm was seen, s.")]
+    residual_px: Annotated[BothPixels, Doc("RMS residual of a spot's coordinate.")]
+    left_out_px: Annotated[BothPixels, Doc("The same of stretches of motion that were left out of the fit by turns.")]
+    delay_s: Annotated[BothSeconds, Doc("Robot's time less each camera's stamp in the middle of the recording.")]
+    learned: Annotated[tuple[Learned, ...], Doc("All parameters that were fitted.")]
+    gauges: Annotated[tuple[str, ...], Doc("What no recording can tell, and how it was fixed.")]
+    fixed: Annotated[tuple[str, ...], Doc("Parameters of the arm that are as in its model.")]
+    straying: Annotated[StrayingArm, Doc("How far the arm strays from its readings.")]
+    scale: Annotated[ScaleCheck, Doc("Arm and target held against each other.")]
+    tip: Annotated[TipDeviation, Doc("How well the tip is known in base axes over the recording's volume.")]
+    notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
+    advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
+
+    @property
+    def T_base_rig(self) -> RigidTransform:
+        """Where the rig, its left camera, stands to the base."""
+        return self.parts.T_base_rig
+
+    @figure("Parameters of which the recording says nothing beyond what was known.")
+    def unlearned(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.learned if one.bits is not None and one.bits < UNLEARNED_BITS)
+
+    @figure("Whether the result can be trusted, in words.")
+    def verdict(self) -> str:
+        known = f"the tip to {1e3 * self.tip.measured_m:.2g} mm, {1e3 * self.tip.measured_worst_m:.2g} mm at worst"
+        return f"weak: {known}" if self.tip.measured_worst_m > COARSE_M else f"good: {known}"
+
+    def std(self) -> dict[str, float]:
+        """Return the standard deviations of all fitted parameters."""
+        return {one.name: one.std for one in self.learned}
