@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.cell.fit import ArmTolerance
+from armsight.calibrate.cell.knowledge import ArmTolerance
 from armsight.calibrate.cell.model import CellModel, start_vector
 from armsight.calibrate.cell.observations import recording_of
 from armsight.calibrate.cell.plan import PlanSettings, cautious_motion, plan_motion

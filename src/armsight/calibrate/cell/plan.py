@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.cell.fit import ArmTolerance, CellFit
+from armsight.calibrate.cell.fit import CellFit
+from armsight.calibrate.cell.knowledge import ArmTolerance
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.plan_information import (
     KINDS,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.cell.fit import ArmTolerance, Knowledge, default_knowledge, gauge, shape_information
+from armsight.calibrate.cell.fit import gauge
+from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information
 from armsight.calibrate.cell.model import CAMERA_POSE, PER_CAMERA, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, CellRecording, JointLog, Spots
 from armsight.calibrate.cell.plan_scene import Scene
