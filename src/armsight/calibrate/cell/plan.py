@@ -130,7 +130,7 @@ def plan_motion(
     known = known_before(scene, target, T_flange_target, road.q, settings.tolerance, spot_px, learned)
     progress.update(1, settings.trials + 2, "choosing places")
     J = rests(scene, known, road.q, spot_px)
-    J[~scene.seen(road.q)] = 0.0
+    J[~scene.seen(road.q)] = 0.0  # the start may be out of view: it tells nothing
     frames = settings.duration_s * settings.frames_hz / TYPICAL_PLACES
     order = by_worth(J, known, road.long_s, MOST_PLACES, frames)
     best = longest(scene, road, order, settings.duration_s)
@@ -255,6 +255,7 @@ def _reaches(
     t = np.arange(int(settings.duration_s * settings.rate_hz) + 1) / settings.rate_hz
     q, here, at_s = np.tile(start, (len(t), 1)), start, REST_S
     while at_s < t[-1]:
+        # slower ones among them: clocks and lines tell themselves by different speeds
         goal = start + size * rng.uniform(-1.0, 1.0, len(start))
         took = _reach_s(goal - here, J, bounds) * rng.uniform(1.0, 3.0)
         back = _reach_s(goal - start, J, bounds)
@@ -273,7 +274,7 @@ def _reach_s(way: Array, J: Array, bounds: MotionBounds) -> float:
     tool = float(np.linalg.norm(J @ np.abs(way)))
     speed = max(float((np.abs(way) / bounds.speed).max()), tool / bounds.speed_m_s)
     sharp = max(float((np.abs(way) / bounds.acceleration).max()), tool / bounds.acceleration_m_s2)
-    return max(PEAK * speed, np.sqrt(PEAK_CHANGE * sharp), 0.2) / SHARE
+    return float(max(PEAK * speed, np.sqrt(PEAK_CHANGE * sharp), 0.2)) / SHARE
 
 
 def _from_middle(scene: Scene, found: Array) -> Array:
@@ -302,6 +303,7 @@ def _improved(
             raise Cancelled("stopped", consequence="No motion is planned")
         progress.update(2 + trial, settings.trials + 2, "exchanging places")
         chosen = list(best.chosen)
+        # one out and another in, or one more while there is time
         left = [k for k in order if k not in best.chosen][:AMONG]
         if rng.random() < 0.7 and len(chosen) > 1:
             chosen.pop(int(rng.integers(len(chosen))))

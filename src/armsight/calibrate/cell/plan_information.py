@@ -117,7 +117,7 @@ def known_before(
     inside = q[scene.inside(q) & scene.seen(q)][:MOST_SAMPLES]
     tip = np.asarray(T_flange_target.inv().apply(scene.tip_m))
     slopes = tip_slopes(model, x, inside, T_flange_target, tip, (spot_px, spot_px))
-    good = slopes.seen
+    good = slopes.seen  # three lights or more in both images
     goal = [
         np.einsum("kia,kib->ab", part[good][:, :, at], part[good][:, :, at]) / good.sum()
         for part in (slopes.measured, slopes.commanded)

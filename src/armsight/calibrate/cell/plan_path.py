@@ -88,6 +88,7 @@ def way_through(arm: Arm, places: Array, bounds: MotionBounds, *, parts: int = P
     """
     share = np.arange(parts)[:, None] / parts
     control = np.concatenate([a + share * (b - a) for a, b in pairwise(places)])
+    # ends three times over: the curve begins and ends in them
     control = np.concatenate([control[:1], control[:1], control, *[places[-1:]] * 3])
     last = len(control) - 3.0
     # a first walk along it tells how long each stretch is, by the limits of speed
@@ -150,6 +151,7 @@ def _timed(arm: Arm, q: Array, ds: float, bounds: MotionBounds) -> tuple[Array, 
     # a step of the grid is no sharper than its neighbours let it be
     square[1:-1] = np.minimum(square[1:-1], np.minimum(square[:-2], square[2:]))
     square[0] = square[-1] = 0.0
+    # forth and back: what is reached by speeding up, and what still stops in time
     z = square.tolist()
     for i in range(m - 1):
         z[i + 1] = min(z[i + 1], z[i] + 2.0 * gain[i] * ds)

@@ -146,6 +146,7 @@ def _facing(scene: Scene, rng: np.random.Generator, start: Array | None) -> Arra
     lean = scene.facing_rad if scene.facing_rad < 90.0 * DEG else 90.0 * DEG
     away = Rotation.from_rotvec(rng.normal(size=(m, 3)) * 0.5 * lean)
     axis = away.apply((eyes - tips) / np.linalg.norm(eyes - tips, axis=1, keepdims=True))
+    # turned about the way to the cameras, they still face them
     roll = Rotation.from_rotvec(axis * rng.uniform(-np.pi, np.pi, (m, 1)))
     towards = Rotation.concatenate([_turned_to(scene.normal, way) for way in axis])
     R = roll * towards
@@ -230,6 +231,7 @@ def _ways(scene: Scene, a: Array, b: Array, far: Array, first: Mask) -> Array:
     way = np.repeat(np.arange(len(a)), steps + 1)
     at = np.concatenate([np.arange(n + 1) / n for n in steps.tolist()])
     q = a[way] + at[:, None] * (b - a)[way]
+    # all ways at once: rows of all are looked at together, and counted by way
     blocked = np.bincount(way, weights=~scene.allowed(q), minlength=len(a)) > 0
     seen = np.bincount(way, weights=scene.seen(q), minlength=len(a)) / (steps + 1)
     moved = np.linalg.norm(np.diff(scene.tips(q), axis=0), axis=1) * (np.diff(way) == 0)

@@ -49,7 +49,9 @@ def by_worth(J: Array, known: Known, long_s: Array, count: int, frames: float) -
     for _ in range(min(count, len(J) - 1)):
         JC = J @ inverse(H)
         S = noise + JC @ J.transpose(0, 2, 1)
+        # trace V (C - C') of the covariance with the place
         gain = np.einsum("kii->k", np.linalg.solve(S, JC @ V @ JC.transpose(0, 2, 1)))
+        # time is what is scarce: a place far away has to tell more
         gain = gain / (STOP_S + away_s)
         gain[[0, *order]] = -np.inf
         best = int(gain.argmax())
