@@ -41,13 +41,14 @@ def plan_tables(face: CommandUI, done: CellPlanOutput) -> None:
     moved = ", ".join(figure(value, 3) for value in done.moved)
     face.say(f"{done.kind}: {done.duration_s:.0f} s, {done.n_rows} rows; joints over {moved} (rad or m)")
     if done.kinds:
-        rows = [[one.name, _before(one.before_m), figure(one.after_m / MM)] for one in done.kinds]
-        for name, before, after in (
-            ("tip, as the cameras measure it", done.measured_before_m, done.measured_after_m),
-            ("tip, as the arm says it", done.commanded_before_m, done.commanded_after_m),
+        rows = [[one.name, _before(one.before_m), figure(one.after_m / MM), ""] for one in done.kinds]
+        for name, *values in (
+            ("tip, cameras", done.measured_before_m, done.measured_after_m, done.measured_least_m),
+            ("tip, joints", done.commanded_before_m, done.commanded_after_m, done.commanded_least_m),
         ):
-            rows.append([name, _before(before), figure(None if after is None else after / MM)])
-        face.table("Deviation of the tip over the volume, mm RMS", ["", "before", "after"], rows)
+            rows.append([name, _before(values[0]), *(figure(None if v is None else v / MM) for v in values[1:])])
+        title = "Deviation of the tip over the volume, mm RMS"
+        face.table(title, ["", "before", "after", "not to be told by motion"], rows)
     if done.seen is not None:
         face.say(f"both cameras see all lights in {100.0 * done.seen:.0f} % of the time")
     if done.untold:

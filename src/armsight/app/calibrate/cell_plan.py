@@ -67,6 +67,8 @@ class CellPlanOutput(Output):
     measured_after_m: Annotated[float | None, Doc("The same after a calibration from this motion, m.")]
     commanded_before_m: Annotated[float | None, Doc("RMS deviation of the tip as the arm says it, before, m.")]
     commanded_after_m: Annotated[float | None, Doc("The same after, m.")]
+    measured_least_m: Annotated[float | None, Doc("What no motion of this kind would take off it, m.")]
+    commanded_least_m: Annotated[float | None, Doc("The same of the tip as the arm says it, m.")]
     kinds: Annotated[list[CellPlanKind], Doc("What each kind of parameter does to the tip.")]
     untold: Annotated[list[str], Doc("Parameters that the motion does not tell.")]
     notes: Annotated[list[str], Doc("What stays open, and what would help.")]
@@ -77,8 +79,8 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
     _check_files(job)
     arm = load_arm(job.model)
     limits = (Limits() if job.limits is None else read_limits(job.limits)).slowed(job.speed)
-    bounds = motion_bounds(arm, limits)
-    start = None if job.start is None else np.asarray(reading_values(arm, job.start), dtype=np.float64)
+    start = np.asarray(reading_values(arm, job.start), dtype=np.float64)
+    bounds = _near(job, arm, motion_bounds(arm, limits), start)
     settings = PlanSettings(
         duration_s=job.duration_s,
         rate_hz=job.rate_hz,
@@ -119,6 +121,20 @@ def motion_bounds(arm: Arm, limits: Limits) -> MotionBounds:
         turn_rad_s=limits.turn_rad_s,
         acceleration_m_s2=limits.acceleration_m_s2,
         turn_acceleration_rad_s2=limits.turn_acceleration_rad_s2,
+    )
+
+
+def _near(job: CellPlanJob, arm: Arm, bounds: MotionBounds, start: Array) -> MotionBounds:
+    """Return the bounds about the start. Raises Inconsistent where some are not known, or are not those of it."""
+    check_bounds(arm, bounds)
+    if start.shape != (arm.n,):
+        return bounds  # refused with all else that the start may not be
+    swing = np.where(arm.revolute, job.swing_rad, np.inf)
+    inside = (start >= bounds.lower) & (start <= bounds.upper)
+    return replace(
+        bounds,
+        lower=np.where(inside, np.maximum(bounds.lower, start - swing), bounds.lower),
+        upper=np.where(inside, np.minimum(bounds.upper, start + swing), bounds.upper),
     )
 
 
@@ -186,10 +202,10 @@ def scene_of(
     )
 
 
-def _normal(scene: Scene, start: Array | None) -> Array:
+def _normal(scene: Scene, start: Array) -> Array:
     """Return the way the lights shine, in flange axes: against the target's z, as boards are; or along it, where the
     arm stands so that the cameras see them from there."""
-    if start is None or start.shape != (scene.arm.n,):
+    if start.shape != (scene.arm.n,):
         return scene.normal
     T = scene.model.flange(scene.x, start[None])[0]
     middle = T[:3, :3] @ scene.model.lights_m(scene.x).mean(axis=0) + T[:3, 3]
@@ -199,17 +215,9 @@ def _normal(scene: Scene, start: Array | None) -> Array:
 
 
 def _cautious(
-    job: CellPlanJob, arm: Arm, bounds: MotionBounds, limits: Limits, start: Array | None, settings: PlanSettings
+    job: CellPlanJob, arm: Arm, bounds: MotionBounds, limits: Limits, start: Array, settings: PlanSettings
 ) -> CellPlanOutput:
-    if start is None:
-        raise UsageError(
-            "nothing is known of the cameras, nor where the arm stands",
-            consequence="No motion is planned",
-            cure="Give --start with the arm's readings, lights in view, for small moves about it; or --rig, --world, "
-            "--target and --volume",
-        )
     free = free_of(arm, limits, np.empty((0, 3)), job.clearance_m)
-    check_bounds(arm, bounds)
     check_start(arm, bounds, free, start)
     motion = cautious_motion(arm, bounds, free, start, settings)
     write_joints(job.out, motion)
@@ -225,6 +233,8 @@ def _cautious(
         measured_after_m=None,
         commanded_before_m=None,
         commanded_after_m=None,
+        measured_least_m=None,
+        commanded_least_m=None,
         kinds=[],
         untold=[],
         notes=[
@@ -247,6 +257,8 @@ def _output(job: CellPlanJob, plan: CellPlan) -> CellPlanOutput:
         measured_after_m=plan.after_m[0],
         commanded_before_m=plan.before_m[1],
         commanded_after_m=plan.after_m[1],
+        measured_least_m=plan.least_m[0],
+        commanded_least_m=plan.least_m[1],
         kinds=[CellPlanKind(name=name, before_m=a, after_m=b) for name, (a, b) in plan.kinds.items()],
         untold=list(plan.untold),
         notes=list(plan.notes),

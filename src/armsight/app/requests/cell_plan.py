@@ -12,7 +12,7 @@ from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OutFolder
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM
 
-KNOWN, MOTION = "What is known beforehand; without it small moves about --start", "The motion"
+KNOWN, MOTION = "What is known beforehand; without it reaches about --start", "The motion"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,6 +23,11 @@ class CellPlanJob:
     """
 
     model: Annotated[str, Doc(f"The arm: {KNOWN_ARM}; its tool is the tip."), AN_ARM]
+    start: Annotated[
+        str,
+        Doc("Where the arm stands, as 0,-1.2,0.4, or a joints.csv: the motion begins and ends there."),
+        Flag(metavar="READINGS"),
+    ]
     out: Annotated[Path, Doc("The motion to write."), Flag("-o --out", metavar="MOTION.csv")]
     rig: Annotated[Path | None, Doc("rig.yaml, as roughly as it is known."), Flag(panel=KNOWN)] = None
     world: Annotated[Path | None, Doc("world.yaml: where that rig stands to the arm, about."), Flag(panel=KNOWN)] = None
@@ -53,14 +58,15 @@ class CellPlanJob:
         Flag(unit=DEG, panel=KNOWN),
     ] = 50.0 * DEG
     limits: GuardLimits = None
-    start: Annotated[
-        str | None,
-        Doc("Where the arm stands, as 0,-1.2,0.4, or a joints.csv: the motion begins and ends there."),
-        Flag(panel=MOTION),
-    ] = None
     duration_s: Annotated[float, Doc("How long the motion takes, s."), Bounds(least=20.0, most=3600.0)] = 120.0
     rate_hz: Annotated[float, Doc("Rows a second."), Bounds(least=10.0, most=2000.0), Flag(panel=MOTION)] = 125.0
     speed: Speed = 1.0
+    swing_rad: Annotated[
+        float,
+        Doc("How far a joint may turn from where it stands: with which links the arm hits itself is not known."),
+        Bounds(above=0.0, most=720.0),
+        Flag(unit=DEG, panel=MOTION),
+    ] = 90.0 * DEG
     clearance_m: Annotated[
         float,
         Doc("What tool, flange and lights keep from walls and boxes beside the guard's own margin."),

@@ -58,6 +58,8 @@ PEAK, PEAK_CHANGE = 1.875, 5.774
 """Of a reach of least jerk: largest speed and acceleration over way per time, and per time squared."""
 HALVED = 5
 LITTLE_SEEN = 0.6
+ENDLESS = 1e4
+"""So many times the motion: what is then left, no motion tells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +84,7 @@ class CellPlan:
     """A motion, and what is foretold of it, by the spots' noise and how the arm strays.
 
     before_m, after_m: RMS deviation of the tip over the volume, as the cameras measure it and as the arm says it.
+    least_m: what is left of it however long one moved so: how large the cell is, by the arm's lengths and the target.
     kinds: the same of each kind of parameter before and after, all else exact. untold: parameters that stay as unknown
     as they were. seen: share of the time in which both cameras see all lights. moved (n,): range of each joint.
     places (k, n): what it goes through. notes: what stays open, and what would help.
@@ -90,6 +93,7 @@ class CellPlan:
     motion: Motion
     before_m: tuple[float, float]
     after_m: tuple[float, float]
+    least_m: tuple[float, float]
     kinds: dict[str, tuple[float, float]]
     untold: tuple[str, ...]
     seen: float
@@ -104,26 +108,23 @@ def plan_motion(
     T_flange_target: RigidTransform,
     settings: PlanSettings | None = None,
     *,
-    start: Array | None = None,
+    start: Array,
     learned: Array | None = None,
     progress: Progress | None = None,
 ) -> CellPlan:
     """Return the motion from start (n,) and back that makes the mean variance of the tip over the volume least.
 
     Places in view are chosen one by one by what they tell, joined to a short round, and exchanged while the information
-    of the whole motion grows: at the frames' own times, with its speed in the images, line by line. start: None for the
-    middle of what is in view. learned (P, P): information of what was recorded before. Raises NotEnoughData where
-    nothing is in view or within the limits, Inconsistent for a start outside them, or too little time.
+    of the whole motion grows: at the frames' own times, with its speed in the images, line by line. learned (P, P):
+    information of what was recorded before. Raises NotEnoughData where nothing is in view or within the limits,
+    Inconsistent for a start outside them, or too little time.
     """
     settings, progress = settings or PlanSettings(), progress or Silent()
     rng = np.random.default_rng(settings.seed)
     check_bounds(scene.arm, scene.bounds)
-    if start is not None:
-        check_start(scene.arm, scene.bounds, scene.free, start)
+    check_start(scene.arm, scene.bounds, scene.free, start)
     progress.update(0, settings.trials + 2, "looking for places in view")
     found = places(scene, rng, start)
-    if start is None:
-        found = _from_middle(scene, found)
     road = roadmap(scene, found)
     _check_volume(scene, road)
     spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
@@ -163,7 +164,7 @@ def refine(
     T_flange_target: RigidTransform,
     settings: PlanSettings | None = None,
     *,
-    start: Array | None = None,
+    start: Array,
     progress: Progress | None = None,
 ) -> CellPlan:
     """Return the motion for a further recording, by what a first one's fit knows: its cameras, lights and arm, and its
@@ -277,14 +278,6 @@ def _reach_s(way: Array, J: Array, bounds: MotionBounds) -> float:
     return float(max(PEAK * speed, np.sqrt(PEAK_CHANGE * sharp), 0.2)) / SHARE
 
 
-def _from_middle(scene: Scene, found: Array) -> Array:
-    """Return places with that one first from which the others, those in the volume above all, are nearest."""
-    goal = found[scene.inside(found)] if scene.inside(found).any() else found
-    far = np.median(scene.bounds.apart_s(found[:, None], goal[None]), axis=1)
-    first = int(far.argmin())
-    return np.concatenate([found[first : first + 1], np.delete(found, first, axis=0)])
-
-
 def _improved(
     scene: Scene,
     road: Roadmap,
@@ -338,6 +331,7 @@ def _told(scene: Scene, known: Known, found: Tour, information: Array, settings:
         motion=motion,
         before_m=known.tip_m(before),
         after_m=known.tip_m(after),
+        least_m=known.tip_m(before + ENDLESS * information),
         kinds={kind: (parts[0][kind], parts[1][kind]) for kind in KINDS},
         untold=untold,
         seen=seen,

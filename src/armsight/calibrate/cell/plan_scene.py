@@ -98,7 +98,7 @@ class Scene:
         return out
 
 
-def places(scene: Scene, rng: np.random.Generator, start: Array | None) -> Array:
+def places(scene: Scene, rng: np.random.Generator, start: Array) -> Array:
     """Return readings (k, n) at which the arm may be and both cameras see its lights; start comes first.
 
     Raises NotEnoughData where there are none, with what keeps the arm from them.
@@ -125,14 +125,14 @@ def places(scene: Scene, rng: np.random.Generator, start: Array | None) -> Array
     half = order[: PLACES // 2]
     rest = rng.permutation(order[PLACES // 2 :])[: PLACES - len(half)]
     kept = found[np.concatenate([half, rest])]
-    return kept if start is None else np.concatenate([start[None], kept])
+    return np.concatenate([start[None], kept])
 
 
 def _anywhere(scene: Scene, rng: np.random.Generator) -> Array:
     return np.asarray(rng.uniform(scene.bounds.lower, scene.bounds.upper, (DRAWN, scene.arm.n)))
 
 
-def _facing(scene: Scene, rng: np.random.Generator, start: Array | None) -> Array:
+def _facing(scene: Scene, rng: np.random.Generator, start: Array) -> Array:
     """Return readings that bring the tip near the volume and turn the lights towards the cameras; none without a
     closed form."""
     arm, family = scene.arm, family_of(scene.arm)
@@ -154,7 +154,7 @@ def _facing(scene: Scene, rng: np.random.Generator, start: Array | None) -> Arra
     q, _, _ = ik_many(arm, arm.T_world_base * flange * arm.T_flange_tool)
     q = q.reshape(-1, arm.n)
     q = q[np.isfinite(q).all(axis=1)]
-    near = 0.5 * (scene.bounds.lower + scene.bounds.upper) if start is None else start
+    near = start
     return arm.readings(q) + np.where(
         arm.revolute, 2.0 * np.pi * np.rint((near - arm.readings(q)) / (2.0 * np.pi)), 0.0
     )
