@@ -121,7 +121,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "calibrate cell-plan": (
         f"armsight calibrate cell-plan --model arm.yaml {RIG} --world world.yaml "
-        "--volume=-0.95:-0.75,-0.3:0.05,0.1:0.4 --facing-deg 60 -o motion.csv",
+        "--volume=-0.95:-0.75,-0.3:0.05,0.1:0.4 --start=0,-1.07,1.63,-0.57,1.73,0.16 --facing-deg 60 -o motion.csv",
         "armsight calibrate cell-plan --model arm.yaml --start=0,-1.07,1.63,-0.57,1.73,0.16 -o motion.csv",
     ),
     "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points observed.csv -o world.yaml",),
