@@ -5,8 +5,9 @@
 Cells are drawn in tests/truth/cell_world.py: arm, target, two free-running webcams, two minutes. Error: the true lights
 are seen without noise at joints over the work volume, the target's pose is measured with what was calibrated, and the
 tip goes to base axes: its distance to the true tip, RMS. The chain has 60 pairs of a board, and 30 pictures of each of
-118 rests of the arm, all without clutter. Its board is exact, or printed: its scale is off by 0.1 % (deviation); --moving: the chain from a recording in motion as well. --faults: so
-many cells with one planted fault each; --good: so many without, which must raise no alarm.
+118 rests of the arm, all without clutter. Its board is exact, or printed: its scale is off by 0.1 % (deviation).
+--moving: the chain from a recording in motion as well. --faults: so many cells with one planted fault each; --good: so
+many without, which must raise no alarm.
 """
 
 from __future__ import annotations

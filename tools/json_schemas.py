@@ -15,6 +15,7 @@ from typing import Any
 from armsight.app.arm_files import ConvertArmOutput
 from armsight.app.batch.results import BatchOutput
 from armsight.app.calibrate.arm import ArmOutput
+from armsight.app.calibrate.cell_plan import CellPlanOutput
 from armsight.app.calibrate.pivot import PivotOutput
 from armsight.app.calibrate.results import (
     CameraOutput,
@@ -48,6 +49,7 @@ from armsight.app.record.record import RecordOutput
 from armsight.app.reproduce.run import ReproduceOutput
 from armsight.app.robot.jog import JogOutput
 from armsight.app.robot.link_test import RobotTestOutput
+from armsight.app.robot.run_motion import RunMotionOutput
 from armsight.app.servo.session import ServoOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
@@ -86,6 +88,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-tooltip": TipCalibration,
     "calibrate-pivot": PivotOutput,
     "calibrate-arm": ArmOutput,
+    "calibrate-cell-plan": CellPlanOutput,
     "calibrate-robot-world": WorldCalibration,
     "identify": IdentifyOutput,
     "identify-propose": ProposedPlanOutput,
@@ -125,6 +128,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "path-from-picks": PathPicksOutput,
     "robot-test": RobotTestOutput,
     "robot-jog": JogOutput,
+    "robot-run": RunMotionOutput,
     "play": PlayOutput,
     "servo": ServoOutput,
     "teach": TeachOutput,

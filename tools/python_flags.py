@@ -163,6 +163,8 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
     "report": "a browser's work on a file: run the command",
     "serve": "a process that outlives a script: run the command, and `connect` to it",
     "demo": "`simulate` and `measure` do it; the command is for a first look",
+    "calibrate cell-plan": "a plan for one recording, which is a file: run the command",
+    "robot run": "a motion from a file, once: run the command",
     ("calibrate mirrors", "--left-only"): "covered views are joined by the command alone: it is done once, on a bench",
     ("calibrate mirrors", "--right-only"): "as `--left-only`",
     (

@@ -119,6 +119,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated.yaml",
         "armsight calibrate arm --model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
     ),
+    "calibrate cell-plan": (
+        f"armsight calibrate cell-plan --model arm.yaml {RIG} --world world.yaml "
+        "--volume=-0.95:-0.75,-0.3:0.05,0.1:0.4 --start=0,-1.07,1.63,-0.57,1.73,0.16 --facing-deg 60 -o motion.csv",
+        "armsight calibrate cell-plan --model arm.yaml --start=0,-1.07,1.63,-0.57,1.73,0.16 -o motion.csv",
+    ),
     "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points observed.csv -o world.yaml",),
     "calibrate mirrors": (
         "armsight calibrate mirrors --image board/ --board circles:7x11:0.02 -o rig.yaml",
@@ -186,6 +191,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight robot jog --robot sim:webcam-cell --joint 1 --by 0.02",
         "armsight robot jog --robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
     ),
+    "robot run": ("armsight robot run --robot sim:webcam-cell --motion motion.csv -o moved",),
 }
 """Command -> what to type; the help lists the commands of a panel in this order."""
 

@@ -34,6 +34,7 @@ NOT_HERE = {
     "console": "serves until Ctrl-C: tests/browser runs it",
     "calibrate timing": "two cameras before which a target is waved: tests/unit/cli/test_timing.py draws their spots",
     "calibrate cell --robot-log joints.csv --left left.mp4": "videos of a moving arm: tests/unit/cli/test_cell.py",
+    "robot run": "takes as long as its motion: tests/unit/app/test_cell_plan.py runs one by a clock of its own",
     "rsi:": "a robot's controller",
     "gamepad": "a gamepad",
 }

@@ -34,7 +34,7 @@ def read_priors(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> Cell
             if world.parent != "base":
                 raise Inconsistent(
                     f"{path}: says where the rig stands in the world, not to the base",
-                    cure="Give the world.yaml that `armsight calibrate world` or `calibrate cell` wrote",
+                    cure="Give the world.yaml that `armsight calibrate robot-world` or `calibrate cell` wrote",
                 )
             known = replace(known, base_pose=(world.T_parent_rig, _told(world.covariance, path)))
         elif kind == "armsight/handeye":

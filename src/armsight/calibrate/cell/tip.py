@@ -51,10 +51,7 @@ def tip_slopes(
     arm_at = np.array(T_flange_target.apply(tip_m))
     tip = T[:, :3, :3] @ arm_at  # (k, 3) from the flange
     lights = model.lights_m(x)
-    inside = np.ones((k, 2, n), bool)
-    for side, (width, height) in enumerate(model.recording.sizes):
-        with np.errstate(invalid="ignore"):
-            inside[:, side] = ((uv[:, side] >= 0.0) & (uv[:, side] <= [width - 1, height - 1])).all(axis=-1)
+    inside = _inside(model, uv)
     weight = inside / np.square(np.asarray(sigma_px))[None, :, None]
     # by the target's own motion (dt, dw) about the tip: a light at T (light - tip) moves by dt + dw x that
     a = model.lights_at
@@ -83,6 +80,13 @@ def tip_slopes(
     ).transpose(0, 2, 1)
     commanded[:, :, a:] = T[:, :3, :3] @ _carried(lights, arm_at)
     return TipSlopes(measured=measured, commanded=commanded, noise=inverse[:, :3, :3], seen=seen)
+
+
+def _inside(model: CellModel, uv: Array) -> NDArray[np.bool_]:
+    """Return which pixels (k, 2, n, 2) are in their camera's image."""
+    largest = np.array(model.recording.sizes)[None, :, None] - 1.0
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((uv >= 0.0) & (uv <= largest)).all(axis=-1))
 
 
 def _moves(lights: Array, tip: Array) -> Array:

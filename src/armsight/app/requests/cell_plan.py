@@ -1,0 +1,96 @@
+"""What `armsight calibrate cell-plan` and `armsight robot run` are told: a motion that is to be planned, and run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from armsight.app.requests.design import Box, mount_of, volume_of
+from armsight.app.requests.motion import GuardLimits, RobotName, RsiConfig, Speed
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OutFolder
+from armsight.fields import Bounds, Doc, Flag
+from armsight.units import DEG, MM
+
+KNOWN, MOTION = "What is known beforehand; without it reaches about --start", "The motion"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellPlanJob:
+    """An arm, and what is known of the cell; rig, world, target and volume together, or none of them.
+
+    mount (3,) or (6,): of the target on the flange, m and degrees; None: at the arm's tool.
+    """
+
+    model: Annotated[str, Doc(f"The arm: {KNOWN_ARM}; its tool is the tip."), AN_ARM]
+    start: Annotated[
+        str,
+        Doc("Where the arm stands, as 0,-1.2,0.4, or a joints.csv: the motion begins and ends there."),
+        Flag(metavar="READINGS"),
+    ]
+    out: Annotated[Path, Doc("The motion to write."), Flag("-o --out", metavar="MOTION.csv")]
+    rig: Annotated[Path | None, Doc("rig.yaml, as roughly as it is known."), Flag(panel=KNOWN)] = None
+    world: Annotated[Path | None, Doc("world.yaml: where that rig stands to the arm, about."), Flag(panel=KNOWN)] = None
+    target: Annotated[Path | None, Doc("target.yaml of the lights on the flange."), Flag(panel=KNOWN)] = None
+    volume: Annotated[
+        Box | None,
+        Doc("Where the tip is to be known: XMIN:XMAX,YMIN:YMAX,ZMIN:ZMAX in m, in the arm's base."),
+        Flag(metavar="BOX", read=volume_of, panel=KNOWN),
+    ] = None
+    mount: Annotated[
+        tuple[float, ...] | None,
+        Doc("The target on the flange: X,Y,Z[,RX,RY,RZ] in m and degrees. [default: at the tool]"),
+        Flag(metavar="POSE", read=mount_of, panel=KNOWN),
+    ] = None
+    rough_m: Annotated[
+        float,
+        Doc("How far the cameras may stand from where --world has them."),
+        Bounds(least=0.0),
+        Flag(unit=MM, panel=KNOWN),
+    ] = 20.0 * MM
+    rough_rad: Annotated[
+        float, Doc("How far they may be turned."), Bounds(least=0.0, most=30.0), Flag(unit=DEG, panel=KNOWN)
+    ] = 2.0 * DEG
+    facing_rad: Annotated[
+        float,
+        Doc("How far the target's z axis may be turned from the way to each camera."),
+        Bounds(above=0.0, most=180.0),
+        Flag(unit=DEG, panel=KNOWN),
+    ] = 50.0 * DEG
+    limits: GuardLimits = None
+    duration_s: Annotated[float, Doc("How long the motion takes, s."), Bounds(least=20.0, most=3600.0)] = 120.0
+    rate_hz: Annotated[float, Doc("Rows a second."), Bounds(least=10.0, most=2000.0), Flag(panel=MOTION)] = 125.0
+    speed: Speed = 1.0
+    swing_rad: Annotated[
+        float,
+        Doc("How far a joint may turn from where it stands: with which links the arm hits itself is not known."),
+        Bounds(above=0.0, most=720.0),
+        Flag(unit=DEG, panel=MOTION),
+    ] = 90.0 * DEG
+    clearance_m: Annotated[
+        float,
+        Doc("What tool, flange and lights keep from walls and boxes beside the guard's own margin."),
+        Bounds(least=0.0),
+        Flag(unit=MM, panel=MOTION),
+    ] = 20.0 * MM
+    frames_hz: Annotated[
+        float, Doc("Frames a second of each camera."), Bounds(least=1.0, most=1000.0), Flag(panel=KNOWN)
+    ] = 30.0
+    spot_noise_px: Annotated[
+        float, Doc("Standard deviation of a spot's coordinate."), Bounds(least=1e-4), Flag(panel=KNOWN)
+    ] = 0.1
+    seed: Annotated[int, Doc("The same seed gives the same motion."), Bounds(least=0), Flag(panel=MOTION)] = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunMotionJob:
+    """A motion of the joints, and the robot that runs it."""
+
+    robot: RobotName
+    motion: Annotated[Path, Doc("joints.csv of the motion: t_s,q1,...,qn."), Flag(metavar="MOTION.csv")]
+    out: OutFolder
+    arm: Annotated[Path | None, Doc(f"{KNOWN_ARM}; needed unless the robot tells it."), AN_ARM] = None
+    limits: GuardLimits = None
+    override: Annotated[float, Doc("Share of the motion's own speed, 0.01 to 1."), Flag(metavar="SHARE")] = 1.0
+    speed: Speed = 1.0
+    rsi_config: RsiConfig = None

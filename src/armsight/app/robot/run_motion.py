@@ -1,0 +1,222 @@
+"""A motion of the joints run by a robot through the guard, with its readings recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.arm_files import given_arm
+from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing, standing_outside
+from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.with_progress import run_with_progress
+from armsight.clock import Clock, SystemClock
+from armsight.control.guard import Guard, GuardState
+from armsight.control.guard.space import Space
+from armsight.control.loop import ControlLoop
+from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.status import RobotStatus, Timing
+from armsight.drivers import Robot
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.fields import Doc
+from armsight.records import Motion, Progress, Silent
+from armsight.records.output import Output, output
+from armsight.store.atomic import write_json
+from armsight.store.recording import Recording
+from armsight.store.tracks import read_joints, write_joints
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+RECORDING, READINGS, SUMMARY = "motion.mcap", "joints.csv", "motion.json"
+STUCK_S = 5.0
+"""A motion that the guard has held for so long, though the operator's enable was there, is given up."""
+CHECKED_S = 0.02
+"""Time of the motion between two of its rows that are checked before it is run."""
+FEWEST_ROWS = 4
+
+Begun = Callable[[JointMotionSource], None]
+"""Is given the motion once it may move, so that a key may pause it and change its override."""
+
+
+@output
+class RunMotionOutput(Output):
+    """armsight robot run."""
+
+    n_cycles: Annotated[int, Doc("Cycles of the control loop.")]
+    late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
+    missed: Annotated[int, Doc("Cycles that never began.")]
+    stopped_by: Annotated[str, Doc("Why it ended: end (of the motion), operator, or in words what stopped it.")]
+    finished: Annotated[bool, Doc("Whether the motion was run to its end.")]
+    share: Annotated[float, Doc("Share of the motion that was run, 0 to 1.")]
+    took_s: Annotated[float, Doc("How long it took, with the way to its start, s.")]
+    holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
+    recording: Annotated[str, Doc("The recording: commands, readings and events.")]
+    joints: Annotated[str, Doc("The readings by themselves, joints.csv, for a calibration.")]
+
+
+class _Tally:
+    """Counts cycles as the loop does them, and tells which was the last."""
+
+    def __init__(self, cancelled: Callable[[], bool]) -> None:
+        self.holds: list[str] = []
+        self.last: RobotStatus | None = None
+        self.began_s: float | None = None
+        self._cancelled = cancelled
+        self._held_s: float | None = None
+
+    def __call__(self, status: RobotStatus) -> bool:
+        self.last = status
+        self.began_s = status.t_s if self.began_s is None else self.began_s
+        if status.why and status.reason not in self.holds:
+            self.holds.append(status.reason)
+        if status.guard is not GuardState.HOLDING:
+            self._held_s = None
+        elif self._held_s is None:
+            self._held_s = status.t_s
+        stuck = self._held_s is not None and status.t_s - self._held_s > STUCK_S
+        return status.finished or self._cancelled() or status.guard is GuardState.STOPPED or stuck
+
+    @property
+    def took_s(self) -> float:
+        """Time since the first cycle."""
+        return 0.0 if self.last is None or self.began_s is None else self.last.t_s - self.began_s
+
+    def stopped_by(self, *, finished: bool) -> str:
+        """Return why the loop ended."""
+        if finished:
+            return "end"
+        if self._cancelled():
+            return "operator"
+        return "" if self.last is None else self.last.why or (self.holds[-1] if self.holds else "")
+
+
+def run_motion(
+    job: RunMotionJob,
+    confirm: Callable[[str], bool],
+    progress: Progress | None = None,
+    *,
+    clock: Clock | None = None,
+    opened: Robot | None = None,
+    begun: Begun = lambda _: None,
+) -> RunMotionOutput:
+    """Run a motion after asking: to its first reading, then along it; write recording and readings into job.out.
+
+    The whole motion is checked first: ranges of the joints, boxes of tool and flange. opened: in place of the robot.
+    begun: is given the motion once it may move. Raises UsageError, DataRefused for a motion beyond a limit,
+    DeviceFailed, Cancelled.
+    """
+    clock, progress = clock or SystemClock(), progress or Silent()
+    if (job.out / RECORDING).exists():
+        raise UsageError(
+            f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
+        )
+    motion, model = read_joints(job.motion), given_arm(job.arm)
+    robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
+    guard = guard_for(robot, model, job.limits, share=job.speed)
+    source = JointMotionSource(_checked(job, motion, guard), override=job.override)
+    with robot:
+        outside = standing_outside(guard, robot)
+        with beside_outside(outside):
+            asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(outside)
+        if not confirm(asked):
+            raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
+        tally = _Tally(progress.cancelled)
+        begun(source)
+        timing = _followed(job, robot, guard, source, clock, tally, progress)
+    _write_readings(job)
+    done = _output(job, source, tally, timing)
+    write_json(job.out / SUMMARY, done.to_dict())
+    return done
+
+
+def _output(job: RunMotionJob, source: JointMotionSource, tally: _Tally, timing: Timing) -> RunMotionOutput:
+    finished = source.stage == "finished"
+    return RunMotionOutput(
+        n_cycles=timing.n_cycles,
+        late=timing.late,
+        missed=timing.missed,
+        stopped_by=tally.stopped_by(finished=finished),
+        finished=finished,
+        share=source.at_s / source.length_s,
+        took_s=tally.took_s,
+        holds=tally.holds,
+        recording=str(job.out / RECORDING),
+        joints=str(job.out / READINGS),
+    )
+
+
+def _followed(
+    job: RunMotionJob,
+    robot: Robot,
+    guard: Guard,
+    source: JointMotionSource,
+    clock: Clock,
+    tally: _Tally,
+    progress: Progress,
+) -> Timing:
+    """Run the loop, and record it. Raises what the recorder failed of."""
+    with LoopRecorder(job.out / RECORDING, clock) as recorder:
+        loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=recorder.sink)
+
+        def show() -> None:
+            progress.update(source.at_s, source.length_s, source.stage)
+
+        timing = run_with_progress(lambda: loop.run(until=tally), show)
+    if recorder.failed is not None:
+        raise recorder.failed
+    return timing
+
+
+def question(robot: Robot, guard: Guard, motion: Motion, stands: Array) -> str:
+    """Return what is asked before anything moves: how far each joint goes first, and along the motion."""
+    turns = guard.arm.revolute
+    first, way = np.abs(motion.q[0] - stands), np.ptp(motion.q, axis=0)
+
+    def told(values: Array) -> str:
+        rows = zip(values.tolist(), turns.tolist(), strict=True)
+        return ", ".join(f"{value / DEG:.0f} deg" if turn else f"{value / MM:.0f} mm" for value, turn in rows)
+
+    return (
+        f"{robot.name} moves its joints by {told(first)} to where the motion begins, then over {told(way)} in "
+        f"{np.ptp(motion.t_s):.0f} s, the tool at up to {guard.limits.speed_m_s / MM:.0f} mm/s. Move?"
+    )
+
+
+def _checked(job: RunMotionJob, motion: Motion, guard: Guard) -> Motion:
+    """Return the motion. Raises where it is none of this arm, or leaves a limit that a slower motion would not keep."""
+    if motion.q.shape[1] != guard.arm.n:
+        raise Inconsistent(
+            f"{job.motion} moves {motion.q.shape[1]} joints, {guard.arm.name} has {guard.arm.n}",
+            consequence="Nothing is moved",
+            cure="Plan a motion for this arm",
+        )
+    if len(motion.t_s) < FEWEST_ROWS:
+        raise NotEnoughData(f"{job.motion} holds {len(motion.t_s)} rows", consequence="Nothing is moved")
+    space = Space(guard.arm, guard.limits, guard.bounds)
+    still = np.zeros(guard.arm.n)
+    for i in np.unique(np.searchsorted(motion.t_s, np.arange(motion.t_s[0], motion.t_s[-1], CHECKED_S))).tolist():
+        found = space.at(motion.q[i], still, still, in_space=False)
+        if found.outside().any():
+            raise Inconsistent(
+                f"{job.motion}: at {motion.t_s[i]:.2f} s the arm would stand {found.describe()}",
+                consequence="Nothing is moved",
+                cure="Plan it with the limits that it is run with (--limits)",
+            )
+    return motion
+
+
+def _write_readings(job: RunMotionJob) -> None:
+    """Write the readings of the recording as joints.csv, each time once."""
+    with Recording(job.out / RECORDING) as recording:
+        readings = list(recording.joints())
+    if not readings:
+        return
+    t = np.array([reading.t_s for reading in readings])
+    fresh = np.concatenate([[True], np.diff(np.maximum.accumulate(t)) > 0.0])
+    q = np.array([reading.q for reading in readings])
+    write_joints(job.out / READINGS, Motion(t_s=t[fresh], q=q[fresh]))

@@ -1,0 +1,297 @@
+"""A motion that calibrates a cell: planned within the limits and in view, run through the guard, or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from armsight.app.arm_files import load_arm
+from armsight.app.calibrate.cell_plan import free_of, motion_bounds, run_cell_plan, scene_of
+from armsight.app.requests.cell_plan import CellPlanJob, RunMotionJob
+from armsight.app.robot.opening import open_robot
+from armsight.app.robot.run_motion import RunMotionOutput, run_motion
+from armsight.app.simulate.run import simulate
+from armsight.calibrate.cell.model import CellModel
+from armsight.calibrate.cell.observations import JointLog
+from armsight.calibrate.cell.plan import CAUTIOUS_RAD, PlanSettings, cautious_motion, plan_motion, refine
+from armsight.calibrate.cell.plan_information import known_before, motion_information, seen_spots
+from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
+from armsight.calibrate.cell.plan_tour import longest
+from armsight.clock import ManualClock
+from armsight.control.guard import Box, JointLimit, Limits
+from armsight.control.play.joint_motion import JointMotionSource
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import Arm
+from armsight.records import Motion, Silent
+from armsight.store import read_target
+from armsight.store.limits_file import write_limits
+from armsight.store.tracks import read_joints, write_joints
+from refusals import refuses
+
+START = "-0.0078,-1.0686,1.6257,-0.5679,1.7323,0.1617"
+Q = np.array([float(value) for value in START.split(",")])
+VOLUME = ((-0.95, -0.75), (-0.3, 0.05), (0.1, 0.4))
+ROOM = Limits(workspace=Box(lower_m=[-1.4, -1.2, -0.1], upper_m=[-0.4, 1.0, 1.0], name="cell"))
+QUICK = PlanSettings(duration_s=30.0, rate_hz=50.0, trials=3)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("cell") / "webcam"
+    simulate("webcam-cell", out, frames=3, room="dark")
+    return out
+
+
+def job(cell: Path, folder: Path, **more: object) -> CellPlanJob:
+    known: dict[str, object] = {
+        "model": str(cell / "arm.yaml"),
+        "rig": cell / "rig.yaml",
+        "world": cell / "world.yaml",
+        "target": cell / "target.yaml",
+        "volume": VOLUME,
+        "start": START,
+        "duration_s": 30.0,
+        "facing_rad": 1.05,
+        "rate_hz": 50.0,
+    }
+    return CellPlanJob(**({"out": folder / "motion.csv"} | known | more))
+
+
+def scene(cell: Path, limits: Limits = ROOM, **more: object) -> Scene:
+    wanted = job(cell, cell, **more)
+    arm = load_arm(wanted.model)
+    target = read_target(cell / "target.yaml")
+    made = scene_of(wanted, arm, motion_bounds(arm, limits), limits, target, arm.T_flange_tool)
+    assert made.seen(Q[None])[0]
+    return made
+
+
+def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    T = arm.fk(arm.values(q))
+    flange = T @ arm.T_flange_tool.inv().as_matrix()
+    return np.concatenate([T[:, :3, 3], flange[:, :3, 3]])
+
+
+def moved(
+    motion: Path, out: Path, *, confirm=lambda _: True, progress=None, begun=lambda _: None, **more: object
+) -> RunMotionOutput:
+    clock = ManualClock()
+    robot = open_robot("sim:webcam-cell", clock)
+    wanted = RunMotionJob(robot="sim:webcam-cell", motion=motion, out=out, **more)
+    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun)
+
+
+def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard(cell: Path, tmp_path: Path) -> None:
+    write_limits(tmp_path / "limits.yaml", ROOM)
+    done = run_cell_plan(job(cell, tmp_path, limits=tmp_path / "limits.yaml"))
+    motion = read_joints(tmp_path / "motion.csv")
+    arm, made = load_arm(str(cell / "arm.yaml")), scene(cell)
+    bounds = made.bounds
+    dt = motion.t_s[1]
+    assert done.kind == "planned" and (done.n_rows, motion.t_s[-1]) == (1501, 30.0)
+    assert made.seen(motion.q[::10]).mean() == pytest.approx(done.seen, abs=0.05) and done.seen > 0.8
+    assert np.allclose(motion.q[[0, -1]], Q)
+    assert bounds.within(motion.q).all() and np.abs(motion.q - Q).max() <= np.pi / 2.0
+    speed = np.diff(motion.q, axis=0) / dt
+    assert (np.abs(speed) <= bounds.speed).all() and np.abs(speed).max() > 0.1
+    assert (np.abs(np.diff(speed, axis=0) / dt) <= bounds.acceleration).all()
+    tool = np.linalg.norm(np.diff(arm.fk(arm.values(motion.q))[:, :3, 3], axis=0), axis=1) / dt
+    assert 0.5 * ROOM.speed_m_s < tool.max() <= ROOM.speed_m_s
+    at = tool_and_flange(arm, motion.q)
+    assert ((at > ROOM.workspace.lower_m) & (at < ROOM.workspace.upper_m)).all()
+    assert done.measured_least_m is not None and 0.0 < done.measured_least_m < done.measured_after_m
+    assert done.measured_after_m is not None and done.measured_after_m < 0.05 * done.measured_before_m
+    # and as it is run
+    ran = moved(tmp_path / "motion.csv", tmp_path / "moved", limits=tmp_path / "limits.yaml")
+    assert ran.finished and not ran.holds and ran.stopped_by == "end" and ran.missed == 0
+    read = read_joints(tmp_path / "moved" / "joints.csv")
+    along = read.q[read.t_s > read.t_s[0] + 3.0]
+    assert cKDTree(motion.q).query(along)[0].max() < 0.02
+    assert ran.took_s == pytest.approx(30.0, abs=3.0)
+
+
+def test_a_box_in_the_way_is_gone_round(cell: Path, tmp_path: Path) -> None:
+    target, arm = read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
+    open_ = plan_motion(scene(cell), target, arm.T_flange_tool, QUICK, start=Q)
+    at = tool_and_flange(arm, open_.motion.q)
+    free_start = np.linalg.norm(at - at[0], axis=1) > 0.15
+    middle = at[free_start][len(at[free_start]) // 3]
+    box = Box(lower_m=middle - 0.03, upper_m=middle + 0.03, name="post")
+    limits = Limits(workspace=ROOM.workspace, forbidden=(box,))
+    round_it = plan_motion(scene(cell, limits), target, arm.T_flange_tool, QUICK, start=Q)
+
+    def inside(motion: Motion) -> int:
+        xyz = tool_and_flange(arm, motion.q)
+        return int(((xyz > box.lower_m) & (xyz < box.upper_m)).all(axis=1).sum())
+
+    assert inside(open_.motion) > 0 and inside(round_it.motion) == 0
+    assert not free_of(arm, limits, np.empty((0, 3)), 0.0)(open_.motion.q).all()
+
+
+def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_again(cell: Path) -> None:
+    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
+    plan = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    again = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    assert np.array_equal(plan.motion.q, again.motion.q)
+    rng = np.random.default_rng(7)
+    road = roadmap(made, places(made, rng, Q))
+    known = known_before(made, target, arm.T_flange_tool, road.q, QUICK.tolerance, QUICK.spot_px)
+
+    def foretold(motion: Motion) -> float:
+        information = motion_information(made, known, motion, QUICK.spot_px, QUICK.frames_hz)
+        return known.worth(known.information + information)
+
+    others = []
+    for _ in range(4):
+        order = 1 + rng.permutation(len(road.q) - 1)
+        tour = longest(made, road, order.tolist(), QUICK.duration_s)
+        if tour is not None:
+            others.append(foretold(tour.way.motion(QUICK.duration_s, QUICK.rate_hz)))
+    assert others and foretold(plan.motion) < 0.7 * min(others)
+
+
+def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:
+    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
+    first = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    model = CellModel(
+        recording=SimpleNamespace(
+            arm=made.model.recording.arm,
+            log=JointLog.of(first.motion),
+            sizes=made.model.recording.sizes,
+            clocks=made.model.recording.clocks,
+            middle_s=made.model.recording.middle_s,
+        ),
+        lights=made.model.lights,
+    )
+    spots = seen_spots(made, model, first.motion, QUICK.spot_px)
+    normals = model.normals(made.x, spots, spots.whitening(), np.zeros(len(spots), np.intp))
+    found = SimpleNamespace(x=made.x, normals=normals, wander=None)
+    second = refine(made, model, found, target, arm.T_flange_tool, QUICK, start=Q)
+    assert second.before_m[0] < 0.1 * first.before_m[0]
+    assert second.after_m[0] < first.after_m[0]
+
+
+def test_small_moves_where_nothing_is_known_stay_near(cell: Path, tmp_path: Path) -> None:
+    nothing = {"rig": None, "world": None, "target": None, "volume": None}
+    done = run_cell_plan(job(cell, tmp_path, **nothing))
+    motion, arm = read_joints(tmp_path / "motion.csv"), load_arm(str(cell / "arm.yaml"))
+    at = tool_and_flange(arm, motion.q)[len(motion.q) :]
+    assert done.kind == "cautious" and np.linalg.norm(at - at[0], axis=1).max() < 0.25
+    assert (np.ptp(motion.q, axis=0) > 0.05).all() and np.abs(motion.q - Q).max() < CAUTIOUS_RAD
+    assert np.allclose(motion.q[[0, -1]], Q)
+    tool = np.linalg.norm(np.diff(at, axis=0), axis=1) / motion.t_s[1]
+    assert 0.5 * Limits().speed_m_s < tool.max() < Limits().speed_m_s
+    # it stops and goes, by which clocks are found, and its joints do not move alike
+    assert (tool < 0.1 * tool.max()).mean() > 0.1
+    assert np.abs(np.corrcoef(motion.q.T) - np.eye(6)).max() < 0.95
+    bounds = motion_bounds(arm, Limits())
+    with refuses(Inconsistent, "smallest"):
+        cautious_motion(arm, bounds, lambda q: np.abs(q - Q).max(axis=1) < 1e-4, Q)
+
+
+FAR, AWAY = ((2.0, 2.2), (0.0, 0.2), (0.0, 0.2)), ((-0.3, -0.1), (-0.1, 0.1), (1.2, 1.35))
+
+
+@pytest.mark.parametrize(
+    ("more", "limits", "kind", "names"),
+    [
+        ({"volume": FAR}, Limits(), NotEnoughData, ("--volume", "0")),
+        ({"volume": AWAY}, Limits(), NotEnoughData, ("--volume", "0")),
+        ({"facing_rad": 1e-3}, Limits(), NotEnoughData, ("cameras", "--facing-deg")),
+        ({}, Limits(joints=(JointLimit(lower=0.1), *[JointLimit()] * 5)), Inconsistent, ("j1", "-0.0078")),
+        ({}, Limits(workspace=Box(lower_m=[0.2, -1, 0], upper_m=[1.2, 1, 1])), Inconsistent, ("workspace", "stands")),
+        ({"start": "0,1"}, Limits(), Inconsistent, ("2", "6")),
+        ({"volume": None}, Limits(), UsageError, "--volume"),
+        ({"volume": ((0.1, 0.1), (0, 1), (0, 1))}, Limits(), UsageError, "volume"),
+        ({"out": Path("motion.txt")}, Limits(), UsageError, "motion.txt"),
+        ({}, Limits(joints=(JointLimit(speed=1e-3),) * 6), Inconsistent, "--duration"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(
+    cell: Path, tmp_path: Path, more: dict, limits: Limits, kind: type[ArmsightError], names: object
+) -> None:
+    write_limits(tmp_path / "limits.yaml", limits)
+    with refuses(kind, names) as refused:
+        run_cell_plan(job(cell, tmp_path, limits=tmp_path / "limits.yaml", **more))
+    assert refused.value.cure and not (tmp_path / "motion.csv").exists()
+
+
+def test_an_arm_whose_limits_nobody_told_is_not_moved(cell: Path, tmp_path: Path) -> None:
+    text = (cell / "arm.yaml").read_text()
+    bare = tmp_path / "arm.yaml"
+    bare.write_text(text.replace("lower: -6.283185307179586,", "lower: -.inf,", 1))
+    with refuses(Inconsistent, "j1", "--limits"):
+        run_cell_plan(job(cell, tmp_path, model=str(bare)))
+
+
+class LetGo(Silent):
+    """An operator who lets go after so many looks."""
+
+    def __init__(self, looks: int) -> None:
+        self.left = looks
+
+    def cancelled(self) -> bool:
+        self.left -= 1
+        return self.left < 0
+
+
+def swing(joints: int = 6, by: float = 0.1) -> Motion:
+    t = np.arange(500) / 100.0
+    return Motion(t_s=t, q=np.tile(Q[:joints], (500, 1)) + by * np.sin(2.0 * np.pi * t / 5.0)[:, None] ** 2)
+
+
+def test_a_motion_is_not_run_where_it_would_leave_the_limits_or_nobody_agrees(tmp_path: Path) -> None:
+    asked: list[str] = []
+    write_joints(tmp_path / "motion.csv", swing())
+    with refuses(Cancelled):
+        moved(tmp_path / "motion.csv", tmp_path / "out", confirm=lambda text: bool(asked.append(text)))
+    assert "then over 6 deg" in asked[0]
+    write_limits(tmp_path / "limits.yaml", Limits(joints=(*[JointLimit()] * 5, JointLimit(upper=0.2))))
+    with refuses(Inconsistent, "joint 6", "upper"):
+        moved(tmp_path / "motion.csv", tmp_path / "out", limits=tmp_path / "limits.yaml")
+    write_joints(tmp_path / "five.csv", swing(5))
+    with refuses(Inconsistent, "5", "6"):
+        moved(tmp_path / "five.csv", tmp_path / "out")
+    with refuses(UsageError, "3", "--override"):
+        moved(tmp_path / "motion.csv", tmp_path / "out", override=3.0)
+
+
+def test_a_motion_ends_where_the_operator_lets_go_and_its_speed_is_cut(tmp_path: Path) -> None:
+    write_joints(tmp_path / "motion.csv", swing(by=0.05))
+    let_go = moved(tmp_path / "motion.csv", tmp_path / "out", progress=LetGo(400))
+    assert not let_go.finished and let_go.stopped_by == "operator" and 0.0 < let_go.share < 1.0
+    slow = moved(tmp_path / "motion.csv", tmp_path / "slow", override=0.5)
+    assert slow.finished and slow.took_s > 10.0
+    with refuses(UsageError, "slow"):
+        moved(tmp_path / "motion.csv", tmp_path / "slow")
+
+
+def test_a_motion_waits_while_it_is_paused(tmp_path: Path) -> None:
+    write_joints(tmp_path / "motion.csv", swing(by=0.05))
+    stages: list[tuple[str, bool, float]] = []
+
+    class Resumed(Silent):
+        """An operator who pauses a second after the start, and goes on three seconds later."""
+
+        looks = 0
+
+        def cancelled(self) -> bool:
+            self.looks += 1
+            source = sources[0]
+            if self.looks == 300:
+                source.pause()
+            if self.looks == 900:
+                source.resume()
+            stages.append((source.stage, source.paused, source.at_s))
+            return False
+
+    sources: list[JointMotionSource] = []
+    done = moved(tmp_path / "motion.csv", tmp_path / "out", progress=Resumed(), begun=sources.append)
+    waited = [at for _, paused, at in stages if paused]
+    assert done.finished and stages[-1][0] == "finished"
+    assert waited[-1] - waited[0] < 0.5 and waited[-1] == waited[len(waited) // 2]
