@@ -124,6 +124,7 @@ def assign(model: CellModel, x: Array, spots: Spots, gate_px: tuple[float, float
     order = np.sort(far, axis=1)
     light = np.argmin(far, axis=1)
     near = order[:, 0]
+    # two lights that nearly cover each other are nobody's: a wrong name costs more than a spot
     kept = near < np.asarray(gate_px)[spots.side]
     if far.shape[1] > 1:
         kept &= order[:, 1] > CONFUSED * near

@@ -84,12 +84,14 @@ def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
     out: list[Suspicion] = []
     for cause, part, U in _changes(model, found.x):
         best: Suspicion | None = None
+        # near the ends a change has too little behind it to be told from the rest
         for b in range(EDGE, len(edges) - EDGE):
             each = system.tested(cause, part, U, b, float(t[edges[b]]))
             if best is None or each.gain > best.gain:
                 best = each
         if best is not None:
             out.append(best)
+    # what gives way does so all along; all joints that carry something are one suspicion
     soft = [name for name in model.arm.sags if name not in found.free]
     if soft:
         U = np.zeros((len(found.x), len(soft)))
@@ -200,6 +202,7 @@ class _System:
             N = N - half.T @ self.C[begin * n :]
             grad = grad - half.T @ self.right[begin * n :]
         N = N[:, self.free]
+        # all that was fitted may follow the change: only what is left of the directions counts
         S = S - N @ np.linalg.solve(self.H, N.T)
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
         scaled = S / np.outer(size, size) + 1e-9 * np.eye(len(S))

@@ -105,7 +105,7 @@ def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, targe
 
     x (P,): a cell to begin with.
     """
-    sigma = np.full(len(x), np.inf)
+    sigma = np.full(len(x), np.inf)  # of places and lights on the flange nothing is known
     mean = x.copy()
     for side in (0, 1):
         width, height = model.recording.sizes[side]
@@ -158,6 +158,7 @@ def with_priors(model: CellModel, known: Knowledge, priors: CellPriors, x: Array
         J = pair_slopes(T_left, T_left * T_left_right)
         at = [*range(left, left + 6), *range(right, right + 6)]
         W = np.linalg.inv(covariance.block(RIGHT_POSE))
+        # the pair's place is a matter of both cameras, so what is known of it is about both
         information[np.ix_(at, at)] += J.T @ W @ J
     return replace(known, x=mean, information=information)
 

@@ -43,6 +43,7 @@ def parts_of(model: CellModel, found: CellFit, covariance: Array, target: Target
     """Return the cell of a fit with the covariance (P, P) of its parameters."""
     x = found.x
     lights = model.lights_m(x)
+    # the target's axes are those of its file, laid onto the lights that were found
     order = [model.lights.index(name) for name in target.names]
     T_flange_target = align_points(lights[order], target.xyz_m).T_a_b
     left = model.camera_slice(0).start + POSE_AT

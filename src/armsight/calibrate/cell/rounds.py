@@ -124,6 +124,7 @@ def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance, *, com
     candidates = (*arm.geometry, *(arm.sags if compliance else ()))
     information = found.normals.A.sum(axis=0) + shape_information(model, found.x, found.known.shape)
     chosen = gauge(model, information, candidates, tolerance)
+    # skew is no more than a manufacturer's fault that nobody has seen for decades
     lens = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA if name != "skew"]
     return (*lens, *chosen, *model.names[model.lights_at :])
 
@@ -226,5 +227,6 @@ def _round(
     if wander is not None:
         count = np.bincount(block)
         wander = replace(wander, t_s=np.bincount(block, weights=model.times_s(before.x, spots)) / count)
+    # the straying's stretches are those of these spots
     data = CellData(spots=spots, block=block, scale=scale, wander=wander)
     return fit_cell(model, before.x, data, free, known)

@@ -72,6 +72,7 @@ def _joined(ways: list[_Way], uv: Array, now: int) -> dict[int, _Way]:
     mutual = np.atleast_1d(there.query(ahead)[1])
     out = {}
     for k in range(len(uv)):
+        # an ended way costs a piece, a mixed one the start
         rival = near[k, 1] if near.shape[1] > 1 else np.inf
         if near[k, 0] < GATE_PX and mutual[which[k, 0]] == k and rival > RIVAL * near[k, 0]:
             out[k] = ways[which[k, 0]]
