@@ -295,3 +295,8 @@ def test_a_motion_waits_while_it_is_paused(tmp_path: Path) -> None:
     waited = [at for _, paused, at in stages if paused]
     assert done.finished and stages[-1][0] == "finished"
     assert waited[-1] - waited[0] < 0.5 and waited[-1] == waited[len(waited) // 2]
+
+
+def test_a_folder_without_a_first_calibration_is_refused(cell: Path, tmp_path: Path) -> None:
+    with refuses(UsageError, ("holds no arm.yaml", "calibrate cell")):
+        run_cell_plan(job(cell, tmp_path, after=tmp_path))

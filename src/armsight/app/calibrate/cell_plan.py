@@ -12,9 +12,12 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
+from armsight.app.calibrate.cell import ARM, RIG, TARGET, WORLD
+from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.kinematics import reading_values
 from armsight.app.measure.run import target_of
 from armsight.app.requests.cell_plan import CellPlanJob
+from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors
 from armsight.calibrate.cell.model import CellModel, start_vector
 from armsight.calibrate.cell.plan import CellPlan, PlanSettings, cautious_motion, check_bounds, check_start, plan_motion
 from armsight.calibrate.cell.plan_information import blank_recording
@@ -76,6 +79,7 @@ class CellPlanOutput(Output):
 
 def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPlanOutput:
     """Plan a motion and write it to job.out. Raises UsageError, DataRefused with what keeps it from being planned."""
+    job = _following(job)
     _check_files(job)
     arm = load_arm(job.model)
     limits = (Limits() if job.limits is None else read_limits(job.limits)).slowed(job.speed)
@@ -102,9 +106,40 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
     T_flange_target = arm.T_flange_tool if job.mount is None else _mounted(job.mount)
     scene = scene_of(job, arm, bounds, limits, target, T_flange_target)
     scene = replace(scene, normal=_normal(scene, start))
-    plan = plan_motion(scene, target, T_flange_target, settings, start=start, progress=progress or Silent())
+    learned = None if job.after is None else _learned(job.after, scene, target)
+    plan = plan_motion(
+        scene, target, T_flange_target, settings, start=start, learned=learned, progress=progress or Silent()
+    )
     write_joints(job.out, plan.motion)
     return _output(job, plan)
+
+
+def _following(job: CellPlanJob) -> CellPlanJob:
+    """Return the request with the files of a first calibration in place of those that were not given."""
+    if job.after is None:
+        return job
+    arm = job.after / ARM
+    if not arm.is_file():
+        raise UsageError(
+            f"{job.after} holds no {ARM}",
+            consequence="What a first recording told is not known",
+            cure="Give the folder that `armsight calibrate cell -o` wrote",
+        )
+    return replace(
+        job,
+        model=str(arm),
+        rig=job.rig or job.after / RIG,
+        world=job.world or job.after / WORLD,
+        target=job.target or job.after / TARGET,
+    )
+
+
+def _learned(after: Path, scene: Scene, target: Target) -> Array:
+    """Return the information (P, P) of a first recording about lenses and places; arm and target bring their own."""
+    priors = read_priors([after / RIG, after / WORLD], scene.model.recording.sizes)
+    nothing = np.zeros((len(scene.x), len(scene.x)))
+    none = Knowledge(x=scene.x, information=nothing, shape=TargetShape.of(target))
+    return nothing if priors is None else with_priors(scene.model, none, priors, scene.x).information
 
 
 def motion_bounds(arm: Arm, limits: Limits) -> MotionBounds:

@@ -29,6 +29,11 @@ class CellPlanJob:
         Flag(metavar="READINGS"),
     ]
     out: Annotated[Path, Doc("The motion to write."), Flag("-o --out", metavar="MOTION.csv")]
+    after: Annotated[
+        Path | None,
+        Doc("Folder of `calibrate cell` from a first recording: its files count, in place of --model too."),
+        Flag(metavar="FOLDER", panel=KNOWN),
+    ] = None
     rig: Annotated[Path | None, Doc("rig.yaml, as roughly as it is known."), Flag(panel=KNOWN)] = None
     world: Annotated[Path | None, Doc("world.yaml: where that rig stands to the arm, about."), Flag(panel=KNOWN)] = None
     target: Annotated[Path | None, Doc("target.yaml of the lights on the flange."), Flag(panel=KNOWN)] = None
