@@ -91,6 +91,14 @@ def cell_report(
         "seconds hangs on few data.",
         page.plot(information_figure(done)),
     )
+    _add_parameters(page, done)
+    if inputs:
+        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    return page.html(created=created or datetime.now())
+
+
+def _add_parameters(page: Page, done: CellCalibration) -> None:
+    """Add what speaks for the result, what nobody can tell, and all parameters."""
     page.add("Checks", "", _checks(done))
     page.add("What no recording can tell", "How it was fixed.", bullets(done.gauges))
     page.add(
@@ -106,9 +114,6 @@ def cell_report(
     )
     if done.fixed:
         page.add("Held as in the arm's file", "", f"<p>{text(', '.join(done.fixed))}</p>")
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
 
 
 def _verdict(done: CellCalibration) -> Verdict:

@@ -1,4 +1,4 @@
-"""armsight calibrate cell: from one recording to a cell's files, its report and the history; what it refuses."""
+"""armsight calibrate cell: from one recording to a cell's files, a report and the history; and what it refuses."""
 
 from __future__ import annotations
 

@@ -49,6 +49,16 @@ class Webcam:
     drift_ppm: float
     readout_s: float
 
+    def mapping(self) -> dict[str, object]:
+        """Return it as a document."""
+        return {
+            **self.lens.mapping(),
+            "T_base_camera": pose_mapping(self.T_base_camera),
+            "delay_s": self.delay_s,
+            "drift_ppm": self.drift_ppm,
+            "readout_s": self.readout_s,
+        }
+
     def robot_time(self, stamp_s: Array) -> Array:
         """Return the robot's time of stamps (m,)."""
         return stamp_s + self.delay_s + 1e-6 * self.drift_ppm * stamp_s
@@ -81,16 +91,7 @@ def cell_set(seed: int, size: int | None = None) -> Dataset:
             "cell_true.yaml": {
                 "T_flange_target": pose_mapping(T_FLANGE_TARGET),
                 "lights_flange_m": dict(zip(LIGHTS_M, lights.tolist(), strict=True)),
-                "cameras": {
-                    side: {
-                        **camera.lens.mapping(),
-                        "T_base_camera": pose_mapping(camera.T_base_camera),
-                        "delay_s": camera.delay_s,
-                        "drift_ppm": camera.drift_ppm,
-                        "readout_s": camera.readout_s,
-                    }
-                    for side, camera in cameras.items()
-                },
+                "cameras": {side: camera.mapping() for side, camera in cameras.items()},
             }
         },
         commands=(
