@@ -110,7 +110,7 @@ FAULTS: dict[str, tuple[type[DataRefused], tuple[str, ...]]] = {
     "other_day": (Inconsistent, ("never move alike", "of this very recording")),
     "wrong_target": (Inconsistent, ("target's file", "armsight calibrate target")),
     "joint_zero_jump": (Inconsistent, ("joint reading jumped", "encoder")),
-    "dark_frames": (Inconsistent, ("left", "lit all the time")),
+    "dark_frames": (NotEnoughData, ("left", "of its frames", "shine all the time")),
     "still_joint": (Degenerate, ("did not move", "every joint turns")),
     "one_camera_blind": (NotEnoughData, ("saw", "see that the target's lights shine")),
 }

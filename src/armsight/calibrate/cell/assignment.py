@@ -68,8 +68,10 @@ def _median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def name_lights(places_m: Array, positions_m: Mapping[str, Array]) -> NamedLights:
+def name_lights(places_m: Array, positions_m: Mapping[str, Array], *, arm_fits: bool = True) -> NamedLights:
     """Return the target's lights among the places (k, 3). positions_m: by name, as the target's file has them.
+
+    arm_fits: whether the arm's motion explains the images well; else it is the arm's model that is doubted first.
 
     Raises NotEnoughData, Inconsistent (another target, or seen in a mirror), Ambiguous (a symmetric one).
     """
@@ -92,6 +94,8 @@ def name_lights(places_m: Array, positions_m: Mapping[str, Array]) -> NamedLight
             "Its mirror image would fit: check the target's coordinates (right-handed), or for cameras that mirror"
             if mirrored < min(allowed, 0.3 * best)
             else "Give the file of the target that is on the flange, or measure it: armsight calibrate target"
+            if arm_fits
+            else "Check that --model is of this arm, whose motion explains the images poorly; then the target's file"
         )
         raise Inconsistent(
             f"the lights on the flange do not lie as in the target's file: {1e3 * best:.1f} mm remain",

@@ -48,6 +48,8 @@ GATE = 6.0
 LEAST_GATE_PX = 0.5
 THIN = 8000
 """Spots used until the final fit."""
+POOR = 6e-4
+"""Of the image's width: a start that leaves more is by another arm's model, more likely than not."""
 MAX_START_PX = 12.0
 """What a right start leaves at most: rolling shutters and what a nominal arm is wrong by."""
 FIRST_FREE = ("fx", "fy", "cx", "cy", "k1", "tx", "ty", "tz", "rx", "ry", "rz", "delay_s", "readout_s")
@@ -83,7 +85,8 @@ def solve_cell(
     starts, weights = _starts(recording)
     progress.update(1, 4, "finding the cameras")
     places, _ = places_on_flange([start.lights_m for start in starts], weights, _least_distance(target.xyz_m))
-    lights = name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)))
+    fits = all(start.rms_px < POOR * size[0] for start, size in zip(starts, recording.sizes, strict=True))
+    lights = name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)), arm_fits=fits)
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
 
@@ -141,11 +144,11 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
                 cure="See that the target's lights shine and stay in its view while the arm moves; set --threshold "
                 "where lights are not found",
             )
+        seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
+        require_lit(seen / len(recording.clocks[side].t_s), name)
         tried, alike = delays(recording.arm, recording.log, spots, ways)
         start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
         if start is None or start.rms_px > MAX_START_PX:
-            seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
-            require_lit(seen / len(recording.clocks[side].t_s), name)
             require_alike(float(alike[0]), name)
             raise Inconsistent(
                 f"no camera explains what the {name} one saw by the arm's motion"
