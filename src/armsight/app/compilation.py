@@ -178,6 +178,16 @@ def arm() -> None:
     calibrate_arm(nominal, ArmPoints(q=nominal.values(q), xyz_m=xyz_m))
 
 
+def cell() -> None:
+    """Compile what a cell's calibration asks of its cameras."""
+    from armsight.calibrate.cell.kernels import see_points
+    from armsight.optics import Camera
+
+    camera = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0)
+    X = np.array([[0.0, 0.1, 1.0]])
+    see_points(camera.packed, np.eye(3), np.zeros(3), X, np.empty((1, 2)), np.empty((1, 2, 3)), np.empty((1, 2, 10)))
+
+
 def identify() -> None:
     """Compile the identification of an unknown arm, from positions and from pixels."""
     from armsight.calibrate.identify import Sweeps
@@ -291,6 +301,7 @@ GROUPS: Mapping[str, Callable[[], None]] = {
     "hand-eye": handeye,
     "kinematics": kinematics,
     "arm": arm,
+    "cell": cell,
     "identify": identify,
     "motion": motion,
     "guard": guard,

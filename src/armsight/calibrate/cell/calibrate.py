@@ -122,8 +122,7 @@ def _require_motion(arm: Arm, joints: Motion) -> None:
         raise Degenerate(
             f"joint {', '.join(resting)} did not move",
             consequence="Its axis and zero cannot be told, and no cell is calibrated",
-            cure="Record a motion in which every joint turns by 20 degrees and more: "
-            "armsight calibrate cell-plan proposes one",
+            cure="Record a motion in which every joint turns by 20 degrees and more",
         )
 
 
