@@ -172,6 +172,14 @@ def test_a_wrong_call_is_refused(armsight: Run, made: Path, tmp_path: Path, name
     assert not list(tmp_path.rglob("*.yaml"))
 
 
+def test_one_camera_given_twice_is_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
+    ran = armsight(*words(made, tmp_path / "cell", right_spots=made / "left.csv"))
+    assert ran.code == 3, ran.text
+    assert "one camera" in ran.text
+    assert "its own camera" in ran.text
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
 def test_a_size_that_is_not_the_images_is_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
     ran = armsight(*words(made, tmp_path / "cell", size="1920x1080"))
     assert ran.code == 3, ran.text

@@ -57,6 +57,7 @@ def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCa
     tip = _tip_m(job.tool)
     joints = _joints(job, arm)
     tracks, sizes = _tracks(job, progress or Silent())
+    _require_two(tracks)
     options = CellOptions(
         tip_m=tip,
         tolerance=ArmTolerance(length_m=job.tolerance_m, zero_rad=job.tolerance_rad, angle_rad=job.tolerance_rad),
@@ -195,6 +196,17 @@ def _one_size(seen: list[Size]) -> Callable[[Frame], None]:
             )
 
     return check
+
+
+def _require_two(tracks: tuple[SpotTrack, SpotTrack]) -> None:
+    """Raise Inconsistent where both cameras are one."""
+    left, right = tracks
+    if left.uv_px.shape == right.uv_px.shape and len(left.uv_px) and (left.uv_px == right.uv_px).all():
+        raise Inconsistent(
+            "left and right hold the same spots: they are one camera",
+            consequence="Nothing is known of a second one, and no cell is calibrated",
+            cure="Give each side the frames or spots of its own camera",
+        )
 
 
 def _require_inside(track: SpotTrack, path: Path, size: Size) -> None:

@@ -30,6 +30,8 @@ FOLD_S = 10.0
 """Stretches that are left out by turns."""
 ODD_SCALE = 4.0
 """Standard deviations by which arm and target may differ in scale."""
+NOTED_SCALE = 2.6
+"""So many are told: one recording in a hundred differs so much by chance."""
 LEAST_MOVE = 0.1
 """rad, or of the mean link: a joint that moves less tells nothing of its axis."""
 FEWEST_LIT = 0.4
@@ -109,7 +111,7 @@ def calibrate_cell(
         ),
         scale=scale,
         tip=TipDeviation(**_deviations(measured, commanded, slopes)),
-        notes=_notes(solved),
+        notes=_notes(solved, scale),
         advice=_advice(solved, learned),
     )
 
@@ -251,11 +253,16 @@ def _gauges(arm: Arm, scale: ScaleCheck) -> tuple[str, ...]:
     )
 
 
-def _notes(solved: Solved) -> tuple[str, ...]:
+def _notes(solved: Solved, scale: ScaleCheck) -> tuple[str, ...]:
     soft = [name for name in solved.fit.free if name.endswith(".sag")]
     out = []
     if soft:
         out.append(f"The joints give way under the arm's weight; taken in: {', '.join(soft)}")
+    if abs(scale.ratio - 1.0) > NOTED_SCALE * scale.std:
+        out.append(
+            f"By the arm's lengths the target is {scale.ratio:.4f} times as large as its file says, +- {scale.std:.4f}: "
+            "measure the target, and compare the arm's file with its data sheet, before distances are trusted"
+        )
     return tuple(out)
 
 

@@ -142,7 +142,7 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
                 f"no camera explains what the {name} one saw by the arm's motion"
                 + ("" if start is None else f": {start.rms_px:.0f} px remain"),
                 consequence="Nothing is calibrated",
-                cure="Check that --model is of this arm and its signs, the log in radians and of this recording, "
+                cure="Check that --model is of this arm and its signs, the log in radians and of all this recording, "
                 "the target on the flange, lit all the time, and the camera untouched; or record longer, all joints "
                 "turning further",
             )
