@@ -183,8 +183,8 @@ def cell() -> None:
     from armsight.calibrate.cell.kernels import see_points
     from armsight.optics import Camera
 
-    k, X = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0).packed, np.ones((1, 3))
-    see_points(k, np.eye(3), np.zeros(3), X, np.empty((1, 2)), np.empty((1, 2, 3)), np.empty((1, 2, 10)))
+    k, by = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0).packed, (np.empty((1, 2, n)) for n in (3, 10))
+    see_points(k, np.eye(3), np.zeros(3), np.ones((1, 3)), np.empty((1, 2)), *by)
 
 
 def identify() -> None:

@@ -260,8 +260,9 @@ def _notes(solved: Solved, scale: ScaleCheck) -> tuple[str, ...]:
         out.append(f"The joints give way under the arm's weight; taken in: {', '.join(soft)}")
     if abs(scale.ratio - 1.0) > NOTED_SCALE * scale.std:
         out.append(
-            f"By the arm's lengths the target is {scale.ratio:.4f} times as large as its file says, +- {scale.std:.4f}: "
-            "measure the target, and compare the arm's file with its data sheet, before distances are trusted"
+            f"By the arm's lengths the target is {scale.ratio:.4f} times as large as its file says, "
+            f"+- {scale.std:.4f}: measure the target, and compare the arm's file with its data sheet, before distances "
+            "are trusted"
         )
     return tuple(out)
 
