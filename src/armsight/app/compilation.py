@@ -167,15 +167,19 @@ def kinematics() -> None:
 
 
 def arm() -> None:
-    """Compile the calibration of a known arm."""
+    """Compile the calibration of a known arm, and what that of its cell asks of cameras."""
     from armsight.calibrate.arm import ArmPoints, calibrate_arm
+    from armsight.calibrate.cell.kernels import see_points
     from armsight.kinematics import fk, presets
+    from armsight.optics import Camera
 
     rng = np.random.default_rng(SEED)
     nominal = presets.ur10()
     q = rng.uniform(-1.5, 1.5, (30, 6))
     xyz_m = fk(nominal, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (30, 3))
     calibrate_arm(nominal, ArmPoints(q=nominal.values(q), xyz_m=xyz_m))
+    k, by = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0).packed, (np.empty((1, 2, n)) for n in (3, 10))
+    see_points(k, np.eye(3), np.zeros(3), np.ones((1, 3)), np.empty((1, 2)), *by)
 
 
 def identify() -> None:

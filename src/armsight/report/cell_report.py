@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
-from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
+from armsight.calibrate.cell.result import NOTED_SCALE, UNLEARNED_BITS, Learned
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.report.figures import (
@@ -91,14 +91,12 @@ def cell_report(
         "seconds hangs on few data.",
         page.plot(information_figure(done)),
     )
-    _add_parameters(page, done)
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    _add_parameters(page, done, inputs)
     return page.html(created=created or datetime.now())
 
 
-def _add_parameters(page: Page, done: CellCalibration) -> None:
-    """Add what speaks for the result, what nobody can tell, and all parameters."""
+def _add_parameters(page: Page, done: CellCalibration, inputs: Sequence[tuple[str, str]]) -> None:
+    """Add what speaks for the result, what nobody can tell, all parameters, and what went in."""
     page.add("Checks", "", _checks(done))
     page.add("What no recording can tell", "How it was fixed.", bullets(done.gauges))
     page.add(
@@ -114,11 +112,15 @@ def _add_parameters(page: Page, done: CellCalibration) -> None:
     )
     if done.fixed:
         page.add("Held as in the arm's file", "", f"<p>{text(', '.join(done.fixed))}</p>")
+    if inputs:
+        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
 def _verdict(done: CellCalibration) -> Verdict:
     word, _, sentence = done.verdict.partition(": ")
     known = f"{sentence[:1].upper()}{sentence[1:]} (one standard deviation, base axes, as both cameras measure it)."
+    if word == "good" and abs(done.scale.ratio - 1.0) > NOTED_SCALE * done.scale.std:
+        return Verdict(level="warn", word="Check the scale", sentence=known, to_do=f"{done.notes[-1]}.")
     if word == "good":
         to_do = "Use rig.yaml, world.yaml, target.yaml and arm.yaml; measure a place you know before you trust it."
         return Verdict(level="good", word="Good", sentence=known, to_do=done.advice[0] if done.advice else to_do)

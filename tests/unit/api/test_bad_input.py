@@ -766,7 +766,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
 MADE_BY_US = (
     *("ArmIdentification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
     *("RobotWorldResult", "ToolTipResult", "MeasureResult", "VerifyResult", "JoinResult", "TargetResult"),
-    *("TimingResult", "NoiseResult", "ZoomRigResult", "TeachResult", "LiveIdentification", "SimulatedFrame"),
+    *("TimingResult", "CellResult", "NoiseResult", "ZoomRigResult", "TeachResult", "LiveIdentification"),
+    "SimulatedFrame",
     *("RobotConnection", "RobotDriver", "RemoteState", "Simulation", "PoseStatus", "Inverse", "JointPath", "World"),
     *("RobotState", "BatchResult"),
 )

@@ -172,6 +172,22 @@ def test_a_wrong_call_is_refused(armsight: Run, made: Path, tmp_path: Path, name
     assert not list(tmp_path.rglob("*.yaml"))
 
 
+def test_one_camera_given_twice_is_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
+    ran = armsight(*words(made, tmp_path / "cell", right_spots=made / "left.csv"))
+    assert ran.code == 3, ran.text
+    assert "one camera" in ran.text
+    assert "its own camera" in ran.text
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
+def test_a_size_that_is_not_the_images_is_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
+    ran = armsight(*words(made, tmp_path / "cell", size="1920x1080"))
+    assert ran.code == 3, ran.text
+    for part in ("left", "1920x1080", "hardly", "--size"):
+        assert part in ran.text, ran.text
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
 def test_a_short_log_is_refused_and_nothing_is_written(armsight: Run, made: Path, tmp_path: Path) -> None:
     lines = (made / "joints.csv").read_text().splitlines()
     (tmp_path / "short.csv").write_text("\n".join(lines[:1500]) + "\n")

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.calibrate import timing as timing_job
+from armsight.app.calibrate import spots_of_frames
 from armsight.records import Frame
 from armsight.store import read_rig
 
@@ -144,8 +144,8 @@ def test_live_cameras_are_read_side_by_side_for_a_while(
         opened[side] = LiveLights(("left", "right").index(side), asked["origin_s"])
         return opened[side]
 
-    monkeypatch.setattr(timing_job, "camera_source", camera)
-    monkeypatch.setattr(timing_job, "LIVE_S", 7.0)
+    monkeypatch.setattr(spots_of_frames, "camera_source", camera)
+    monkeypatch.setattr(spots_of_frames, "LIVE_S", 7.0)
     sources = ["--left", "camera:0", "--right", "camera:2"]
     done = armsight("calibrate", "timing", "--rig", scene.folder / "rig.yaml", *sources, "-o", tmp_path / "timed.yaml")
     assert done.code == 0, done.text

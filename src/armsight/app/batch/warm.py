@@ -21,7 +21,7 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "calibrate zoom-rig": ("calibrate/cameras", CAMERAS),
     "calibrate target": ("calibrate/light_target", ("spots", "light target")),
     "calibrate timing": ("measure/poses", ("spots", "poses", "motion")),
-    "calibrate cell": ("calibrate/cell", ("spots", "kinematics")),
+    "calibrate cell": ("calibrate/cell", ("spots", "kinematics", "arm")),
     "calibrate handeye": ("calibrate/handeye", ("boards", "hand-eye")),
     "calibrate arm": ("kinematics", ("kinematics", "arm")),
     "kinematics fk": ("kinematics", ("kinematics",)),

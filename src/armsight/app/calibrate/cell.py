@@ -32,6 +32,9 @@ from armsight.store.worlds import write_world
 Array = NDArray[np.float64]
 Size = tuple[int, int]
 
+OFF_CENTRE = 0.1
+"""Of the image's size: webcams' lenses are within 0.05 of its middle; 1280x720 taken for 1920x1080 is 0.16 off."""
+
 RIG, WORLD, TARGET, ARM, SUMMARY, REPORT = (
     "rig.yaml",
     "world.yaml",
@@ -55,6 +58,7 @@ def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCa
     tip = _tip_m(job.tool)
     joints = _joints(job, arm)
     tracks, sizes = _tracks(job, progress or Silent())
+    _require_two(tracks)
     options = CellOptions(
         tip_m=tip,
         tolerance=ArmTolerance(length_m=job.tolerance_m, zero_rad=job.tolerance_rad, angle_rad=job.tolerance_rad),
@@ -62,8 +66,26 @@ def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCa
         priors=read_priors(job.prior or (), sizes),
     )
     done = calibrate_cell(arm, joints, tracks, target, sizes=sizes, options=options, progress=progress)
+    if job.size is not None:
+        _require_centred(done)
     _write(job, done)
     return done
+
+
+def _require_centred(done: CellCalibration) -> None:
+    """Raise Inconsistent where a lens's middle is far from that of the images whose size was typed."""
+    for side in SIDES:
+        camera = done.rig.camera(side)
+        size = np.array([camera.width, camera.height])
+        off = camera.intrinsics[2:4] - (size - 1.0) / 2.0
+        if (np.abs(off) > OFF_CENTRE * size).any():
+            raise Inconsistent(
+                f"the {side} lens's middle is ({off[0]:.0f}, {off[1]:.0f}) px from that of images of "
+                f"{size[0]}x{size[1]} px",
+                consequence="The size is hardly that of the images, and no cell is calibrated",
+                cure="Give the size of the images in which the spots were found: --size, or --right-size of the right "
+                "one; give frames where images are cut out of larger ones",
+            )
 
 
 def _write(job: CellJob, done: CellCalibration) -> None:
@@ -177,6 +199,17 @@ def _one_size(seen: list[Size]) -> Callable[[Frame], None]:
             )
 
     return check
+
+
+def _require_two(tracks: tuple[SpotTrack, SpotTrack]) -> None:
+    """Raise Inconsistent where both cameras are one."""
+    left, right = tracks
+    if left.uv_px.shape == right.uv_px.shape and len(left.uv_px) and (left.uv_px == right.uv_px).all():
+        raise Inconsistent(
+            "left and right hold the same spots: they are one camera",
+            consequence="Nothing is known of a second one, and no cell is calibrated",
+            cure="Give each side the frames or spots of its own camera",
+        )
 
 
 def _require_inside(track: SpotTrack, path: Path, size: Size) -> None:

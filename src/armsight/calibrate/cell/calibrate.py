@@ -15,6 +15,7 @@ from armsight.calibrate.cell.model import CLOCK_AT
 from armsight.calibrate.cell.observations import recording_of
 from armsight.calibrate.cell.parts import CellParts, parts_of
 from armsight.calibrate.cell.result import (
+    NOTED_SCALE,
     UNLEARNED_BITS,
     CellCalibration,
     Learned,
@@ -39,6 +40,8 @@ FOLD_S = 10.0
 """Stretches that are left out by turns."""
 ODD_SCALE = 4.0
 """Standard deviations by which arm and target may differ in scale."""
+LEAST_BASELINE = 0.02
+"""Of the distance to the arm: by less a pair measures depth fifty times worse than across."""
 LEAST_MOVE = 0.1
 """rad, or of the mean link: a joint that moves less tells nothing of its axis."""
 
@@ -96,6 +99,7 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCa
     covariance = _with_stamps(solved, found.covariance(model))
     parts = parts_of(model, found, covariance, target)
     scale = _scale(solved, target)
+    _require_baseline(solved, parts)
     q, slopes, places = _tips(solved, parts, tip)
     measured, commanded = slopes.spread_m(slopes.measured, covariance), slopes.spread_m(slopes.commanded, covariance)
     residual, learned = _rms(found), _learned(solved, covariance)
@@ -121,9 +125,22 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCa
         straying=_straying(found, arm),
         scale=scale,
         tip=TipDeviation(**_deviations(measured, commanded, slopes)),
-        notes=_notes(solved),
+        notes=_notes(solved, scale),
         advice=_advice(learned),
     )
+
+
+def _require_baseline(solved: Solved, parts: CellParts) -> None:
+    """Raise Inconsistent where both cameras are in one place: nothing is measured by one camera twice."""
+    T = solved.model.flange(solved.fit.x, solved.model.recording.log.q[:: len(solved.model.recording.log.q) // 20])
+    far = float(np.median(np.linalg.norm(T[:, :3, 3] - parts.T_base_rig.translation, axis=1)))
+    if parts.rig.baseline_m < LEAST_BASELINE * far:
+        raise Inconsistent(
+            f"the two cameras stand {1e3 * parts.rig.baseline_m:.1f} mm apart, {1e3 * far:.0f} mm from the arm",
+            consequence="They see alike, and depths are not told",
+            cure="Give left and right as recorded by two cameras, which stand apart by a tenth of their distance and "
+            "more",
+        )
 
 
 def _with_stamps(solved: Solved, covariance: Array) -> Array:
@@ -151,8 +168,7 @@ def _require_motion(arm: Arm, joints: Motion) -> None:
         raise Degenerate(
             f"joint {', '.join(resting)} did not move",
             consequence="Its axis and zero cannot be told, and no cell is calibrated",
-            cure="Record a motion in which every joint turns by 20 degrees and more: "
-            "armsight calibrate cell-plan proposes one",
+            cure="Record a motion in which every joint turns by 20 degrees and more",
         )
 
 
@@ -277,11 +293,17 @@ def _gauges(arm: Arm, scale: ScaleCheck) -> tuple[str, ...]:
     )
 
 
-def _notes(solved: Solved) -> tuple[str, ...]:
+def _notes(solved: Solved, scale: ScaleCheck) -> tuple[str, ...]:
     soft = [name for name in solved.fit.free if name.endswith(".sag")]
     out = []
     if soft:
         out.append(f"The joints give way under the arm's weight; taken in: {', '.join(soft)}")
+    if abs(scale.ratio - 1.0) > NOTED_SCALE * scale.std:
+        out.append(
+            f"By the arm's lengths the target is {scale.ratio:.4f} times as large as its file says, "
+            f"+- {scale.std:.4f}: measure the target, and compare the arm's file with its data sheet, before distances "
+            "are trusted"
+        )
     return tuple(out)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cell.assignment import NamedLights, assign, name_lights, places_on_flange
-from armsight.calibrate.cell.checks import Cause, Suspicion, alarming, refusal, suspicions
+from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, alarming, refusal, suspicions
 from armsight.calibrate.cell.fit import (
     CellData,
     CellFit,
@@ -32,13 +32,14 @@ from armsight.calibrate.cell.knowledge import (
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
-from armsight.calibrate.cell.tracklets import tracklets
+from armsight.calibrate.cell.tracklets import SHORTEST, tracklets
 from armsight.calibrate.cell.wander import Wander
-from armsight.errors import Inconsistent, NotEnoughData
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES
 from armsight.records import Progress, Silent, Target
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 FIRST_GATE_PX, FIRST_GATE = 3.0, 12.0
 """Of the first assignment: px, and times what the start leaves in the median; a straightened lens and a nominal arm
@@ -48,6 +49,10 @@ GATE = 6.0
 LEAST_GATE_PX = 0.5
 THIN = 8000
 """Spots used until the final fit."""
+PARTED = (0.5, 0.6, 0.4, 0.7, 0.3, 0.8, 0.2)
+"""Shares of a recording that nothing explains at which it is parted, to see whether something changed between."""
+JUMP_S = 0.04
+"""Delays of two parts that differ by so much are of a clock that jumped, not of a camera that moved."""
 POOR = 6e-4
 """Of the image's width: a start that leaves more is by another arm's model, more likely than not."""
 MAX_START_PX = 12.0
@@ -84,9 +89,7 @@ def solve_cell(
     progress = progress or Silent()
     starts, weights = _starts(recording)
     progress.update(1, 4, "finding the cameras")
-    places, _ = places_on_flange([start.lights_m for start in starts], weights, _least_distance(target.xyz_m))
-    fits = all(start.rms_px < POOR * size[0] for start, size in zip(starts, recording.sizes, strict=True))
-    lights = name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)), arm_fits=fits)
+    lights = _named(recording, starts, weights, target)
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
 
@@ -95,16 +98,19 @@ def solve_cell(
         return known if priors is None else with_priors(model, known, priors, at)
 
     gate = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
-    coarse = _coarse(model, x, before(x, tolerance), (gate[0], gate[1]))
-    coarse = _coarse(model, coarse.x, before(x, tolerance), (gate[0], gate[1]))
-    progress.update(2, 4, "fitting, a part of the spots")
-    free = free_names(model, coarse, tolerance, compliance=bool(compliance))
-    found = _round(model, coarse, before(x, tolerance), free, thin=True)
+    try:
+        coarse = _coarse(model, x, before(x, tolerance), (gate[0], gate[1]))
+        coarse = _coarse(model, coarse.x, before(x, tolerance), (gate[0], gate[1]))
+        progress.update(2, 4, "fitting, a part of the spots")
+        free = free_names(model, coarse, tolerance, compliance=bool(compliance))
+        found = _round(model, coarse, before(x, tolerance), free, thin=True)
+    except NotConverged:
+        _require_parts_alike(recording)
+        raise
     doubts = suspicions(model, found)
     _require_one_model(doubts)
     for thin in (True, False):
-        if not thin:
-            progress.update(3, 4, "fitting, all spots")
+        progress.update(3 if thin else 4, 4, "fitting, all spots")
         known = before(found.x, learned_tolerance(model, found, tolerance))
         found = _round(model, found, known, free, thin=thin, wander=straying(model, found))
         doubts = suspicions(model, found)
@@ -112,6 +118,12 @@ def solve_cell(
             compliance = True  # the last fit then has them
             free = free_names(model, found, tolerance, compliance=True)
     return Solved(model=model, fit=found, lights=lights, doubts=tuple(doubts))
+
+
+def _named(recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target) -> NamedLights:
+    places, _ = places_on_flange([start.lights_m for start in starts], weights, _least_distance(target.xyz_m))
+    fits = all(start.rms_px < POOR * size[0] for start, size in zip(starts, recording.sizes, strict=True))
+    return name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)), arm_fits=fits)
 
 
 def _require_one_model(doubts: Sequence[Suspicion]) -> None:
@@ -145,17 +157,20 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
                 "where lights are not found",
             )
         seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
-        require_lit(seen / len(recording.clocks[side].t_s), name)
+        # frames without lights may have no rows in a table: the clock counts them all
+        require_lit(seen / (1 + int(recording.clocks[side].number[-1])), name)
         tried, alike = delays(recording.arm, recording.log, spots, ways)
         start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
         if start is None or start.rms_px > MAX_START_PX:
             require_alike(float(alike[0]), name)
+            _require_unchanged(recording, side, spots, ways)
             raise Inconsistent(
                 f"no camera explains what the {name} one saw by the arm's motion"
                 + ("" if start is None else f": {start.rms_px:.0f} px remain"),
                 consequence="Nothing is calibrated",
-                cure="Check that --model is of this arm, the log in radians and of this recording, the target on the "
-                "flange, lit all the time, and the camera untouched; or record longer, all joints turning further",
+                cure="Check that --model is of this arm and its signs, the log in radians and of all this recording, "
+                "the target on the flange, lit all the time, and the camera untouched; or record longer, all joints "
+                "turning further",
             )
         if start.mirrored:
             raise Inconsistent(
@@ -166,6 +181,41 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
         starts.append(start)
         weights.append(np.array([len(rows) for rows in best_pieces(spots, ways)], float))
     return starts, weights
+
+
+def _require_parts_alike(recording: CellRecording) -> None:
+    """Raise Inconsistent where a recording that nothing explains as a whole falls into two parts that are explained."""
+    for side in (0, 1):
+        spots = recording.spots.take(recording.spots.side == side)
+        _require_unchanged(recording, side, spots, tracklets(spots, recording.clocks[side].number))
+
+
+def _require_unchanged(recording: CellRecording, side: int, spots: Spots, ways: Sequence[Index]) -> None:
+    """Raise Inconsistent where a camera explains each part of the recording by itself, and both together not."""
+    begin, end = float(spots.stamp_s.min()), float(spots.stamp_s.max())
+    for share in PARTED:
+        at = begin + share * (end - begin)
+        found = []
+        for first in (True, False):
+            kept = [rows[(spots.stamp_s[rows] < at) == first] for rows in ways]
+            kept = [rows for rows in kept if len(rows) >= SHORTEST]
+            if sum(map(len, kept)) < FEWEST_SPOTS:
+                break
+            tried, _ = delays(recording.arm, recording.log, spots, kept)
+            start = find_start(recording.arm, recording.log, spots, kept, recording.sizes[side], tried)
+            if start is None or start.rms_px > 2.0 * POOR * recording.sizes[side][0]:
+                break
+            found.append(start)
+        if len(found) == 2:
+            jumped = abs(found[1].delay_s - found[0].delay_s) > JUMP_S
+            clock, moved = ((Cause.LEFT_CLOCK, Cause.LEFT_MOVED), (Cause.RIGHT_CLOCK, Cause.RIGHT_MOVED))[side]
+            cause = clock if jumped else moved
+            raise Inconsistent(
+                f"{cause.value} on the way: what it saw before {at - begin:.0f} s of its frames and after is explained "
+                "by the arm's motion, each by itself, and both together not",
+                consequence="One calibration does not hold for all of the recording, and none is given",
+                cure=CURES[cause],
+            )
 
 
 def require_lit(share: float, side: str) -> None:

@@ -44,13 +44,15 @@ PIECES = 16
 """Pieces of ways used at first, those with the most motion."""
 ROWS, QUICK_ROWS = 120, 40
 """Spots used of each; while delays are tried, fewer."""
-QUICK_ALTERNATIONS = 15
+QUICK_ALTERNATIONS = 40
 AS_ONE_M, AS_ONE_KEPT = 0.16, 2
 """Places along each axis of the flange at which all lights may be for a start; how many of them are gone on with."""
 FARTHEST_M = 1.0
 """No light is further from the flange."""
 VIEW = (0.2, 5.0)
 """Focal length over the image's width: lenses that open less wide than a phone's or wider than a telescope's."""
+VIEWS = (0.45, 0.6, 0.8, 1.1)
+"""Focal lengths over the image's width that are tried where the one found explains little."""
 GOOD = 3e-3
 """Of the image's width: what a right delay leaves at most, before lens and delay are found exactly."""
 FINER = (-0.6, -0.3, 0.3, 0.6)
@@ -157,7 +159,12 @@ def find_start(
     width = STEPS_S[1] - STEPS_S[0]
     near = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)]) or best
     whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
-    return _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
+    found = _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
+    if found is not None and found.rms_px < GOOD * size[0] / 5.0:
+        return found
+    # a wide and bent lens leads the focal length astray as well: both are tried together
+    thorough = [whole.start(near.delay_s, view * size[0], k1) for view in VIEWS for k1 in LENS_TRIED]
+    return _better([found, *thorough])
 
 
 def _better(starts: Sequence[Start | None]) -> Start | None:
