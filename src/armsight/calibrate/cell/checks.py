@@ -204,6 +204,7 @@ class _System:
         N = N[:, self.free]
         # all that was fitted may follow the change: only what is left of the directions counts
         S = S - N @ np.linalg.solve(self.H, N.T)
+        # in units of what each direction does by itself, or metres and radians would lose each other in rounding
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
         scaled = S / np.outer(size, size) + 1e-9 * np.eye(len(S))
         step = -np.linalg.solve(scaled, grad / size)

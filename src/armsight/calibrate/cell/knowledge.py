@@ -121,6 +121,7 @@ def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, targe
     for k, name in enumerate(model.names[model.arm_at : model.lights_at]):
         mean[model.arm_at + k], sigma[model.arm_at + k] = 0.0, tolerance.of(name)
     information = np.diag(1.0 / sigma**2)
+    # a calibrated arm tells its own deviations, and how they hang together
     measured = model.recording.arm.covariance
     if measured is not None:
         names = [name for name in measured.names if name in model.names]

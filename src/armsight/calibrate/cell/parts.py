@@ -135,6 +135,7 @@ def _arm(model: CellModel, found: CellFit, covariance: Array, T_flange_target: R
     p = model.arm_vector(found.x)
     fitted = model.arm.arm_at(p, None)
     free = [k for k in found.places if model.arm_at <= k < model.lights_at]
+    # an arm's file has places for its links' covariance, none for that of its joints' giving way
     links = [k for k in free if not model.names[k].endswith(".sag")]
     std = np.sqrt(np.diag(covariance))
     points = tuple(

@@ -107,10 +107,10 @@ def solve_cell(
     except NotConverged:
         _require_parts_alike(recording)
         raise
-    doubts = suspicions(model, found)
-    _require_one_model(doubts)
+    _require_one_model(suspicions(model, found))
     for thin in (True, False):
         progress.update(3 if thin else 4, 4, "fitting, all spots")
+        # how far this arm is from its model, and how it strays, are both of the fit before
         known = before(found.x, learned_tolerance(model, found, tolerance))
         found = _round(model, found, known, free, thin=thin, wander=straying(model, found))
         doubts = suspicions(model, found)
@@ -172,6 +172,7 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
                 "the target on the flange, lit all the time, and the camera untouched; or record longer, all joints "
                 "turning further",
             )
+        # a mirrored picture has a camera of its own that explains it, but a left-handed one
         if start.mirrored:
             raise Inconsistent(
                 f"the {name} camera shows the scene as in a mirror",

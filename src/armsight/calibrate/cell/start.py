@@ -157,6 +157,7 @@ def find_start(
     if best is None:
         return None
     width = STEPS_S[1] - STEPS_S[0]
+    # between the steps the linear solution leaves some pixels more; the bundle takes up what is left of the delay
     near = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)]) or best
     whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
     found = _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
