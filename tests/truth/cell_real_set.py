@@ -1,9 +1,11 @@
 """A real wrist camera as a cell: 15 pictures of a board of dots with the robot's poses, in one bundle, and as a chain.
 
 The camera is fixed in the wrist and the dots in the robot's base: the cell's problem with base and flange exchanged.
-"Base" is the wrist, "flange" the robot's base, and the arm between them a virtual one of three turns about the wrist's
-origin and three slides along the base's axes, which takes any pose exactly. Its straying is the robot's error, in
-rotations and in positions, another one for every picture.
+"Base" is the wrist, "flange" the robot's base with its origin moved to the board, and the arm between them a virtual
+one that takes any pose exactly: three turns about the wrist's origin, three slides along the base's axes, and three
+turns about the board's middle, which stand at zero. Its straying is what robot and pictures are off by against each
+other, another one for every picture: the robot's turns and places, and how the board seems tilted (a curved sheet, a
+lens that is no polynomial). Each of the three sizes is learned; the hand-eye calibration learns the same three.
 """
 
 from __future__ import annotations
@@ -20,17 +22,17 @@ from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras import calibrate_camera
-from armsight.calibrate.cell.fit import CellData, CellFit
-from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information, shape_terms
+from armsight.calibrate.cell.fit import CellData, CellFit, fit_cell
+from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, JointLog, Spots
+from armsight.calibrate.cell.result import Learned
 from armsight.calibrate.cell.wander import Wander, restricted_cost
 from armsight.calibrate.handeye import Setup, calibrate_from_views
 from armsight.calibrate.timing.stamps import SteadyStamps
-from armsight.fitting import Evaluation, Problem, Settings, solve
-from armsight.fitting.normal import NormalEquations
 from armsight.geometry import align_points
-from armsight.kinematics import Arm, Joint, fk
+from armsight.geometry.poses import skew
+from armsight.kinematics import Arm, Joint, JointType, fk
 from armsight.measure.boards import find_board
 from armsight.optics import Camera
 from armsight.records import BoardView, Motion, Target, TargetKind, board_target
@@ -45,15 +47,15 @@ APART_S, HELD_S, READING_S, PERIOD_S = 5.0, 0.4, 0.02, 1.0 / 30.0
 SCALE, PRINT_M = 0.25, 2e-4
 """How well a print's size is known beforehand, and each dot's place in it: standard deviations."""
 SPOT_PX = 0.2
-FIRST_STRAY = (3e-3, 3e-3)
-"""rad and m, until they are learned."""
+STRAYS = ("turns about the wrist, rad", "places, m", "turns about the board, rad")
+FIRST_STRAY, LEAST_STRAY = (1e-3, 3e-3, 3e-3), 1e-5
+"""Until they are learned, and never below."""
 STRAY_S = 0.01
 """The robot's errors of two pictures have nothing in common."""
-ROUNDS = 4
+ROUNDS = 2
 STATIC = ("delay_s",)
 """Of the camera's parameters what nothing is known of beforehand, and standing pictures cannot tell."""
-HALF = 0.5 * np.pi
-DRIVES = ("j1.theta_rad", "j2.theta_rad", "j3.theta_rad", "j4.d_m", "j5.d_m", "j6.d_m")
+DRIVES = tuple(f"j{k}.{'d_m' if k in (4, 5, 6) else 'theta_rad'}" for k in range(1, 10))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,47 +165,38 @@ def advised_chain(given: RealSet, *, free_camera: bool = False) -> Chain:
 
 
 def virtual_arm() -> Arm:
-    """Return an arm that takes any pose: turns about z, y, x through its base's origin, then three slides."""
-    turns = [("j1", -HALF, 0.0), ("j2", HALF, HALF), ("j3", 0.0, 0.0)]
-    slides = [("j4", HALF, 0.0), ("j5", HALF, HALF), ("j6", 0.0, 0.0)]
+    """Return an arm that takes any pose: turns about z, y, x through its base's origin, three slides, three turns."""
+    quarter = 0.5 * np.pi
+    links = [(-quarter, 0.0), (quarter, quarter), (0.0, 0.0), (quarter, 0.0), (quarter, quarter), (0.0, 0.0)]
+    kinds = ["revolute"] * 3 + ["prismatic"] * 3 + ["revolute"] * 3
     return Arm(
         name="any pose",
-        joints=(
-            *(Joint(name=name, alpha_rad=alpha, theta_rad=theta) for name, alpha, theta in turns),
-            *(Joint(name=name, type="prismatic", alpha_rad=alpha, theta_rad=theta) for name, alpha, theta in slides),
+        joints=tuple(
+            Joint(name=f"j{k}", type=JointType(kind), alpha_rad=alpha, theta_rad=theta)
+            for k, (kind, (alpha, theta)) in enumerate(zip(kinds, links + links[:3], strict=True), start=1)
         ),
     )
 
 
-def joints_of(arm: Arm, T_base_wrist: Sequence[RigidTransform]) -> tuple[Array, Rotation]:
-    """Return the virtual arm's joints (n, 6) at poses, and the robot's base in the axes of the arm's flange."""
-    at_zero = fk(arm, np.zeros(6))
-    slides = fk(arm, np.eye(6)[3:])[:, :3, 3].T
-    q = np.empty((len(T_base_wrist), 6))
+def joints_of(arm: Arm, T_base_wrist: Sequence[RigidTransform], middle_m: Array) -> tuple[Array, Rotation]:
+    """Return the virtual arm's joints (n, 9), its flange at a place in the base; what turns base axes to flange's."""
+    at_zero = fk(arm, np.zeros(9))
+    slides = fk(arm, np.eye(9)[3:6])[:, :3, 3].T
+    q = np.zeros((len(T_base_wrist), 9))
     for row, T in zip(q, T_base_wrist, strict=True):
         row[:3] = T.inv().rotation.as_euler("ZYX")
-        row[3:] = np.linalg.solve(slides, -np.asarray(T.translation))  # T_wrist_base = R' (x - t)
+        row[3:6] = np.linalg.solve(slides, middle_m - np.asarray(T.translation))  # T_wrist_base x = R' (x - t)
     return q, Rotation.from_matrix(at_zero[:3, :3]).inv()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bundle:
-    """A cell of all pictures of a set, of which a fit uses some. base: turns robot's base axes into the flange's."""
+    """A cell of all pictures of a set, of which a fit uses some; x (P,): to begin with, by the chain of these."""
 
-    given: RealSet
+    pictures: tuple[int, ...]
     model: CellModel
-    base: Rotation
     target: Target
-    spots: Spots
-
-    def rows(self, pictures: Sequence[int]) -> NDArray[np.bool_]:
-        """Return which spots are of some pictures."""
-        return np.isin(self.spots.frame, np.asarray(pictures))
-
-    def strayed(self, strays: Array, t_s: Array) -> CellModel:
-        """Return the model with the robot's errors (k, 6) at times (k,) put into its log."""
-        q = self.model.recording.log.at(t_s)[0] + strays
-        return replace(self.model, recording=replace(self.model.recording, log=standing_log(t_s, q)))
+    x: Array
 
     def predict(self, x: Array, picture: int) -> Predicted:
         """Return the dots in a picture by the robot's pose and parameters x."""
@@ -222,34 +215,38 @@ class Bundle:
         return float(np.vdot(weight, lights - lights.mean(axis=0))), slope
 
 
-def bundle_of(given: RealSet, *, scale: float = SCALE, print_m: float = PRINT_M) -> Bundle:
-    """Return the cell: the board's size is known to a share of scale, each dot's place in it to print_m."""
-    arm = virtual_arm()
-    q, base = joints_of(arm, given.robot)
-    n = len(given.views)
-    at_s = APART_S * np.arange(n)
+def bundle_of(
+    given: RealSet, pictures: Sequence[int], *, scale: float = SCALE, print_m: float = PRINT_M
+) -> Bundle:
+    """Return the cell: the board's size is known to a share of scale, each dot's place in it to print_m.
+
+    It begins with the chain's answer, from these pictures, with the pitch of the configuration.
+    """
+    chain = chain_of(given.take(pictures), CONFIG_M)
+    board = board_of(CONFIG_M)
+    dots = np.asarray(chain.T_base_board.apply(board.xyz_m))
+    arm, at_s = virtual_arm(), APART_S * np.arange(len(given.views))
+    q, turn = joints_of(arm, given.robot, dots.mean(axis=0))
     clock = SteadyStamps(
-        t_s=at_s, number=np.arange(n), period_s=PERIOD_S, jitter_s=0.0, jitter_std_s=0.0, mid_s=0.0,
+        t_s=at_s, number=np.arange(len(at_s)), period_s=PERIOD_S, jitter_s=0.0, jitter_std_s=0.0, mid_s=0.0,
         covariance=np.zeros((2, 2)),
     )  # fmt: skip
     size = (given.views[0].width, given.views[0].height)
-    spots = spots_of(given.views)
-    recording = CellRecording(arm=arm, log=standing_log(at_s, q), spots=spots, clocks=(clock, clock), sizes=(size, size))
-    board = board_of(CONFIG_M)
+    recording = CellRecording(
+        arm=arm, log=standing_log(at_s, q), spots=spots_of(given.views), clocks=(clock, clock), sizes=(size, size)
+    )
     grid = (board.xyz_m - board.xyz_m.mean(axis=0)).ravel()
     covariance = scale**2 * np.outer(grid, grid) + print_m**2 * np.eye(len(grid))
     target = replace(board, covariance=covariance)
-    return Bundle(
-        given=given,
-        model=CellModel(recording=recording, lights=target.names),
-        base=base,
-        target=target,
-        spots=spots,
-    )
+    model = CellModel(recording=recording, lights=target.names)
+    T = chain.T_wrist_camera
+    camera = np.concatenate([chain.camera.intrinsics, T.translation, T.rotation.as_rotvec(), np.zeros(3)])
+    x = start_vector(model, [camera, camera], turn.apply(dots - dots.mean(axis=0)))
+    return Bundle(pictures=tuple(pictures), model=model, target=target, x=x)
 
 
 def standing_log(at_s: Array, q: Array) -> JointLog:
-    """Return the log of an arm that stands at q (n, 6) about times (n,)."""
+    """Return the log of an arm that stands at q (n, 9) about times (n,)."""
     around = np.arange(-HELD_S, HELD_S + 0.5 * READING_S, READING_S)
     return JointLog.of(Motion(t_s=(at_s[:, None] + around).ravel(), q=np.repeat(q, len(around), axis=0)))
 
@@ -276,110 +273,73 @@ def free_names(model: CellModel) -> tuple[str, ...]:
     return (*camera, *model.names[model.lights_at :])
 
 
-def start_of(bundle: Bundle, pictures: Sequence[int]) -> Array:
-    """Return the chain's answer with the pitch that it was told, as parameters."""
-    chain = chain_of(bundle.given.take(pictures), CONFIG_M)
-    T = chain.T_wrist_camera
-    camera = [chain.camera.intrinsics, T.translation, T.rotation.as_rotvec(), np.zeros(3)]
-    dots = bundle.base.apply(chain.T_base_board.apply(board_of(CONFIG_M).xyz_m))
-    return start_vector(bundle.model, [np.concatenate(camera)] * 2, dots)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BundleFit:
-    """A fit, the bundle with the robot's poses moved by the errors it found, and those errors (n, 6), rad and m."""
-
-    found: CellFit
-    strayed: CellModel
-    strays: Array
-
-
-def fit_bundle(bundle: Bundle, pictures: Sequence[int]) -> BundleFit:
-    """Return the fit to some pictures: parameters, the dots' noise and the robot's errors, by turns."""
-    model = bundle.model
-    x = start_of(bundle, pictures)
-    known = default_knowledge(model, x, ArmTolerance(), bundle.target)
-    spots = bundle.spots.take(bundle.rows(pictures))
+def fit_bundle(bundle: Bundle) -> CellFit:
+    """Return the fit to the bundle's pictures: parameters, and the noise of dots, robot and tilts, by turns."""
+    model, every = bundle.model, bundle.model.recording.spots
+    known = default_knowledge(model, bundle.x, ArmTolerance(), bundle.target)
+    spots = every.take(np.isin(every.frame, bundle.pictures))
     t_s, block = np.unique(spots.stamp_s, return_inverse=True)
-    wander = Wander(
-        std=np.repeat(FIRST_STRAY, 3),
-        time_s=STRAY_S,
-        columns=np.array([model.names.index(name) for name in DRIVES], dtype=np.intp),
-        t_s=t_s,
-    )
+    columns = np.array([model.names.index(name) for name in DRIVES], dtype=np.intp)
+    wander = Wander(std=np.repeat(FIRST_STRAY, 3), time_s=STRAY_S, columns=columns, t_s=t_s)
     data = CellData(spots=spots, block=block.astype(np.intp), scale=(1.0, 1.0), wander=wander)
-    strays = np.zeros((len(t_s), 6))
+    found = fit_cell(model, bundle.x, data, free_names(model), known)
     for _ in range(ROUNDS):
-        fit = _fit_straying(bundle, x, strays, data, known)
-        x, strays, data = fit.found.x, fit.strays, learned_noise(fit)
-    return fit
+        found = fit_cell(model, found.x, learned_noise(model, found), free_names(model), known)
+    return found
 
 
-def _fit_straying(bundle: Bundle, x: Array, strays: Array, data: CellData, known: Knowledge) -> BundleFit:
-    """Return the fit of parameters and of the robot's error in every picture, which is too large to be linear in."""
-    model, wander = bundle.model, data.wander
+def learned_noise(model: CellModel, found: CellFit) -> CellData:
+    """Return the data with the noise that is likeliest by a fit: of the dots in px, and of each straying."""
+    wander, free, normals = found.wander, found.places, found.normals
     assert wander is not None
-    free, at, W = free_names(model), wander.columns, data.spots.whitening(data.scale)
-    held = [k for k, name in enumerate(model.names) if name not in free]
-    information = known.information.copy()
-    information[held] = information[:, held] = 0.0
-    precision, first = np.diag(wander.std**-2.0), model.lights_at
-
-    def evaluate(x: Array, local: Array) -> Evaluation:
-        n = bundle.strayed(local, wander.t_s).normals(x, data.spots, W, data.block)
-        pull, (shape, off) = known.pull(model, x), shape_terms(model, x, known.shape)
-        A, b = n.A.sum(axis=0) + information, n.g.sum(axis=0) + information @ pull
-        A[first:, first:] += shape
-        b[first:] += shape @ off
-        condensed = NormalEquations(
-            A=A,
-            b=b,
-            C=n.A[:, at][:, :, at] + precision,
-            c=n.g[:, at] + local @ precision,
-            W=n.A[:, :, at],
-        )
-        cost = np.array([pull @ information @ pull + off @ shape @ off])
-        r = np.concatenate([n.residuals.ravel(), (local / wander.std).ravel(), np.sqrt(np.maximum(cost, 0.0))])
-        none = np.empty((1, len(r), 0))
-        return Evaluation(residuals=r[None], shared=none, local=none, condensed=condensed)
-
-    problem = Problem(
-        names=model.names,
-        guess=x,
-        evaluate=evaluate,
-        n_residuals=2 * len(data.spots) + strays.size,
-        local_names=DRIVES,
-        local_guess=strays,
-        fixed=frozenset(model.names) - frozenset(free),
-        retract=model.retract,
-    )
-    fit = solve(problem, Settings(cost_tolerance=1e-9))
-    strays, strayed = np.asarray(fit.local), bundle.strayed(fit.local, wander.t_s)
-    normals = strayed.normals(fit.shared, data.spots, W, data.block)
-    found = CellFit(x=fit.shared, data=data, normals=normals, free=free, known=known, fit=fit)
-    return BundleFit(found=found, strayed=strayed, strays=strays)
-
-
-def learned_noise(fit: BundleFit) -> CellData:
-    """Return the data with the noise of dots and robot that is likeliest by a fit: px, rad and m, restricted."""
-    found, model, s = fit.found, fit.strayed, fit.strays
-    wander, free, n = found.wander, found.places, found.normals
-    assert wander is not None
-    at = wander.columns
-    # as the residuals would be without the robot's errors, by the derivatives at these
-    back = np.einsum("bpk,bk->bp", n.A[:, :, at], s)
-    chi2 = n.chi2 - 2.0 * np.einsum("bk,bk->b", n.g[:, at], s) + np.einsum("bk,bk->b", back[:, at], s)
-    normals = replace(n, g=n.g - back, chi2=chi2)
     known = (found.known.information + shape_information(model, found.x, found.known.shape))[np.ix_(free, free)]
 
     def noisier(p: Array) -> tuple[Wander, float]:
-        return replace(wander, std=wander.std * np.repeat(np.exp(p[1:]), 3)), float(np.exp(p[0]))
+        std = np.maximum(wander.std * np.repeat(np.exp(p[1:]), 3), LEAST_STRAY)
+        return replace(wander, std=std), float(np.exp(p[0]))
 
     def cost(p: Array) -> float:
         strays, px = noisier(p)
         scaled = replace(normals, A=normals.A / px**2, g=normals.g / px**2, chi2=normals.chi2 / px**2)
         return restricted_cost(strays, scaled, free, known) + float(normals.count.sum()) * float(np.log(px))
 
-    best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxfev": 120})
+    simplex = np.vstack([np.zeros(4), 0.5 * np.eye(4)])
+    options = {"xatol": 0.05, "fatol": 0.05, "maxfev": 150, "initial_simplex": simplex}
+    best = minimize(cost, np.zeros(4), method="Nelder-Mead", options=options)
     strays, px = noisier(best.x)
     return replace(found.data, wander=strays, scale=(found.scale[0] * px, found.scale[1]))
+
+
+def told(bundle: Bundle, found: CellFit) -> list[Learned]:
+    """Return of the camera and of the board what was known before and is known now, in bits where anything was.
+
+    Of the board: its scale, and the dots' places in it; where it is and how it is turned nothing was known of.
+    """
+    model, C = bundle.model, found.covariance(bundle.model)
+    before = np.diag(found.known.information)
+    out = []
+    for k in found.places[found.places < model.lights_at]:
+        prior = float(before[k] ** -0.5) if before[k] > 0.0 else None
+        out.append(_learned(model.names[k], float(found.x[k]), float(np.sqrt(C[k, k])), prior))
+    pitch_m, slope = bundle.pitch_m(found.x)
+    out.append(_learned("pitch_m", pitch_m, float(np.sqrt(slope @ C @ slope)), SCALE * CONFIG_M))
+    lights = model.lights_m(found.x)
+    T = align_points(lights, bundle.target.xyz_m * (pitch_m / CONFIG_M)).T_a_b
+    off = T.inv().apply(lights) - bundle.target.xyz_m * (pitch_m / CONFIG_M)
+    # places in the print: what no rigid motion and no scale does
+    grid = lights - lights.mean(axis=0)
+    moves = np.hstack([np.tile(np.eye(3), (len(grid), 1)), skew(grid).reshape(-1, 3), grid.reshape(-1, 1)])
+    P = np.eye(grid.size) - moves @ np.linalg.pinv(moves)
+    inner = P @ C[model.lights_at :, model.lights_at :] @ P
+    R = T.rotation.as_matrix()
+    print_m = float(np.sqrt(bundle.target.covariance[2, 2]))  # its z has no part in the scale
+    for light, name in enumerate(model.lights):
+        block = R.T @ inner[3 * light : 3 * light + 3, 3 * light : 3 * light + 3] @ R
+        for axis, key in enumerate(("x_m", "y_m", "z_m")):
+            std = float(np.sqrt(max(block[axis, axis], 0.0)))
+            out.append(_learned(f"print:{name}.{key}", float(off[light, axis]), std, print_m))
+    return out
+
+
+def _learned(name: str, value: float, std: float, prior: float | None) -> Learned:
+    return Learned(name, value, std, prior, None if prior is None else float(np.log2(prior / std)))
