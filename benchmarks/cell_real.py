@@ -1,6 +1,6 @@
 """A whole cell in one bundle on a real set, beside the chain: dots of pictures left out, the pitch, what stays unknown.
 
-    python benchmarks/cell_real.py [--folds N]
+    python benchmarks/cell_real.py [--folds N] [--prints MM ..]
 
 15 pictures of a board of 10 x 10 dots by a camera on a robot's wrist (../shared/data/dots_10x10_handeye); says so where
 it is not there. Every method sees the pictures of the other folds alone (lens, hand-eye, noise, pitch), and predicts
@@ -22,12 +22,12 @@ import bench
 
 real = bench.test_scene("cell_real_set")
 UNLEARNED_BITS = 0.2
-OURS = "joint bundle"
+PRINT_MM = 1e3 * real.PRINT_M
 OTHER_PRINTS_MM = (0.02, 0.5)
 """How well each dot's place in the print might be taken to be known instead: what the pitch hangs on."""
 
 
-def predictors() -> dict[str, object]:
+def predictors(prints_mm: list[float]) -> dict[str, object]:
     """Return what makes a prediction of given pictures from the others, and the pitch it holds: by name."""
 
     def chain(make: object) -> object:
@@ -37,10 +37,13 @@ def predictors() -> dict[str, object]:
 
         return run
 
-    def bundle(given: object, rest: list[int], out: list[int]) -> tuple[list[object], float]:
-        cell = real.bundle_of(given, rest)
-        x = real.fit_bundle(cell).x
-        return [cell.predict(x, k) for k in out], cell.pitch_m(x)[0]
+    def bundle(print_mm: float) -> object:
+        def run(given: object, rest: list[int], out: list[int]) -> tuple[list[object], float]:
+            cell = real.bundle_of(given, rest, print_m=1e-3 * print_mm)
+            x = real.fit_bundle(cell).x
+            return [cell.predict(x, k) for k in out], cell.pitch_m(x)[0]
+
+        return run
 
     told = {"25.4 (config)": real.CONFIG_M, "24.82 (robot, all pictures)": real.ROBOT_M}
     methods = {}
@@ -53,17 +56,22 @@ def predictors() -> dict[str, object]:
         methods[f"chain{camera}, run again with the pitch it found"] = chain(
             lambda some, freed=freed: real.advised_chain(some, free_camera=freed)
         )
-    return methods | {OURS: bundle}
+    return methods | {ours(mm): bundle(mm) for mm in prints_mm}
 
 
-def left_out(given: object, folds: int) -> dict[str, np.ndarray]:
+def ours(print_mm: float) -> str:
+    """Return the bundle's name, where each dot is taken to be in its place in the print to so much."""
+    return f"joint bundle, dots in place to {print_mm:g} mm"
+
+
+def left_out(given: object, folds: int, prints_mm: list[float]) -> dict[str, np.ndarray]:
     """Return of every method the errors (n, 3) px, mm, mm of the board's origin, and the pitch in mm (n, 4)."""
     n = len(given.views)
-    errors = {name: np.full((n, 4), np.nan) for name in predictors()}
+    errors = {name: np.full((n, 4), np.nan) for name in predictors(prints_mm)}
     for fold in range(folds):
         out = list(range(fold, n, folds))
         rest = [k for k in range(n) if k not in out]
-        for name, run in predictors().items():
+        for name, run in predictors(prints_mm).items():
             start = time.perf_counter()
             seen, pitch_m = run(given, rest, out)
             for k, each in zip(out, seen, strict=True):
@@ -73,23 +81,24 @@ def left_out(given: object, folds: int) -> dict[str, np.ndarray]:
     return errors
 
 
-def errors_table(errors: dict[str, np.ndarray], folds: int) -> None:
-    """Print the errors side by side, and how sure the bundle's difference from each is."""
-    ours = errors[OURS]
+def errors_table(errors: dict[str, np.ndarray], folds: int, first: str) -> None:
+    """Print the errors side by side, and by how many pictures and what chance the first bundle differs from each."""
+    mine = errors[first]
     rows = []
     for name, each in errors.items():
-        rms, middle = np.sqrt((each[:, :3] ** 2).mean(axis=0)), np.median(each[:, :3], axis=0)
-        better = int((ours[:, 0] < each[:, 0]).sum())
-        chance = "" if each is ours else f"{ttest_rel(ours[:, 1], each[:, 1]).pvalue:.2g}"
-        pitch = f"{each[:, 3].mean():.3f} ({np.ptp(each[:, 3]):.3f})"
-        rows.append(
-            [name, *rms[:1], *middle[:1], *rms[1:2], *middle[1:2], rms[2], "" if each is ours else better, chance, pitch]
-        )
+        row: list[object] = [name]
+        for k in (0, 1, 2):
+            row += [float(np.sqrt((each[:, k] ** 2).mean())), float(np.median(each[:, k]))]
+        for k in (0, 1):
+            nearer = int((mine[:, k] < each[:, k]).sum())
+            row.append("" if each is mine else f"{nearer}, p {ttest_rel(mine[:, k], each[:, k]).pvalue:.2g}")
+        rows.append([*row, f"{each[:, 3].mean():.3f}, {np.ptp(each[:, 3]):.3f}"])
     bench.table(
-        f"dots_10x10_handeye, {len(ours)} pictures left out in {folds} folds",
+        f"dots_10x10_handeye, {len(mine)} pictures left out in {folds} folds; nearer: pictures of which the first "
+        "bundle is nearer than this method, and the chance of the difference (paired t)",
         [
-            "method", "px RMS", "px median", "dots mm RMS", "dots mm median", "board's origin mm RMS",
-            "pictures the bundle is nearer in (px)", "p of mm (paired t)", "pitch mm (span of folds)",
+            "method", "dots px RMS", "median", "dots mm RMS", "median", "board's origin mm RMS", "median",
+            "nearer in px", "nearer in mm", "pitch mm: mean, span over folds",
         ],
         rows,
     )  # fmt: skip
@@ -110,7 +119,9 @@ def whole(given: object) -> None:
         fit = real.fit_bundle(other)
         value, row = other.pitch_m(fit.x)
         spread = float(np.sqrt(row @ fit.covariance(other.model) @ row))
-        others.append([f"joint bundle, each dot taken to be in place to {mm} mm", f"{1e3 * value:.3f}", f"{1e3 * spread:.3f}"])
+        others.append(
+            [f"joint bundle, each dot taken to be in place to {mm} mm", f"{1e3 * value:.3f}", f"{1e3 * spread:.3f}"]
+        )
     bench.table(
         "the dots' pitch, mm",
         ["by", "pitch", "+-"],
@@ -140,14 +151,15 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folds", type=int, default=15)
-    folds = parser.parse_args().folds
+    parser.add_argument("--prints", type=float, nargs="+", default=[PRINT_MM], metavar="MM")
+    asked = parser.parse_args()
     print(bench.machine())
     if not real.FOLDER.exists():
         print("skipped: the recording dots_10x10_handeye is not here")
         return
     given = real.read_set()
     whole(given)
-    errors_table(left_out(given, folds), folds)
+    errors_table(left_out(given, asked.folds, asked.prints), asked.folds, ours(asked.prints[0]))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras import calibrate_camera
 from armsight.calibrate.cell.fit import CellData, CellFit, fit_cell
-from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information
+from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge, shape_information
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, JointLog, Spots
 from armsight.calibrate.cell.result import Learned
@@ -215,9 +215,7 @@ class Bundle:
         return float(np.vdot(weight, lights - lights.mean(axis=0))), slope
 
 
-def bundle_of(
-    given: RealSet, pictures: Sequence[int], *, scale: float = SCALE, print_m: float = PRINT_M
-) -> Bundle:
+def bundle_of(given: RealSet, pictures: Sequence[int], *, scale: float = SCALE, print_m: float = PRINT_M) -> Bundle:
     """Return the cell: the board's size is known to a share of scale, each dot's place in it to print_m.
 
     It begins with the chain's answer, from these pictures, with the pitch of the configuration.
@@ -316,10 +314,13 @@ def told(bundle: Bundle, found: CellFit) -> list[Learned]:
     Of the board: its scale, and the dots' places in it; where it is and how it is turned nothing was known of.
     """
     model, C = bundle.model, found.covariance(bundle.model)
-    before = np.diag(found.known.information)
+    known = found.known.information
+    before = np.linalg.pinv(known, rcond=1e-15, hermitian=True)
+    # fx and fy are alike, and of neither alone anything is known: what has no bound beforehand is not in the range
+    bound = np.abs(known @ before - np.eye(len(known))).max(axis=0) < 1e-6
     out = []
     for k in found.places[found.places < model.lights_at]:
-        prior = float(before[k] ** -0.5) if before[k] > 0.0 else None
+        prior = float(np.sqrt(before[k, k])) if bound[k] else None
         out.append(_learned(model.names[k], float(found.x[k]), float(np.sqrt(C[k, k])), prior))
     pitch_m, slope = bundle.pitch_m(found.x)
     out.append(_learned("pitch_m", pitch_m, float(np.sqrt(slope @ C @ slope)), SCALE * CONFIG_M))
