@@ -23,7 +23,7 @@ import bench
 real = bench.test_scene("cell_real_set")
 UNLEARNED_BITS = 0.2
 PRINT_MM = 1e3 * real.PRINT_M
-OTHER_PRINTS_MM = (0.02, 0.5)
+OTHER_PRINTS_MM = (0.2, 0.5)
 """How well each dot's place in the print might be taken to be known instead: what the pitch hangs on."""
 
 
@@ -151,7 +151,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folds", type=int, default=15)
-    parser.add_argument("--prints", type=float, nargs="+", default=[PRINT_MM], metavar="MM")
+    parser.add_argument("--prints", type=float, nargs="+", default=[PRINT_MM, 0.2], metavar="MM")
     asked = parser.parse_args()
     print(bench.machine())
     if not real.FOLDER.exists():

@@ -44,8 +44,9 @@ CONFIG_M, ROBOT_M, ROBOT_STD_M = 0.0254, 0.02482, 9e-5
 """The dots' pitch by the set's configuration, and by the robot's motion as others have worked it out."""
 APART_S, HELD_S, READING_S, PERIOD_S = 5.0, 0.4, 0.02, 1.0 / 30.0
 """Pictures are so far apart, and the log stands still about each: a spline through it has no speed there."""
-SCALE, PRINT_M = 0.25, 2e-4
-"""How well a print's size is known beforehand, and each dot's place in it: standard deviations."""
+SCALE, PRINT_M = 0.25, 2e-5
+"""How well a print's size is known beforehand, and each dot's place in it: standard deviations. The chain takes the
+grid as exact; so does the bundle, to hundredths of a millimetre."""
 SPOT_PX = 0.2
 STRAYS = ("turns about the wrist, rad", "places, m", "turns about the board, rad")
 FIRST_STRAY, LEAST_STRAY = (1e-3, 3e-3, 3e-3), 1e-5

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import cell_real_set as real
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import cell_real_set as real
 
 pytestmark = pytest.mark.skipif(not real.FOLDER.exists(), reason="the recording dots_10x10_handeye is not here")
 FOLDS = 3
@@ -72,4 +77,4 @@ def test_pictures_left_out_are_predicted_no_worse_than_by_the_chain(given: real.
                 errors[k] = real.missed(chain.predict(given.robot[k]), given.views[k])
     ours_rms, told_rms, advised_rms = (np.sqrt((each**2).mean(axis=0)) for each in (ours, told, advised))
     assert (ours_rms < 0.7 * told_rms).all()
-    assert ours_rms[1] < 1.05 * advised_rms[1]
+    assert (ours_rms < 1.1 * advised_rms).all()
