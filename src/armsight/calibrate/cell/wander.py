@@ -105,17 +105,22 @@ def learned_wander(
 
     def cost(p: Array) -> float:
         wander = Wander(std=np.exp(p[0]) * unit, time_s=float(np.exp(p[1])), columns=columns, t_s=t_s)
-        reduced = wander.reduced(normals)
-        H = reduced.A[np.ix_(free, free)] + known
-        size = 1.0 / np.sqrt(np.diag(H))
-        factor = scipy.linalg.cho_factor(H * np.outer(size, size), lower=True, check_finite=False)
-        g = reduced.g[free] * size
-        square = reduced.square - float(g @ scipy.linalg.cho_solve(factor, g, check_finite=False))
-        of_free = 2.0 * float(np.log(np.diag(factor[0])).sum() - np.log(size).sum())
-        return 0.5 * (square + reduced.logdet + of_free)
+        return restricted_cost(wander, normals, free, known)
 
     bounds = [tuple(np.log(each)) for each in RANGES]
     found = scipy.optimize.minimize(
         cost, np.log(START), method="Nelder-Mead", bounds=bounds, options={"xatol": 0.05, "fatol": 0.05, "maxfev": 60}
     )
     return Wander(std=np.exp(found.x[0]) * unit, time_s=float(np.exp(found.x[1])), columns=columns, t_s=t_s)
+
+
+def restricted_cost(wander: Wander, normals: BlockNormals, free: NDArray[np.intp], known: Array) -> float:
+    """Return minus the logarithm of a straying's restricted likelihood, but for a constant; free, known as above."""
+    reduced = wander.reduced(normals)
+    H = reduced.A[np.ix_(free, free)] + known
+    size = 1.0 / np.sqrt(np.diag(H))
+    factor = scipy.linalg.cho_factor(H * np.outer(size, size), lower=True, check_finite=False)
+    g = reduced.g[free] * size
+    square = reduced.square - float(g @ scipy.linalg.cho_solve(factor, g, check_finite=False))
+    of_free = 2.0 * float(np.log(np.diag(factor[0])).sum() - np.log(size).sum())
+    return 0.5 * (square + reduced.logdet + of_free)
