@@ -97,10 +97,9 @@ def solve_cell(
         known = default_knowledge(model, at, believed, target)
         return known if priors is None else with_priors(model, known, priors, at)
 
-    gate = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
     try:
-        coarse = _coarse(model, x, before(x, tolerance), (gate[0], gate[1]))
-        coarse = _coarse(model, coarse.x, before(x, tolerance), (gate[0], gate[1]))
+        coarse = _coarse(model, x, before(x, tolerance), starts)
+        coarse = _coarse(model, coarse.x, before(x, tolerance), starts)
         progress.update(2, 4, "fitting, a part of the spots")
         free = free_names(model, coarse, tolerance, compliance=bool(compliance))
         found = _round(model, coarse, before(x, tolerance), free, thin=True)
@@ -247,9 +246,10 @@ def thinned(spots: Spots, most: int) -> Spots:
     return spots.take(spots.frame % step == 0)
 
 
-def _coarse(model: CellModel, x: Array, known: Knowledge, gate_px: tuple[float, float]) -> CellFit:
+def _coarse(model: CellModel, x: Array, known: Knowledge, starts: Sequence[Start]) -> CellFit:
     """Return the fit of cameras and lights by the nominal arm."""
-    spots, block = blocks_of(model, x, thinned(assign(model, x, model.recording.spots, gate_px), THIN))
+    left, right = (FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts)
+    spots, block = blocks_of(model, x, thinned(assign(model, x, model.recording.spots, (left, right)), THIN))
     if len(spots) < FEWEST_SPOTS:
         raise NotEnoughData(
             f"{len(spots)} spots are where the lights should be",
