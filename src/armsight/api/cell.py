@@ -75,10 +75,10 @@ def calibrate_cell(
 
     Examples
     --------
-    >>> folder = armsight.write_simulation("cell", "cell-set", frames=700)
+    >>> made = armsight.write_simulation("cell", folder / "cell", frames=700)
     >>> found = armsight.calibrate_cell(
-    ...     "cell-set/joints.csv", "cell-set/target.yaml", "cell-set/arm.yaml",
-    ...     left_spots="cell-set/left.csv", right_spots="cell-set/right.csv", size=(1280, 720))
+    ...     folder / "cell/joints.csv", folder / "cell/target.yaml", folder / "cell/arm.yaml",
+    ...     left_spots=folder / "cell/left.csv", right_spots=folder / "cell/right.csv", size=(1280, 720))
     >>> found.tip.measured_m < 0.002
     True
     """
