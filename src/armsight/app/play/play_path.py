@@ -14,6 +14,7 @@ from armsight.app.measure.warm_up import prepare
 from armsight.app.play.play_job import check, planned, tipped_guard
 from armsight.app.play.target_monitor import TargetMonitor, Watcher
 from armsight.app.requests.motion import PlayJob
+from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder
@@ -23,7 +24,7 @@ from armsight.app.servo.servo_job import ServoDevices
 from armsight.app.servo.session import SHOWN_S, Confirm, check_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
-from armsight.control.guard import Guard, GuardState
+from armsight.control.guard import Guard
 from armsight.control.loop import ControlLoop
 from armsight.control.play import PathPlan, PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolPose
@@ -39,9 +40,6 @@ from armsight.store.path_file import read_path
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
-
-STUCK_S = 5.0
-"""A path that the guard has held for so long, though the operator's enable was there, is given up."""
 
 Show = Callable[[RobotStatus, PlayProgress, WatchFigures | None], None]
 """Is told now and then of a cycle, of where the path is, and of what the cameras saw."""
@@ -128,51 +126,23 @@ class PlayedSource:
                 self._sink.event(t_s, f"{text} at {at.s_m:.4f} m", "info", "play")
 
 
-class PlayTally:
-    """Counts cycles as the loop does them; given to it as what may end it."""
+class PlayTally(CycleTally):
+    """Counts cycles of a path as the loop does them; given to it as what may end it."""
 
     def __init__(self, source: PathSource, watch: PlayWatch | None, cancelled: Callable[[], bool]) -> None:
-        self.cycles = 0
-        self.holds: list[str] = []
-        self.last: RobotStatus | None = None
-        self.began_s: float | None = None
-        self._source, self._watch, self._cancelled = source, watch, cancelled
-        self._held_s: float | None = None
-        self._stuck = False
-
-    def __call__(self, status: RobotStatus) -> bool:
-        """Take a cycle; tell whether it was the last: at the end, let go of, stopped, or held for too long."""
-        self.last = status
-        self.cycles += 1
-        self.began_s = status.t_s if self.began_s is None else self.began_s
-        if status.why and status.reason not in self.holds:
-            self.holds.append(status.reason)
-        if status.guard is not GuardState.HOLDING:
-            self._held_s = None
-        elif self._held_s is None:
-            self._held_s = status.t_s
-        self._stuck = self._held_s is not None and status.t_s - self._held_s > STUCK_S
-        return status.finished or self._cancelled() or status.guard is GuardState.STOPPED or self._stuck
-
-    @property
-    def took_s(self) -> float:
-        """Time since the first cycle."""
-        return 0.0 if self.last is None or self.began_s is None else self.last.t_s - self.began_s
+        super().__init__(cancelled)
+        self._source, self._watch = source, watch
 
     @property
     def finished(self) -> bool:
         """Whether the path was run to its end."""
         return self._source.progress.stage == "finished"
 
-    def stopped_by(self) -> str:
+    def stopped_by(self, *, finished: bool = False) -> str:
         """Return why the loop ended."""
         if self._watch is not None and self._watch.exceeded:
             return self._watch.exceeded
-        if self.finished:
-            return "end"
-        if self._cancelled():
-            return "operator"
-        return "" if self.last is None else self.last.why or (self.holds[-1] if self.holds else "")
+        return super().stopped_by(finished=finished or self.finished)
 
 
 def play_output(

@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock, SystemClock
-from armsight.control.guard import Guard, GuardState
+from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
 from armsight.control.loop import ControlLoop
 from armsight.control.play.joint_motion import JointMotionSource
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.status import Timing
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
@@ -33,8 +34,6 @@ from armsight.units import DEG, MM
 Array = NDArray[np.float64]
 
 RECORDING, READINGS, SUMMARY = "motion.mcap", "joints.csv", "motion.json"
-STUCK_S = 5.0
-"""A motion that the guard has held for so long, though the operator's enable was there, is given up."""
 CHECKED_S = 0.02
 """Time of the motion between two of its rows that are checked before it is run."""
 FEWEST_ROWS = 4
@@ -57,42 +56,6 @@ class RunMotionOutput(Output):
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
     recording: Annotated[str, Doc("The recording: commands, readings and events.")]
     joints: Annotated[str, Doc("The readings by themselves, joints.csv, for a calibration.")]
-
-
-class _Tally:
-    """Counts cycles as the loop does them, and tells which was the last."""
-
-    def __init__(self, cancelled: Callable[[], bool]) -> None:
-        self.holds: list[str] = []
-        self.last: RobotStatus | None = None
-        self.began_s: float | None = None
-        self._cancelled = cancelled
-        self._held_s: float | None = None
-
-    def __call__(self, status: RobotStatus) -> bool:
-        self.last = status
-        self.began_s = status.t_s if self.began_s is None else self.began_s
-        if status.why and status.reason not in self.holds:
-            self.holds.append(status.reason)
-        if status.guard is not GuardState.HOLDING:
-            self._held_s = None
-        elif self._held_s is None:
-            self._held_s = status.t_s
-        stuck = self._held_s is not None and status.t_s - self._held_s > STUCK_S
-        return status.finished or self._cancelled() or status.guard is GuardState.STOPPED or stuck
-
-    @property
-    def took_s(self) -> float:
-        """Time since the first cycle."""
-        return 0.0 if self.last is None or self.began_s is None else self.last.t_s - self.began_s
-
-    def stopped_by(self, *, finished: bool) -> str:
-        """Return why the loop ended."""
-        if finished:
-            return "end"
-        if self._cancelled():
-            return "operator"
-        return "" if self.last is None else self.last.why or (self.holds[-1] if self.holds else "")
 
 
 def run_motion(
@@ -125,7 +88,7 @@ def run_motion(
             asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(outside)
         if not confirm(asked):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
-        tally = _Tally(progress.cancelled)
+        tally = CycleTally(progress.cancelled)
         begun(source)
         timing = _followed(job, robot, guard, source, clock, tally, progress)
     _write_readings(job)
@@ -134,7 +97,7 @@ def run_motion(
     return done
 
 
-def _output(job: RunMotionJob, source: JointMotionSource, tally: _Tally, timing: Timing) -> RunMotionOutput:
+def _output(job: RunMotionJob, source: JointMotionSource, tally: CycleTally, timing: Timing) -> RunMotionOutput:
     finished = source.stage == "finished"
     return RunMotionOutput(
         n_cycles=timing.n_cycles,
@@ -156,7 +119,7 @@ def _followed(
     guard: Guard,
     source: JointMotionSource,
     clock: Clock,
-    tally: _Tally,
+    tally: CycleTally,
     progress: Progress,
 ) -> Timing:
     """Run the loop, and record it. Raises what the recorder failed of."""
