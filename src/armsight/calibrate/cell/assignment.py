@@ -32,10 +32,7 @@ CONFUSED = 2.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NamedLights:
-    """The lights' names and places (n, 3) m in the flange's axes; rms_m: how well they lie as the target's file says.
-
-    count (n,): pieces of ways that each was seen in.
-    """
+    """The lights' names and places (n, 3) m in flange axes; rms_m: how well they lie as the target's file says."""
 
     names: tuple[str, ...]
     xyz_m: Array

@@ -75,8 +75,7 @@ class CellFit:
     @property
     def spread_px(self) -> Array:
         """The standard deviation (m,) of each spot's coordinate."""
-        own = np.sqrt(np.trace(self.spots.covariance_px2, axis1=1, axis2=2) / 2.0)
-        return np.asarray(own * np.asarray(self.scale)[self.spots.side])
+        return np.asarray(self.spots.spread_px * np.asarray(self.scale)[self.spots.side])
 
     @property
     def places(self) -> NDArray[np.intp]:
@@ -228,7 +227,7 @@ def straying(model: CellModel, found: CellFit) -> Wander:
     )
 
 
-def side_scales(found: CellFit, *, robust: bool) -> tuple[float, float]:
+def side_scales(found: CellFit) -> tuple[float, float]:
     """Return by how much each camera's spots scatter more than the fit's deviations say, times its scale so far."""
     dof = 1.0 - len(found.free) / max(2.0 * len(found.spots), 1.0)
     out = []
@@ -238,7 +237,7 @@ def side_scales(found: CellFit, *, robust: bool) -> tuple[float, float]:
             out.append(found.scale[side])
             continue
         # sqrt(2 log 2) = 1.177 is the median length of two unit normals
-        size = np.median(np.linalg.norm(r, axis=1)) / 1.177 if robust else np.sqrt(np.mean(r**2))
+        size = np.median(np.linalg.norm(r, axis=1)) / 1.177
         out.append(found.scale[side] * float(size) / np.sqrt(dof))
     return out[0], out[1]
 

@@ -82,6 +82,11 @@ class Spots:
         """Return those (m,) that are of a light, light (m,) being their numbers."""
         return replace(self, light=light).take(light >= 0)
 
+    @property
+    def spread_px(self) -> Array:
+        """The standard deviation (m,) of each spot's coordinate, as it says itself."""
+        return np.asarray(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2.0))
+
     def whitening(self, scale: Sequence[float] = (1.0, 1.0)) -> Array:
         """Return W (m, 2, 2) by which a residual becomes one of unit variance; scale: of each side's deviations."""
         L = np.linalg.cholesky(self.covariance_px2)

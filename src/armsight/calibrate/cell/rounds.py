@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.cell.assignment import NamedLights, assign, name_lights, places_on_flange
+from armsight.calibrate.cell.assignment import NEAR, NamedLights, assign, name_lights, places_on_flange
 from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, alarming, refusal, suspicions
 from armsight.calibrate.cell.fit import (
     CellData,
@@ -237,7 +237,7 @@ def _camera_vector(recording: CellRecording, side: int, start: Start) -> Array:
 
 def _least_distance(xyz_m: Array) -> float:
     apart = np.linalg.norm(xyz_m[:, None] - xyz_m[None], axis=2) + 1e3 * np.eye(len(xyz_m))
-    return float(0.35 * apart.min())
+    return float(NEAR * apart.min())
 
 
 def thinned(spots: Spots, most: int) -> Spots:
@@ -257,7 +257,7 @@ def _coarse(model: CellModel, x: Array, known: Knowledge, starts: Sequence[Start
             cure="Record two minutes in which both cameras see the target's lights",
         )
     free = [f"{side}.{name}" for side in SIDES for name in FIRST_FREE]
-    spread = float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0))
+    spread = float(np.median(spots.spread_px))
     first = (1.0 / spread, 1.0 / spread)  # of a pixel: what the nominal arm leaves, not the spots' own
     data = CellData(spots=spots, block=block, scale=first)
     return fit_cell(model, x, data, (*free, *model.names[model.lights_at :]), known)
@@ -273,9 +273,9 @@ def _round(
     wander: Wander | None = None,
 ) -> CellFit:
     """Return the fit after another assignment of the spots, with the noise of the fit before."""
-    scale = side_scales(before, robust=True)
-    spread = [float(np.sqrt(np.median(np.trace(before.spots.covariance_px2, axis1=1, axis2=2)) / 2.0))] * 2
-    gates = [max(GATE * s * each, LEAST_GATE_PX) for s, each in zip(scale, spread, strict=True)]
+    scale = side_scales(before)
+    spread = float(np.median(before.spots.spread_px))
+    gates = [max(GATE * each * spread, LEAST_GATE_PX) for each in scale]
     every = assign(model, before.x, model.recording.spots, (gates[0], gates[1]))
     spots, block = blocks_of(model, before.x, thinned(every, THIN) if thin else every)
     if wander is not None:
