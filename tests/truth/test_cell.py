@@ -102,7 +102,7 @@ def test_the_left_camera_is_the_rigs_axes(good: tuple[CellWorld, CellCalibration
 
 FAULTS: dict[str, tuple[type[DataRefused], tuple[str, ...]]] = {
     "slipping_target": (Inconsistent, ("target slipped", "Clamp the target")),
-    "touched_camera": (Inconsistent, ("camera", "untouched")),
+    "touched_camera": (Inconsistent, ("camera moved", "Fasten")),
     "clock_jump": (Inconsistent, ("clock jumped", "stamps")),
     "wrong_arm": (Inconsistent, ("--model", "of this arm")),
     "degrees": (Inconsistent, ("radians", "degrees")),
@@ -130,7 +130,7 @@ def test_a_fault_is_refused_with_its_cause_and_cure(fault: str) -> None:
     for part in says:
         assert part.lower() in str(error).lower(), error
     told = world.truth.told
-    if fault in ("clock_jump", "mirrored", "one_camera_blind"):
+    if fault in ("touched_camera", "clock_jump", "mirrored", "one_camera_blind"):
         assert names_it(error, told["side"])
     if fault in ("still_joint", "joint_zero_jump"):
         assert names_it(error, f"j{int(str(told['joint'])) + 1}")

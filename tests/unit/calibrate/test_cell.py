@@ -12,7 +12,7 @@ from armsight.calibrate.cell.knowledge import pair_slopes
 from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
 from armsight.calibrate.cell.observations import Spots, recording_of
 from armsight.calibrate.cell.tip import tip_slopes
-from armsight.calibrate.cell.tracklets import tracklets
+from armsight.calibrate.cell.tracklets import moves, tracklets
 from armsight.calibrate.cell.wander import Wander
 from armsight.geometry import align_points
 from armsight.kinematics import fk, preset
@@ -179,6 +179,17 @@ def test_lights_that_pass_each_other_are_not_mixed_up():
     assert ways
     for rows in ways:
         assert len(set((rows % 2).tolist())) == 1
+
+
+def test_a_lamp_that_jumps_where_a_camera_is_hit_does_not_move_as_the_arm_does():
+    t = np.arange(900) / 30.0
+    noise = np.random.default_rng(5).normal(0.0, 0.2, (900, 2))
+    lamp = 300.0 + np.where(t < 14.0, 0.0, 12.0)[:, None] + noise
+    # goes on for a second and rests for two, as an arm does that is taught by hand
+    on_arm = 300.0 + 40.0 * np.floor(t / 3.0 + 2.0 / 3.0)[:, None] * [1.0, 0.5] + noise
+    assert not moves(lamp)
+    assert moves(on_arm)
+    assert not moves(lamp[:450])
 
 
 def test_the_lights_are_on_the_flange_whatever_tool_the_arms_file_has(cell):

@@ -12,7 +12,7 @@ from armsight.calibrate.cell.checks import Cause, alarming, refusal
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors, shape_terms
 from armsight.calibrate.cell.model import CLOCK_AT
-from armsight.calibrate.cell.observations import recording_of
+from armsight.calibrate.cell.observations import BLOCK_S, recording_of
 from armsight.calibrate.cell.parts import CellParts, parts_of
 from armsight.calibrate.cell.result import (
     NOTED_SCALE,
@@ -115,7 +115,7 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCa
         n_frames=n_frames,
         n_spots=len(found.spots),
         n_left_out=len(model.recording.spots) - len(found.spots),
-        duration_s=float(len(found.normals.chi2)),
+        duration_s=BLOCK_S * len(found.normals.chi2),
         residual_px=residual,
         left_out_px=_left_out(solved, residual),
         delay_s=BothSeconds(*(float(found.x[model.camera_slice(side)][CLOCK_AT]) for side in (0, 1))),
@@ -222,7 +222,7 @@ def _left_out(solved: Solved, residual: BothPixels) -> BothPixels:
     normals, wander = found.normals, found.wander
     if wander is None:
         return residual
-    fold = np.floor(np.arange(len(normals.chi2)) / FOLD_S).astype(np.intp)
+    fold = np.floor(np.arange(len(normals.chi2)) * BLOCK_S / FOLD_S).astype(np.intp)
     before = after = 0.0
     for number in range(int(fold[-1]) + 1):
         rows = np.flatnonzero(fold == number)

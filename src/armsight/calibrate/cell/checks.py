@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT, BlockNormals, CellModel
-from armsight.calibrate.cell.wander import Wander
+from armsight.calibrate.cell.observations import BLOCK_S
+from armsight.calibrate.cell.wander import Wander, half_solved
 from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
@@ -29,8 +29,8 @@ FALSE_ALARM = 1e-7
 """Chance by which pure noise raises one of the alarms of a recording, over all moments tried."""
 RIVAL = 0.5
 """Another cause with so much of the first one's evidence is told too."""
-EDGE = 3
-"""Stretches from either end at which nothing is held to have changed."""
+EDGE_S = 3.0
+"""Time from either end at which nothing is held to have changed."""
 ALARM = 2.0
 """Times beyond chance: an arm strays in more ways than any model of it."""
 VISIBLE = 0.15
@@ -82,11 +82,13 @@ def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
     t = model.times_s(found.x, found.spots)
     edges = np.searchsorted(found.block, np.arange(int(found.block[-1]) + 1))
     out: list[Suspicion] = []
+    edge = round(EDGE_S / BLOCK_S)
     for cause, part, U in _changes(model, found.x):
+        AU = system.normals.A @ U
         best: Suspicion | None = None
         # near the ends a change has too little behind it to be told from the rest
-        for b in range(EDGE, len(edges) - EDGE):
-            each = system.tested(cause, part, U, b, float(t[edges[b]]))
+        for b in range(edge, len(edges) - edge):
+            each = system.tested(cause, part, U, AU, b, float(t[edges[b]]))
             if best is None or each.gain > best.gain:
                 best = each
         if best is not None:
@@ -97,7 +99,7 @@ def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
         U = np.zeros((len(found.x), len(soft)))
         for k, name in enumerate(soft):
             U[model.names.index(name), k] = 1.0
-        out.append(system.tested(Cause.ELASTIC, "", U, 0, None))
+        out.append(system.tested(Cause.ELASTIC, "", U, system.normals.A @ U, 0, None))
     return sorted(out, key=lambda each: -each.evidence)
 
 
@@ -171,23 +173,15 @@ class _System:
         if found.wander is None:
             none = np.zeros((0, 0))
             return cls(normals=found.normals, free=free, H=H, wander=None, C=none, chol=none, right=np.zeros(0))
-        C, M, right = found.wander.system(found.normals)
-        L = np.asarray(np.linalg.cholesky(M), np.float64)
-        half = scipy.linalg.solve_triangular(L, C, lower=True, check_finite=False)
+        C, chol, right = found.wander.system(found.normals)
+        half = half_solved(chol, np.column_stack([C, right]))
         return cls(
-            normals=found.normals,
-            free=free,
-            H=H,
-            wander=found.wander,
-            C=half,
-            chol=L,
-            right=scipy.linalg.solve_triangular(L, right, lower=True, check_finite=False),
+            normals=found.normals, free=free, H=H, wander=found.wander, C=half[:, :-1], chol=chol, right=half[:, -1]
         )
 
-    def tested(self, cause: Cause, part: str, U: Array, begin: int, t_s: float | None) -> Suspicion:
-        """Return what directions U (P, k) would take off that apply from stretch begin on."""
-        A, g = self.normals.A[begin:], self.normals.g[begin:]
-        AU = A @ U  # (b, P, k)
+    def tested(self, cause: Cause, part: str, U: Array, AU: Array, begin: int, t_s: float | None) -> Suspicion:
+        """Return what directions U (P, k) would take off that apply from stretch begin on; AU (b, P, k): A @ U."""
+        AU, g = AU[begin:], self.normals.g[begin:]
         everything = AU.sum(axis=0)
         own = U.T @ everything
         S, N, grad = own.copy(), everything.T, U.T @ g.sum(axis=0)
@@ -196,8 +190,7 @@ class _System:
             n = len(at)
             rows = AU[:, at].reshape(-1, U.shape[1])
             # rows before the change are zero, and stay so through the triangular solve
-            L = self.chol[begin * n :, begin * n :]
-            half = scipy.linalg.solve_triangular(L, rows, lower=True, check_finite=False)
+            half = half_solved(self.chol[:, begin * n :], rows)
             S -= half.T @ half
             N = N - half.T @ self.C[begin * n :]
             grad = grad - half.T @ self.right[begin * n :]

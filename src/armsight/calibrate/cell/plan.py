@@ -66,7 +66,7 @@ ENDLESS = 1e4
 class PlanSettings:
     """duration_s of the motion in steps of rate_hz; frames_hz and spot_px of the cameras; seed of what is drawn.
 
-    stray_m: how far the flange strays from where its joints say, otherwise every BLOCK_S. trials: exchanges of places.
+    stray_m: how far the flange strays from where its joints say, otherwise every STRAYS_S. trials: exchanges of places.
     """
 
     duration_s: float = 120.0

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.cell.fit import gauge
 from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information
 from armsight.calibrate.cell.model import CAMERA_POSE, PER_CAMERA, CellModel
-from armsight.calibrate.cell.observations import BLOCK_S, CellRecording, JointLog, Spots
+from armsight.calibrate.cell.observations import CellRecording, JointLog, Spots
 from armsight.calibrate.cell.plan_scene import Scene
 from armsight.calibrate.cell.tip import tip_slopes
 from armsight.calibrate.timing.stamps import SteadyStamps
@@ -35,6 +35,8 @@ MOST_SAMPLES = 60
 OPEN_M, OPEN_RAD, OPEN_FOCAL, OPEN_S = 0.05, 5.0 * DEG, 0.1, 0.3
 """Standard deviations of what a calibration begins with and asks nobody: places of cameras and lights, directions,
 focal length's share, delays. They give the deviation before a motion; after it they weigh nothing."""
+STRAYS_S = 1.0
+"""For how long an arm strays alike."""
 KINDS = ("lenses", "places of the cameras", "arm", "lights")
 """Of what the tip at rest hangs on; clocks are asked with them, and do nothing to it."""
 
@@ -156,7 +158,7 @@ def rests(scene: Scene, known: Known, q: Array, spot_px: float) -> Array:
 
 
 def noise_px(scene: Scene, spot_px: float, stray_m: float, frames_hz: float) -> float:
-    """Return the deviation of a spot as if all were independent: the arm strays by stray_m alike for BLOCK_S."""
+    """Return the deviation of a spot as if all were independent: the arm strays by stray_m alike for STRAYS_S."""
     far = [
         float(
             np.linalg.norm(scene.volume.mean(axis=1) - np.asarray(scene.model.T_base_camera(scene.x, side).translation))
@@ -164,7 +166,7 @@ def noise_px(scene: Scene, spot_px: float, stray_m: float, frames_hz: float) -> 
         for side in (0, 1)
     ]
     stray_px = np.mean([scene.model.camera(scene.x, side).intrinsics[0] * stray_m / far[side] for side in (0, 1)])
-    alike = frames_hz * BLOCK_S * len(scene.model.lights)
+    alike = frames_hz * STRAYS_S * len(scene.model.lights)
     return float(np.hypot(spot_px, np.sqrt(alike) * stray_px))
 
 

@@ -32,7 +32,7 @@ from armsight.calibrate.cell.knowledge import (
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
-from armsight.calibrate.cell.tracklets import SHORTEST, tracklets
+from armsight.calibrate.cell.tracklets import SHORTEST, moves, tracklets
 from armsight.calibrate.cell.wander import Wander
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES
@@ -198,7 +198,7 @@ def _require_unchanged(recording: CellRecording, side: int, spots: Spots, ways: 
         found = []
         for first in (True, False):
             kept = [rows[(spots.stamp_s[rows] < at) == first] for rows in ways]
-            kept = [rows for rows in kept if len(rows) >= SHORTEST]
+            kept = [rows for rows in kept if len(rows) >= SHORTEST and moves(spots.uv_px[rows])]
             if sum(map(len, kept)) < FEWEST_SPOTS:
                 break
             tried, _ = delays(recording.arm, recording.log, spots, kept)

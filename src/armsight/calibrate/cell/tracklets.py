@@ -22,6 +22,8 @@ BRIDGED = 3
 SHORTEST = 15
 STILL_PX = 3.0
 """Spots that stay within so much while the arm moves are lamps."""
+WINDOW, MOVING = 150, 1.0 / 3.0
+"""Spots of a way that are looked at together, and the share of such windows in which a light of the arm moves."""
 
 
 @dataclass(slots=True)
@@ -54,7 +56,13 @@ def tracklets(spots: Spots, number: Index) -> list[Index]:
             way.step, way.uv, way.frame = (uv[k] - way.uv) / gap, uv[k], now
             way.rows.append(row)
     found = [np.array(way.rows, dtype=np.intp) for way in ways if len(way.rows) >= SHORTEST]
-    return [rows for rows in found if extent_px(spots.uv_px[rows]) > STILL_PX]
+    return [rows for rows in found if moves(spots.uv_px[rows])]
+
+
+def moves(uv_px: Array) -> bool:
+    """Tell whether a way (k, 2) is of a light on the arm, which moves all along; a lamp jumps where a camera is hit."""
+    parts = np.array_split(uv_px, max(round(len(uv_px) / WINDOW), 1))
+    return bool(np.mean([extent_px(part) > STILL_PX for part in parts]) > MOVING)
 
 
 def extent_px(uv_px: Array) -> float:

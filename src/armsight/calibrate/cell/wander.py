@@ -40,10 +40,9 @@ class Wander:
 
     def reduced(self, normals: BlockNormals) -> Reduced:
         """Return the normal equations with the straying eliminated."""
-        C, M, right = self.system(normals)
-        factor = scipy.linalg.cho_factor(M, lower=True, check_finite=False)
-        solved = scipy.linalg.cho_solve(factor, np.concatenate([C, right[:, None]], axis=1), check_finite=False)
-        logdet = 2.0 * float(np.log(np.diag(factor[0])).sum()) - self._log_precision()
+        C, chol, right = self.system(normals)
+        solved = scipy.linalg.cho_solve_banded((chol, True), np.column_stack([C, right]), check_finite=False)
+        logdet = 2.0 * float(np.log(chol[0]).sum()) - self._log_precision()
         return Reduced(
             A=normals.A.sum(axis=0) - C.T @ solved[:, :-1],
             g=normals.g.sum(axis=0) - C.T @ solved[:, -1],
@@ -52,36 +51,40 @@ class Wander:
         )
 
     def system(self, normals: BlockNormals) -> tuple[Array, Array, Array]:
-        """Return the mixed terms (b n, P), the information (b n, b n) of the straying, and its gradient (b n,)."""
+        """Return the mixed terms (b n, P), the information's Cholesky factor (n + 1, b n), and the gradient (b n,).
+
+        A stretch hangs on the one before and the one behind it alone: the factor is banded, and kept as LAPACK does,
+        its diagonal first.
+        """
         n, b = len(self.columns), len(self.t_s)
         at = self.columns
-        M = np.zeros((b, n, b, n))
-        rows = np.arange(b)
-        M[rows, :, rows, :] = normals.A[:, at][:, :, at]
-        M += np.einsum("ac,jk->ajck", self._precision(), np.diag(1.0 / self.std**2))
-        return (
-            normals.A[:, at].reshape(b * n, -1),
-            M.reshape(b * n, b * n),
-            normals.g[:, at].ravel(),
-        )
+        own, diagonal, beside = normals.A[:, at][:, :, at], *self._precision()
+        band = np.zeros((n + 1, b, n))
+        for below in range(n):
+            band[below, :, : n - below] = np.diagonal(own, -below, axis1=1, axis2=2)
+        band[0] += diagonal[:, None] / self.std**2
+        band[n, :-1] = beside[:, None] / self.std**2
+        chol = scipy.linalg.cholesky_banded(band.reshape(n + 1, b * n), lower=True, check_finite=False)
+        return normals.A[:, at].reshape(b * n, -1), np.asarray(chol), normals.g[:, at].ravel()
 
-    def _precision(self) -> Array:
-        """Return the precision (b, b) of a process of unit variance at the stretches."""
+    def _precision(self) -> tuple[Array, Array]:
+        """Return diagonal (b,) and what is beside it (b - 1,) of the precision of a process of unit variance."""
         r = np.exp(-np.diff(self.t_s) / self.time_s)
         w = 1.0 / (1.0 - r**2)
-        b = len(self.t_s)
-        Q = np.zeros((b, b))
-        at = np.arange(b)
-        Q[at, at] = 1.0
-        Q[at[:-1], at[:-1]] += r**2 * w
-        Q[at[1:], at[1:]] += r**2 * w
-        Q[at[:-1], at[1:]] = Q[at[1:], at[:-1]] = -r * w
-        return Q
+        diagonal = np.ones(len(self.t_s))
+        diagonal[:-1] += r**2 * w
+        diagonal[1:] += r**2 * w
+        return diagonal, -r * w
 
     def _log_precision(self) -> float:
         r = np.exp(-np.diff(self.t_s) / self.time_s)
         of_time = -float(np.log1p(-(r**2)).sum()) * len(self.std)
         return of_time - 2.0 * len(self.t_s) * float(np.log(self.std).sum())
+
+
+def half_solved(chol: Array, right: Array) -> Array:
+    """Return L^-1 right (m, k) for a banded factor L (n + 1, m) as `Wander.system` gives it."""
+    return np.asarray(scipy.linalg.lapack.dtbtrs(chol, right, uplo="L")[0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
