@@ -116,10 +116,13 @@ HEAD += ["commanded tip off by, mm, median", "95 %", "refused", "s, median"]
 @dataclass(kw_only=True)
 class Claims:
     """What ours claims against the truth: squared Mahalanobis distances of tips, errors over deviations by kind of
-    parameter, seeds that are wrong and called good, and those with an alarm."""
+    parameter, and over what no estimator beats, seeds that are wrong and called good, and those with an alarm.
+    efficient_m: tip errors of an estimator at the bound, by seed."""
 
     tip: list[float] = field(default_factory=list)
     kinds: dict[str, list[float]] = field(default_factory=dict)
+    bounds: dict[str, list[float]] = field(default_factory=dict)
+    efficient_m: dict[int, Array] = field(default_factory=dict)
     wrong: list[int] = field(default_factory=list)
     alarms: dict[int, str] = field(default_factory=dict)
 
@@ -127,8 +130,10 @@ class Claims:
         """Hold one calibration's claims."""
         q = np.einsum("ni,ni->n", errors, np.linalg.solve(found.covariance, errors[..., None])[..., 0])
         self.tip += q[np.isfinite(q)].tolist()
-        for kind, values in found.parameters.items():
-            self.kinds.setdefault(kind, []).extend(error / std for error, std in values if std > 0.0)
+        for tally, of_kind in ((self.kinds, found.parameters), (self.bounds, found.bounds)):
+            for kind, values in of_kind.items():
+                tally.setdefault(kind, []).extend(error / std for error, std in values if std > 0.0)
+        self.efficient_m[seed] = found.efficient_m
         claimed = np.sqrt(CHI2_3 / 3.0 * np.trace(found.covariance, axis1=1, axis2=2).mean())
         if found.alarm:
             self.alarms[seed] = found.words
@@ -137,11 +142,12 @@ class Claims:
 
     def print(self) -> None:
         """Print the tables."""
-        rows = [["tip, place", len(self.tip), 100.0 * float(np.mean(np.array(self.tip) < CHI2_3)), "-"]]
+        rows = [["tip, place", len(self.tip), 100.0 * float(np.mean(np.array(self.tip) < CHI2_3)), "-", "-"]]
         for kind, values in sorted(self.kinds.items()):
-            z = np.abs(values)
-            rows.append([kind, len(z), 100.0 * float(np.mean(z < NORMAL)), float(np.sqrt(np.mean(z**2)))])
-        table("What is claimed", ["", "values", "inside 95 %, %", "error over deviation, RMS"], rows)
+            z, least = np.abs(values), float(np.sqrt(np.mean(np.square(self.bounds[kind]))))
+            rows.append([kind, len(z), 100.0 * float(np.mean(z < NORMAL)), float(np.sqrt(np.mean(z**2))), least])
+        head = ["", "values", "inside 95 %, %", "error over claimed deviation, RMS", "error over Cramer-Rao bound, RMS"]
+        table("What is claimed", head, rows)
         print(f"\nwrong and called good: {len(self.wrong)} {self.wrong}; alarms: {len(self.alarms)}")
         for seed, words in self.alarms.items():
             print(f"  {seed}: {words[:300]}")
@@ -181,11 +187,25 @@ def cells(first: int, count: int, *, moving: bool, chains: bool) -> None:
         print(f"cell {seed}, {world.truth.arm.name}: {told}", flush=True)
     rows = [tally.row(name, tallies[OURS]) for name, tally in tallies.items() if tally.rms_m or tally.refused]
     table(f"{count} cells from seed {first}", HEAD, rows)
+    print_efficient(claims, tallies[PRINTED])
     for name, tally in tallies.items():
         for why, n in Counter(tally.refused.values()).most_common():
             print(f"{name}: refused {n}: {why[:300]}")
     if claims.tip:
         claims.print()
+
+
+def print_efficient(claims: Claims, chain_at_rests: Tally) -> None:
+    """Print what of a chain's errors an estimator at the Cramer-Rao bound of the one recording would reach."""
+    ratios = [
+        claims.efficient_m[seed] / value for seed, value in chain_at_rests.rms_m.items() if seed in claims.efficient_m
+    ]
+    if ratios:
+        every = np.concatenate(ratios)
+        print(
+            f"\nan estimator at the bound of one recording, over the {PRINTED}: median {np.median(every):.2f}, 95 % "
+            f"{np.percentile(every, 95):.2f}, not above 1.0 in {100.0 * np.mean(every <= 1.0):.0f} %"
+        )
 
 
 def faults(first: int, count: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from armsight.records import Motion, NamedCovariance
 from cell_records import Calibrated, arm_of, nominal_axes, target_of, track_of
 
 Array = NDArray[np.float64]
+DRAWS = 200
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 
@@ -26,11 +26,17 @@ POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 @dataclass(frozen=True, kw_only=True)
 class Ours:
     """What our calibration says: with what to measure; covariance (k, 3, 3) of the tip at the samples; each parameter's
-    error and claimed deviation by its kind; whether it raised an alarm, and its words."""
+    error and claimed deviation by its kind; whether it raised an alarm, and its words.
+
+    bounds: the parameters again, with the deviation that no estimator beats whose joints are known to be stiff.
+    efficient_m (DRAWS,): RMS errors of the tip that an estimator at this bound makes in this cell.
+    """
 
     measured_with: Calibrated
     covariance: Array
     parameters: dict[str, list[tuple[float, float]]]
+    bounds: dict[str, list[tuple[float, float]]]
+    efficient_m: Array
     alarm: bool
     words: str
 
@@ -84,6 +90,14 @@ def parameters(world: Any, solved: Solved, covariance: Array) -> dict[str, list[
     return out
 
 
+def efficient(slopes: Array, covariance: Array) -> Array:
+    """Return RMS errors (DRAWS,) of the tip whose slopes (k, 3, P) are given, parameters being off by a covariance."""
+    values, axes = np.linalg.eigh(covariance)
+    rng = np.random.default_rng(0)
+    steps = (axes * np.sqrt(np.maximum(values, 0.0))) @ rng.normal(size=(len(values), DRAWS))
+    return np.asarray(np.sqrt(((slopes @ steps) ** 2).sum(axis=1).mean(axis=0)))
+
+
 def board_priors(rig: Rig) -> CellPriors:
     """Return what a board's calibration of the same cameras says."""
     C = rig.covariance
@@ -107,18 +121,23 @@ def ours(world: Any, board: Rig | None = None) -> Ours:
         options=CellOptions(priors=None if board is None else board_priors(board)),
     )
     parts, model, truth = done.parts, done.solved.model, world.truth
+    arm = parts.arm.based()
     sigma = (truth.left.noise_px, truth.right.noise_px)
     slopes = tip_slopes(model, done.solved.fit.x, truth.samples, parts.T_flange_target, truth.tip_target_m, sigma)
+    # beside what the joints' giving way leaves open: the Cramer-Rao bound, with what the stamps' jitter adds
+    bound = done.covariance - done.solved.fit.covariance(model, stiff=False) + done.solved.fit.covariance(model)
     return Ours(
         measured_with=Calibrated(
             rig=parts.rig,
             target=parts.target,
             T_base_rig=parts.T_base_rig,
             T_nominal=nominal_axes(parts.target, world),
-            commanded=partial(fk, parts.arm.based()),
+            commanded=lambda q: fk(arm, arm.values(q)),  # its joints may give way
         ),
         covariance=slopes.spread_m(slopes.measured, done.covariance),
         parameters=parameters(world, done.solved, done.covariance),
+        bounds=parameters(world, done.solved, bound),
+        efficient_m=efficient(slopes.measured[slopes.seen], bound),
         alarm=not done.verdict.startswith("good"),
         words="; ".join([done.verdict, *done.notes, *done.advice]),
     )

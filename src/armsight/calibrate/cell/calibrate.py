@@ -89,14 +89,14 @@ def calibrate_cell(
     if alarming(first) and not (first.cause is Cause.ELASTIC and compliance is False):
         raise refusal(solved.doubts)
     _require_lit(solved, tracks)
-    return _result(solved, target, tip, sum(map(len, tracks)))
+    return _result(solved, target, tip, sum(map(len, tracks)), stiff=compliance is False)
 
 
-def _result(solved: Solved, target: Target, tip: Array, n_frames: int) -> CellCalibration:
+def _result(solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff: bool) -> CellCalibration:
     """Return what is told of a fit."""
     model, found = solved.model, solved.fit
     arm = model.recording.arm
-    covariance = _with_stamps(solved, found.covariance(model))
+    covariance = _with_stamps(solved, found.covariance(model, stiff=stiff))
     parts = parts_of(model, found, covariance, target)
     scale = _scale(solved, target)
     _require_baseline(solved, parts)

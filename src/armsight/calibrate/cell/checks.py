@@ -94,8 +94,8 @@ def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
         if best is not None:
             out.append(best)
     # what gives way does so all along; all joints that carry something are one suspicion
-    soft = [name for name in model.arm.sags if name not in found.free]
-    if soft:
+    soft = model.arm.sags
+    if soft and not set(soft) & set(found.free):
         U = np.zeros((len(found.x), len(soft)))
         for k, name in enumerate(soft):
             U[model.names.index(name), k] = 1.0

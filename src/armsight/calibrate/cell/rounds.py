@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cell.assignment import NEAR, NamedLights, assign, name_lights, places_on_flange
-from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, alarming, refusal, suspicions
+from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, refusal, suspicions
 from armsight.calibrate.cell.fit import (
     CellData,
     CellFit,
@@ -107,16 +107,31 @@ def solve_cell(
         _require_parts_alike(recording)
         raise
     _require_one_model(suspicions(model, found))
-    for thin in (True, False):
+    passes = [True, False]
+    while passes:
+        thin = passes.pop(0)
         progress.update(3 if thin else 4, 4, "fitting, all spots")
         # how far this arm is from its model, and how it strays, are both of the fit before
         known = before(found.x, learned_tolerance(model, found, tolerance))
-        found = _round(model, found, known, free, thin=thin, wander=straying(model, found))
+        found = _bearing(model, _round(model, found, known, free, thin=thin, wander=straying(model, found)))
         doubts = suspicions(model, found)
-        if compliance is None and any(alarming(each) for each in doubts if each.cause is Cause.ELASTIC):
-            compliance = True  # the last fit then has them
+        if compliance is None and any(each.evidence > 1.0 for each in doubts if each.cause is Cause.ELASTIC):
+            compliance = True
             free = free_names(model, found, tolerance, compliance=True)
+            passes = passes or [False]
     return Solved(model=model, fit=found, lights=lights, doubts=tuple(doubts))
+
+
+def _bearing(model: CellModel, found: CellFit) -> CellFit:
+    """Return the fit in which no joint rises under the arm's weight: one that would is held to be stiff."""
+    while True:
+        at = {name: model.names.index(name) for name in model.arm.sags if name in found.free}
+        rising = [name for name, k in at.items() if found.x[k] < 0.0]
+        if not rising:
+            return found
+        x = found.x.copy()
+        x[[at[name] for name in rising]] = 0.0
+        found = fit_cell(model, x, found.data, [name for name in found.free if name not in rising], found.known)
 
 
 def _named(recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target) -> NamedLights:
