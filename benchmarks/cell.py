@@ -1,6 +1,6 @@
 """A cell calibrated from one recording, beside today's chain of single calibrations on as many pictures.
 
-    python benchmarks/cell.py [--cells 100] [--first SEED] [--faults N] [--good N] [--moving] [--quick]
+    python benchmarks/cell.py [--cells 100] [--first SEED] [--faults N] [--good N] [--printed-only] [--moving] [--quick]
 
 Cells are drawn in tests/truth/cell_world.py: arm, target, two free-running webcams, two minutes. Error: the true lights
 are seen without noise at joints over the work volume, the target's pose is measured with what was calibrated, and the
@@ -153,7 +153,7 @@ class Claims:
             print(f"  {seed}: {words[:300]}")
 
 
-def cells(first: int, count: int, *, moving: bool, chains: bool) -> None:
+def cells(first: int, count: int, *, moving: bool, chains: bool, exact_board: bool) -> None:
     """Print the table of calibrations side by side, and what ours claims."""
     tallies = {name: Tally() for name in (OURS, WITH_BOARD, PRINTED, EXACT, MOVING)}
     claims = Claims()
@@ -174,6 +174,7 @@ def cells(first: int, count: int, *, moving: bool, chains: bool) -> None:
 
         if chains:
             tallies[PRINTED].take(seed, lambda world=world: chain(world, made, printed=True).by_arm, world)
+        if chains and exact_board:
             tallies[EXACT].take(seed, exact, world)
         if "chain" in kept:
             rig = kept["chain"].rig
@@ -261,6 +262,7 @@ def main() -> None:
     parser.add_argument("--faults", type=int, default=0, help="cells with one planted fault each")
     parser.add_argument("--good", type=int, default=0, help="cells without a fault, looked at for false alarms alone")
     parser.add_argument("--without-chain", action="store_true", help="the one recording alone")
+    parser.add_argument("--printed-only", action="store_true", help="the chain with the printed board alone")
     parser.add_argument("--moving", action="store_true", help="the chain in motion too")
     parser.add_argument("--quick", action="store_true", help="three cells, one of each fault")
     asked = parser.parse_args()
@@ -268,7 +270,8 @@ def main() -> None:
     alone = asked.faults or asked.good
     count = 3 if asked.quick else 0 if alone else asked.cells
     if count:
-        cells(asked.first, count, moving=asked.moving, chains=not asked.without_chain)
+        chains = not asked.without_chain
+        cells(asked.first, count, moving=asked.moving, chains=chains, exact_board=not asked.printed_only)
     n_faults = asked.faults or (len(made.FAULTS) if asked.quick else 0)
     if n_faults:
         faults(asked.first, n_faults)
