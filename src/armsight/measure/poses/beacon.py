@@ -278,14 +278,24 @@ def without_standing(frames: Sequence[Spots]) -> list[Spots]:
     A frame is left as it is where it would lose all of its spots, and so are all where there are too few to tell.
     """
     n = len(frames)
-    of = np.repeat(np.arange(n), [len(spots) for spots in frames])
+    counts = [len(spots) for spots in frames]
+    of = np.repeat(np.arange(n), counts)
     if n < FEWEST_FRAMES or not len(of):
         return list(frames)
     positions = np.concatenate([spots.uv_px for spots in frames])
-    near = cKDTree(positions).query_ball_point(positions, REACH_PX)
-    standing = np.array([len(set(of[others].tolist())) >= STANDING_SHARE * n for others in near])
+    tree = cKDTree(positions)
+    standing = tree.query_ball_point(positions, REACH_PX, return_length=True) >= STANDING_SHARE * n
+    # near a place a frame counts once: where two of its spots may both be near, its frames are counted one by one
+    pairs = cKDTree(np.column_stack([positions, 4.0 * REACH_PX * of])).query_pairs(
+        2.0 * REACH_PX, output_type="ndarray"
+    )
+    if len(pairs):
+        twins = cKDTree(positions[np.unique(pairs)])
+        standing_twins = standing & (twins.query_ball_point(positions, REACH_PX, return_length=True) > 1)
+        for k in np.flatnonzero(standing_twins):
+            standing[k] = len(np.unique(of[tree.query_ball_point(positions[k], REACH_PX)])) >= STANDING_SHARE * n
     out = []
-    for k, spots in enumerate(frames):
-        moving = np.flatnonzero(~standing[of == k])
+    for spots, rests in zip(frames, np.split(standing, np.cumsum(counts)[:-1]), strict=True):
+        moving = np.flatnonzero(~rests)
         out.append(spots.take(moving) if len(moving) else spots)
     return out
