@@ -78,12 +78,19 @@ def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def moved(
-    motion: Path, out: Path, *, confirm=lambda _: True, progress=None, begun=lambda _: None, **more: object
+    motion: Path,
+    out: Path,
+    *,
+    confirm=lambda _: True,
+    progress=None,
+    begun=lambda _: None,
+    enabled=lambda: True,
+    **more: object,
 ) -> RunMotionOutput:
     clock = ManualClock()
     robot = open_robot("sim:webcam-cell", clock)
     wanted = RunMotionJob(robot="sim:webcam-cell", motion=motion, out=out, **more)
-    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun)
+    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun, enabled=enabled)
 
 
 def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard(cell: Path, tmp_path: Path) -> None:
@@ -295,6 +302,21 @@ def test_a_motion_waits_while_it_is_paused(tmp_path: Path) -> None:
     waited = [at for _, paused, at in stages if paused]
     assert done.finished and stages[-1][0] == "finished"
     assert waited[-1] - waited[0] < 0.5 and waited[-1] == waited[len(waited) // 2]
+
+
+def test_a_motion_stands_still_while_the_enable_is_let_go_of_and_goes_on_from_there(tmp_path: Path) -> None:
+    write_joints(tmp_path / "motion.csv", swing(by=0.05))
+    sources: list[JointMotionSource] = []
+    at_s: list[float] = []
+
+    def enabled() -> bool:
+        if sources and sources[0].stage == "motion":
+            at_s.append(sources[0].at_s)
+        return not 250 < len(at_s) <= 350
+
+    done = moved(tmp_path / "motion.csv", tmp_path / "out", begun=sources.append, enabled=enabled)
+    assert done.finished and done.holds == ["no enable from the operator"]
+    assert at_s[245] < at_s[252] == at_s[350] < at_s[400], "it crept on while the arm was held"
 
 
 def test_a_folder_without_a_first_calibration_is_refused(cell: Path, tmp_path: Path) -> None:

@@ -70,12 +70,13 @@ def run_motion(
     clock: Clock | None = None,
     opened: Robot | None = None,
     begun: Begun = lambda _: None,
+    enabled: Callable[[], bool] = lambda: True,
 ) -> RunMotionOutput:
     """Run a motion after asking: to its first reading, then along it; write recording and readings into job.out.
 
     The whole motion is checked first: ranges of the joints, boxes of tool and flange. opened: in place of the robot.
-    begun: is given the motion once it may move. Raises UsageError, DataRefused for a motion beyond a limit,
-    DeviceFailed, Cancelled.
+    begun: is given the motion once it may move. enabled: asked each cycle; while it is not the arm waits.
+    Raises UsageError, DataRefused for a motion beyond a limit, DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     cameras = _cameras(job)
@@ -95,7 +96,7 @@ def run_motion(
         if not confirm(asked):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
         run = _Run(job, robot, guard, source, clock, progress, cameras)
-        timing = run.followed(begun)
+        timing = run.followed(begun, enabled)
     _write_readings(job)
     done = run.output(timing)
     write_json(job.out / SUMMARY, done.to_dict())
@@ -136,7 +137,7 @@ class _Run:
         self._cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
         self._unseen = ""
 
-    def followed(self, begun: Begun) -> Timing:
+    def followed(self, begun: Begun, enabled: Callable[[], bool]) -> Timing:
         """Run the loop, and record it, the cameras from before it until after it.
 
         Raises what a recorder failed of where the motion was run nevertheless, DeviceFailed for cameras that do not
@@ -148,8 +149,8 @@ class _Run:
                 progress.update(0.0, source.length_s, "waiting for the cameras")
                 stack.enter_context(self._cameras)
             recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
-            enabled = lambda: not progress.cancelled()  # noqa: E731
-            loop = ControlLoop(self._robot, self._guard, source, self._clock, enabled=enabled, sink=recorder.sink)
+            alive = lambda: enabled() and not progress.cancelled()  # noqa: E731
+            loop = ControlLoop(self._robot, self._guard, source, self._clock, enabled=alive, sink=recorder.sink)
 
             def show() -> None:
                 progress.update(source.at_s, source.length_s, source.stage)
