@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.cell_plan import free_of, motion_bounds, run_cell_plan, scene_of
+from armsight.app.calibrate.cell_plan import free_of, links_of, motion_bounds, run_cell_plan, scene_of
 from armsight.app.requests.cell_plan import CellPlanJob, RunMotionJob
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.run_motion import RunMotionOutput, run_motion
@@ -138,6 +138,31 @@ def test_a_box_in_the_way_is_gone_round(cell: Path, tmp_path: Path) -> None:
 
     assert inside(open_.motion) > 0 and inside(round_it.motion) == 0
     assert not free_of(arm, limits, np.empty((0, 3)), 0.0)(open_.motion.q).all()
+
+
+def test_a_box_that_only_an_elbow_would_hit_is_gone_round_and_one_at_the_start_is_refused_by_name(
+    cell: Path, tmp_path: Path
+) -> None:
+    arm = load_arm(str(cell / "arm.yaml"))
+    write_limits(tmp_path / "limits.yaml", ROOM)
+    run_cell_plan(job(cell, tmp_path, limits=tmp_path / "limits.yaml", link_radius_m=0.0))
+    bare = read_joints(tmp_path / "motion.csv").q
+    elbow = links_of(arm, ROOM, 0.02, 0.06).chain(bare)[:, 4]
+    far = elbow[np.linalg.norm(elbow - elbow[0], axis=1).argmax()]
+    away = far + 0.06 * (far - elbow[0]) / np.linalg.norm(far - elbow[0])
+    limits = Limits(workspace=ROOM.workspace, forbidden=(Box(lower_m=away - 0.02, upper_m=away + 0.02, name="post"),))
+    links = links_of(arm, limits, 0.02, 0.06)
+    assert free_of(arm, limits, np.empty((0, 3)), 0.02)(bare).all(), "tool and flange keep clear of it"
+    assert not links(bare).all() and links(Q[None])[0]
+    write_limits(tmp_path / "post.yaml", limits)
+    run_cell_plan(job(cell, tmp_path, limits=tmp_path / "post.yaml"))
+    round_it = read_joints(tmp_path / "motion.csv").q
+    assert links(round_it).all() and not links_of(arm, limits, 0.02, 0.2)(round_it).all()
+    at_it = Limits(forbidden=(Box(lower_m=elbow[0] - 0.02, upper_m=elbow[0] + 0.02, name="lamp"),))
+    write_limits(tmp_path / "lamp.yaml", at_it)
+    for known in ({}, {"rig": None, "world": None, "target": None, "volume": None}):
+        with refuses(Inconsistent, ("j2 to j3", "lamp", "--link-radius-mm")):
+            run_cell_plan(job(cell, tmp_path, limits=tmp_path / "lamp.yaml", **known))
 
 
 def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_again(cell: Path) -> None:

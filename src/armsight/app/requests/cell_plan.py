@@ -81,6 +81,12 @@ class CellPlanJob:
         Bounds(least=0.0),
         Flag(unit=MM, panel=MOTION),
     ] = 20.0 * MM
+    link_radius_m: Annotated[
+        float,
+        Doc("How thick the arm's links are about the lines from joint to joint; 0: they are not looked at."),
+        Bounds(least=0.0),
+        Flag(unit=MM, panel=MOTION),
+    ] = 60.0 * MM
     frames_hz: Annotated[
         float, Doc("Frames a second of each camera."), Bounds(least=1.0, most=1000.0), Flag(panel=KNOWN)
     ] = 30.0
