@@ -29,7 +29,8 @@ MOST_M = 0.1
 def cell_plan(face: CommandUI, job: CellPlanJob) -> None:
     """Plan the motion that calibrates a cell best: two minutes that tell most of the tip over a volume.
 
-    Within the limits, in view of both cameras, clear of the boxes. Run it with armsight robot run.
+    Within the limits, in view of both cameras, clear of the boxes. Run it with armsight robot run. `calibrate cell
+    --plan` is the same.
     """
     from armsight.app.calibrate.cell_plan import run_cell_plan
 
