@@ -16,9 +16,11 @@ from armsight.app.requests.cell_plan import CellPlanJob, RunMotionJob
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.run_motion import RunMotionOutput, run_motion
 from armsight.app.simulate.run import simulate
+from armsight.calibrate.cell import plan as plan_module
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
-from armsight.calibrate.cell.plan import CAUTIOUS_RAD, PlanSettings, cautious_motion, plan_motion, refine
+from armsight.calibrate.cell.plan import CellPlan, PlanSettings, plan_motion, refine
+from armsight.calibrate.cell.plan_cautious import CAUTIOUS_RAD, cautious_motion
 from armsight.calibrate.cell.plan_information import known_before, motion_information, seen_spots
 from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import longest
@@ -113,6 +115,7 @@ def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard
     assert ((at > ROOM.workspace.lower_m) & (at < ROOM.workspace.upper_m)).all()
     assert done.measured_least_m is not None and 0.0 < done.measured_least_m < done.measured_after_m
     assert done.measured_after_m is not None and done.measured_after_m < 0.05 * done.measured_before_m
+    assert done.measured_least_m < 0.8 * done.measured_after_m and not any("--prior" in note for note in done.notes)
     # and as it is run
     ran = moved(tmp_path / "motion.csv", tmp_path / "moved", limits=tmp_path / "limits.yaml")
     assert ran.finished and not ran.holds and ran.stopped_by == "end" and ran.missed == 0
@@ -185,6 +188,28 @@ def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_ag
         if tour is not None:
             others.append(foretold(tour.way.motion(QUICK.duration_s, QUICK.rate_hz)))
     assert others and foretold(plan.motion) < 0.7 * min(others)
+
+
+def test_what_no_motion_tells_is_said_where_hardly_anything_else_is_left() -> None:
+    assert any("--prior" in note for note in plan_module._at_floor((3.1e-4, 3.0e-4), (3.0e-4, 2.9e-4)))
+    assert plan_module._at_floor((6.0e-4, 6.0e-4), (3.0e-4, 3.0e-4)) == ()
+
+
+def test_places_are_moved_to_where_they_tell_more_within_limits_and_view(
+    cell: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
+    monkeypatch.setattr(plan_module, "PUSHES", 8)
+    moved_ = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    monkeypatch.setattr(plan_module, "PUSHES", 0)
+    drawn = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+
+    def excess(plan: CellPlan) -> float:
+        return float(np.sum(np.square(plan.after_m)) - np.sum(np.square(plan.least_m)))
+
+    assert excess(moved_) < 0.9 * excess(drawn)
+    assert made.allowed(moved_.motion.q).all() and moved_.seen > 0.9
+    assert np.array_equal(moved_.places[[0, -1]], drawn.places[[0, -1]]), "it begins and ends where the arm stands"
 
 
 def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:

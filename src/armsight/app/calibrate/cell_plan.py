@@ -20,7 +20,8 @@ from armsight.app.requests.cell_plan import CellPlanJob
 from armsight.app.requests.design import Box
 from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors
 from armsight.calibrate.cell.model import CellModel, start_vector
-from armsight.calibrate.cell.plan import CellPlan, PlanSettings, cautious_motion, check_bounds, check_start, plan_motion
+from armsight.calibrate.cell.plan import CellPlan, PlanSettings, check_bounds, check_start, plan_motion
+from armsight.calibrate.cell.plan_cautious import cautious_motion
 from armsight.calibrate.cell.plan_information import blank_recording
 from armsight.calibrate.cell.plan_links import Links, Wall
 from armsight.calibrate.cell.plan_path import MotionBounds
