@@ -7,7 +7,10 @@ distortion, cameras 10 mm and 1 deg off, the target as built. Each motion takes 
 planned; random: through places in view in random order, by the same road map and timing; sines: each joint about the
 middle, a rhythm and 12 deg for each, nobody looks at the view; drawn: reaches from place to place as a person may
 program them, up to 0.9 rad/s. Each is recorded and calibrated alike. Error: as in benchmarks/cell.py, RMS over the
-work volume. --cautious: instead, from small moves about the start, of which nothing need be known.
+work volume. Floor: what is left after ten thousand times the planned motion; how large the cell is, by the arm's
+lengths and the target, which no motion tells. Excess: root of the difference of squares, what a motion can better;
+of true errors what is left beside one factor of all lengths and a height of the shoulder. --cautious: instead,
+from small moves about the start, of which nothing need be known.
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.cell.knowledge import ArmTolerance
 from armsight.calibrate.cell.model import CellModel, start_vector
 from armsight.calibrate.cell.observations import recording_of
-from armsight.calibrate.cell.plan import PlanSettings, cautious_motion, plan_motion
+from armsight.calibrate.cell.plan import ENDLESS, PlanSettings, plan_motion
+from armsight.calibrate.cell.plan_cautious import cautious_motion
 from armsight.calibrate.cell.plan_information import blank_recording, known_before, motion_information, noise_px
 from armsight.calibrate.cell.plan_path import MotionBounds
 from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
@@ -44,6 +48,7 @@ Array = NDArray[np.float64]
 DEG, MM = np.pi / 180.0, 1e-3
 OFF_M, OFF_RAD = 0.01, 1.0 * DEG
 SWING_RAD = 12.0 * DEG
+KINDS = ("foretold", "excess", "true", "excess of true")
 
 
 def scene_of(world: Any, seed: int, speed_m_s: float) -> tuple[Scene, Target, RigidTransform]:
@@ -78,7 +83,7 @@ def scene_of(world: Any, seed: int, speed_m_s: float) -> tuple[Scene, Target, Ri
         free=lambda q: np.ones(len(q), bool),
         tip_m=np.asarray(T.apply(truth.tip_target_m)),
         volume=np.stack([tips.min(axis=0), tips.max(axis=0)], axis=1),
-        normal=np.asarray(truth.T_flange_target[:3, 2]),
+        normal=-np.asarray(truth.T_flange_target[:3, 2]),
         facing_rad=50.0 * DEG,
         margin_px=(30.0, 30.0),
     )
@@ -103,8 +108,11 @@ def moves(motion: Motion, begin_s: float) -> Callable[[Array], Array]:
     return lambda t: np.asarray(spline(np.clip(t - begin_s, 0.0, motion.t_s[-1])))
 
 
-def calibrated(world: Any, motion: Callable[[Array], Array], seconds: float) -> tuple[float, float]:
-    """Return the RMS errors of the tip as measured and as commanded after a calibration. Raises DataRefused."""
+def calibrated(world: Any, motion: Callable[[Array], Array], seconds: float) -> tuple[float, float, float, float]:
+    """Return the RMS errors of the tip as measured and as commanded after a calibration, then both beside one factor.
+
+    Raises DataRefused.
+    """
     truth = world.truth
     rng = np.random.default_rng([world.seed, 77])
     log_t, log_q, left, right = made.record(rng, truth, float(truth.motion.begin_s[0]), seconds, motion)
@@ -131,7 +139,7 @@ def calibrated(world: Any, motion: Callable[[Array], Array], seconds: float) -> 
         T_rig_right=poses[0].inv() * poses[1],
     )
     target = spot_target(dict(zip(world.target, map(tuple, lights[np.argsort(order)].tolist()), strict=True)))
-    setup, measured = Setup(rig=rig, target=target), []
+    setup, measured, at = Setup(rig=rig, target=target), [], []
     uv = [camera.project(seen) for camera in (truth.left, truth.right)]
     for k in range(len(q)):
         pair = [Spots.of_centres(side[k], EXACT_PX**2 * np.eye(2)) for side in uv]
@@ -139,7 +147,17 @@ def calibrated(world: Any, motion: Callable[[Array], Array], seconds: float) -> 
         if pose.T_parent_target is not None and pose.status.size == 6:
             flange = poses[0] * RigidTransform.from_matrix(np.asarray(pose.T_parent_target))
             measured.append(flange.apply(tip) - true[k])
-    return _rms(np.array(measured)), _rms(commanded)
+            at.append(true[k])
+    seen, there = np.array(measured).reshape(-1, 3), np.array(at).reshape(-1, 3)
+    return _rms(seen), _rms(commanded), _rms(_beside(seen, there)), _rms(_beside(commanded, true))
+
+
+def _beside(errors: Array, tips: Array) -> Array:
+    """Return errors (m, 3) of tips without what a factor of all lengths about the shoulder's height explains."""
+    if not len(errors):
+        return errors
+    columns = np.column_stack([tips.ravel(), np.tile([0.0, 0.0, 1.0], len(tips))])
+    return np.asarray((errors.ravel() - columns @ np.linalg.lstsq(columns, errors.ravel())[0]).reshape(-1, 3))
 
 
 def _rms(errors: Array) -> float:
@@ -147,7 +165,7 @@ def _rms(errors: Array) -> float:
 
 
 def compared(seed: int, seconds: float, speed_m_s: float) -> dict[str, list[float]]:
-    """Return foretold and true deviations in mm of each motion of a cell."""
+    """Return the figures of each motion of a cell in mm, each as measured and as commanded, in the order of KINDS."""
     world = made.make_cell(seed, seconds=seconds)
     truth = world.truth
     scene, target, T = scene_of(world, seed, speed_m_s)
@@ -167,20 +185,27 @@ def compared(seed: int, seconds: float, speed_m_s: float) -> dict[str, list[floa
     }
     px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
     known = known_before(scene, target, T, road.q, settings.tolerance, px)
-    out = {}
+
+    def information(motion: Motion) -> Array:
+        return motion_information(scene, known, motion, px, settings.frames_hz)
+
+    floor = np.array(known.tip_m(known.information + ENDLESS * information(plan.motion))) / MM
+    out = {"floor": [*floor, 0.0, 0.0, *[float("nan")] * 4]}
+    print(f"seed {seed:3d} floor    : foretold {floor[0]:.3f} {floor[1]:.3f}", flush=True)
     for name, motion in motions.items():
         if motion is None:
             continue
-        told = known.tip_m(known.information + motion_information(scene, known, motion, px, settings.frames_hz))
+        told = np.array(known.tip_m(known.information + information(motion))) / MM
+        excess = np.sqrt(np.maximum(told**2 - floor**2, 0.0))
         try:
             true = calibrated(world, moves(motion, begin) if name != "drawn" else truth.motion, seconds)
         except ArmsightError as error:
             print(f"seed {seed}, {name}: {error}")
-            true = (float("nan"), float("nan"))
-        out[name] = [told[0] / MM, told[1] / MM, *true]
+            true = (float("nan"),) * 4
+        out[name] = [*told, *excess, *true]
         print(
-            f"seed {seed:3d} {name:8s}: foretold {told[0] / MM:.3f} {told[1] / MM:.3f}, "
-            f"true {true[0]:.3f} {true[1]:.3f}",
+            f"seed {seed:3d} {name:8s}: foretold {told[0]:.3f} {told[1]:.3f}, excess {excess[0]:.3f} {excess[1]:.3f}; "
+            f"true {true[0]:.3f} {true[1]:.3f}, excess {true[2]:.3f} {true[3]:.3f}",
             flush=True,
         )
     return out
@@ -216,13 +241,16 @@ def main() -> None:
         return
     found = [compared(seed, given.seconds, given.speed) for seed in range(given.first, given.first + given.cells)]
     rows = []
-    for name in ("planned", "random", "sines", "drawn"):
+    for name in ("floor", "planned", "random", "sines", "drawn"):
         values = np.array([one[name] for one in found if name in one])
-        done = int(np.isfinite(values[:, 2]).sum())
-        rows.append([name, *np.nanmedian(values, axis=0).tolist(), f"{done} of {len(found)}"])
+        done = np.isfinite(values[:, 4])
+        middle = [
+            float(np.median(column[np.isfinite(column)])) if np.isfinite(column).any() else "" for column in values.T
+        ]
+        rows.append([name, *middle, "" if name == "floor" else f"{done.sum()} of {len(found)}"])
     table(
         f"Tip over the work volume, mm, medians of {given.cells} cells, {given.seconds:g} s",
-        ["motion", "foretold, measured", "foretold, commanded", "true, measured", "true, commanded", "calibrated"],
+        ["motion", *(f"{kind}, {how}" for kind in KINDS for how in ("measured", "commanded")), "calibrated"],
         rows,
     )
 

@@ -10,16 +10,25 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.robot.run_motion import run_motion
+from armsight.control.play.joint_motion import JointMotionSource
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import ControllerState, address
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.kinematics import Arm, Joint
+from armsight.records import Motion
+from armsight.store.arm_file import write_arm
+from armsight.store.tracks import read_joints, write_joints
 from armsight.testing import RobotCase, RobotContract
 from refusals import refuses
 
@@ -42,7 +51,7 @@ drive = Drive(cycle_s=0.002, lag_s=0.01, max_speed=np.full(6, 3.0), encoder_step
 controller = UrController(arm=arm, drive=drive, home=home)
 server = RtdeServer(controller, SystemClock(), host=host, port=port)
 print("ready", flush=True)
-orders, on = [], True
+orders, on, track = [], True, []
 
 def listen():
     global on
@@ -53,8 +62,16 @@ def listen():
 threading.Thread(target=listen, daemon=True).start()
 
 def go_on():
+    if track:
+        track.append(controller.q.copy())
     while orders:
         what = orders.pop(0)[0]
+        if what == "follow":
+            track.append(controller.q.copy())
+        elif what == "track":
+            print(*np.ravel(track), flush=True)
+            track.clear()
+            continue
         if what == "restart":
             server.restart()
         elif what == "silence":
@@ -211,6 +228,60 @@ def test_a_stop_of_the_controllers_safety_ends_the_link_with_its_name(bit: int, 
     with refuses(DeviceLost, word):
         robot._hear(state)
     robot._hear(replace(state, safety=1))  # normal
+
+
+@pytest.fixture
+def arm_file(tmp_path: Path) -> Path:
+    joints = tuple(Joint(name=f"j{i}", a_m=0.2, d_m=0.1, lower=-6.3, upper=6.3, max_speed=3.0) for i in range(6))
+    write_arm(tmp_path / "arm.yaml", Arm(name="small", joints=joints))
+    return tmp_path / "arm.yaml"
+
+
+class Switch:
+    """An enable that is let go of for a while after so many cycles of a motion, and given again."""
+
+    def __init__(self, after: int, off: int) -> None:
+        self.after, self.off, self.looks = after, off, 0
+        self.at_s: list[float] = []
+        self.source: JointMotionSource | None = None
+
+    def follow(self, source: JointMotionSource) -> None:
+        self.source = source
+
+    def __call__(self) -> bool:
+        if self.source is not None and self.source.stage == "motion":
+            self.looks += 1
+            self.at_s.append(self.source.at_s)
+        return not self.after < self.looks <= self.after + self.off
+
+
+def test_a_motion_is_run_to_its_end_though_the_enable_was_let_go_of_and_its_readings_are_the_arms(
+    twin: Twin, arm_file: Path, tmp_path: Path
+) -> None:
+    t = np.arange(301) / 100.0
+    start = twin.order("follow")
+    by = np.linspace(0.03, -0.06, 6) * np.sin(np.pi * t / 3.0)[:, None] ** 2
+    motion = Motion(t_s=t, q=start + 0.02 + by)
+    write_joints(tmp_path / "motion.csv", motion)
+    for attempt in range(3):  # where ur-rtde's process ended on a busy machine, as above
+        out, switch = tmp_path / f"moved{attempt}", Switch(after=500, off=200)
+        job = RunMotionJob(robot="rtde", motion=tmp_path / "motion.csv", out=out, arm=str(arm_file))
+        robot = RtdeRobot(twin.host, settings=PATIENT)
+        done = run_motion(job, lambda _: True, opened=robot, begun=switch.follow, enabled=switch)
+        if "ended" not in done.stopped_by:
+            break
+    true = twin.order("track").reshape(-1, 6)
+    assert done.finished and done.stopped_by == "end" and done.share == 1.0
+    assert any("enable" in why for why in done.holds)
+    assert 0.0 < switch.at_s[502] == switch.at_s[700] < 3.0, "the motion waited"
+    read = read_joints(out / "joints.csv")
+    assert (np.diff(read.t_s) > 0.0).all()
+    assert cKDTree(true).query(read.q)[0].max() < 3e-5, "what is recorded is where the arm was"
+    # all of the motion was gone along, and nothing else from its first row on
+    assert cKDTree(true).query(motion.q)[0].max() < 1e-3
+    on_it = np.argmax(np.abs(true - motion.q[0]).max(axis=1) < 1e-4)
+    assert cKDTree(motion.q).query(true[on_it:])[0].max() < 1e-3
+    assert np.abs(true[-1] - motion.q[-1]).max() < 1e-4
 
 
 def test_a_second_client_is_refused(twin: Twin) -> None:

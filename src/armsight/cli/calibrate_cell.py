@@ -19,7 +19,10 @@ WRITTEN = ("rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "re
 
 @command(calibrate, keeps=WRITTEN, own="cell.json", filed="calibrate cell")
 def cell(face: CommandUI, job: requests.calibrate_cell.CellJob) -> None:
-    """Calibrate cameras, clocks, base, target and arm at once, from one recording of the moving arm."""
+    """Calibrate cameras, clocks, base, target and arm at once, from one recording of the moving arm.
+
+    With --plan nothing is calibrated: it is `calibrate cell-plan`, with that command's flags.
+    """
     from armsight.app.calibrate.cell import run_calibrate_cell
 
     done = run_calibrate_cell(job, face.progress("calibrating"))

@@ -6,6 +6,8 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app.requests.cell_plan import KNOWN, MOTION, CellPlanJob, RunMotionJob
+from armsight.app.requests.motion import ARM, CAMERAS
+from armsight.app.requests.shared import CAMERAS as SETTINGS
 from armsight.cli.command import calibrate, command, robot
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.motion import PLAY_KEYS, STEP
@@ -27,7 +29,8 @@ MOST_M = 0.1
 def cell_plan(face: CommandUI, job: CellPlanJob) -> None:
     """Plan the motion that calibrates a cell best: two minutes that tell most of the tip over a volume.
 
-    Within the limits, in view of both cameras, clear of the boxes. Run it with armsight robot run.
+    Within the limits, in view of both cameras, clear of the boxes. Run it with armsight robot run. `calibrate cell
+    --plan` is the same.
     """
     from armsight.app.calibrate.cell_plan import run_cell_plan
 
@@ -78,11 +81,12 @@ def run_keys(source: JointMotionSource) -> dict[str, Callable[[], None]]:
     return {" ": space, "+": lambda: by(STEP), "-": lambda: by(-STEP)}
 
 
-@command(robot, keeps=("motion.json", "motion.mcap", "joints.csv"))
+@command(robot, keeps=("motion.json", "motion.mcap", "joints.csv", "frames.mcap"), panels=(ARM, CAMERAS, SETTINGS))
 def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move without asking.")] = False) -> None:
     """Run a motion of the joints through the guard, and record the readings. Ctrl-C brings the arm to rest.
 
-    The whole motion is checked first. Cameras are recorded beside it with armsight record.
+    The whole motion is checked first. Both cameras are recorded beside it, from before it until after it: one that
+    fails or falls silent brings the arm to rest.
     """
     from armsight.app.robot.jog_by_hand import listening
     from armsight.app.robot.run_motion import run_motion
@@ -101,4 +105,7 @@ def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move witho
     for why in done.holds:
         face.say(f"  it held: {why}")
     face.say(f"Recording: {done.recording}; readings: {done.joints}")
+    for one in done.cameras:
+        lost = f", {one.n_dropped} dropped" if one.n_dropped else ""
+        face.say(f"{one.camera}: {one.n_frames} frames over {one.duration_s:.1f} s{lost}: {done.frames}")
     face.result(done)

@@ -44,6 +44,8 @@ VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.
 WRITTEN = {"out", "record", "log"}
 """Options that name what a command writes."""
 NOT_TO_BE_TRUSTED = 3
+ALSO = {("calibrate", "cell", "--plan"): "cell-plan"}
+"""Group, command and flag that stand for another command of the group, whose flags are then read."""
 
 Face: TypeAlias = Callable[..., CommandUI]
 """Makes a command's way to the person, of as_json."""
@@ -220,6 +222,15 @@ class Group(TyperGroup):
         """Read the arguments of the group itself."""
         with _telling_at_once():
             return super().make_context(*given, **more)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that is asked for, by its other spelling too, and what is left of the arguments."""
+        flags = args[: args.index("--")] if "--" in args else args
+        for flag in flags[1:]:
+            if other := ALSO.get((self.name or "", args[0], flag)):
+                args = [other, *(one for one in args[1:] if one != flag)]
+                break
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command that is asked for."""

@@ -191,7 +191,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight robot jog --robot sim:webcam-cell --joint 1 --by 0.02",
         "armsight robot jog --robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
     ),
-    "robot run": ("armsight robot run --robot sim:webcam-cell --motion motion.csv -o moved",),
+    "robot run": (
+        "armsight robot run --robot sim:webcam-cell --motion motion.csv -o moved",
+        "armsight robot run --robot rtde:192.168.0.10 --arm ur5e --motion motion.csv --left camera:0 --right camera:2 "
+        "-o moved",
+    ),
 }
 """Command -> what to type; the help lists the commands of a panel in this order."""
 

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.cell_plan import free_of, motion_bounds, run_cell_plan, scene_of
+from armsight.app.calibrate.cell_plan import free_of, links_of, motion_bounds, run_cell_plan, scene_of
 from armsight.app.requests.cell_plan import CellPlanJob, RunMotionJob
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.run_motion import RunMotionOutput, run_motion
 from armsight.app.simulate.run import simulate
+from armsight.calibrate.cell import plan as plan_module
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
-from armsight.calibrate.cell.plan import CAUTIOUS_RAD, PlanSettings, cautious_motion, plan_motion, refine
+from armsight.calibrate.cell.plan import CellPlan, PlanSettings, plan_motion, refine
+from armsight.calibrate.cell.plan_cautious import CAUTIOUS_RAD, cautious_motion
 from armsight.calibrate.cell.plan_information import known_before, motion_information, seen_spots
 from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import longest
@@ -78,12 +80,19 @@ def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def moved(
-    motion: Path, out: Path, *, confirm=lambda _: True, progress=None, begun=lambda _: None, **more: object
+    motion: Path,
+    out: Path,
+    *,
+    confirm=lambda _: True,
+    progress=None,
+    begun=lambda _: None,
+    enabled=lambda: True,
+    **more: object,
 ) -> RunMotionOutput:
     clock = ManualClock()
     robot = open_robot("sim:webcam-cell", clock)
     wanted = RunMotionJob(robot="sim:webcam-cell", motion=motion, out=out, **more)
-    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun)
+    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun, enabled=enabled)
 
 
 def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard(cell: Path, tmp_path: Path) -> None:
@@ -106,6 +115,7 @@ def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard
     assert ((at > ROOM.workspace.lower_m) & (at < ROOM.workspace.upper_m)).all()
     assert done.measured_least_m is not None and 0.0 < done.measured_least_m < done.measured_after_m
     assert done.measured_after_m is not None and done.measured_after_m < 0.05 * done.measured_before_m
+    assert done.measured_least_m < 0.8 * done.measured_after_m and not any("--prior" in note for note in done.notes)
     # and as it is run
     ran = moved(tmp_path / "motion.csv", tmp_path / "moved", limits=tmp_path / "limits.yaml")
     assert ran.finished and not ran.holds and ran.stopped_by == "end" and ran.missed == 0
@@ -133,6 +143,31 @@ def test_a_box_in_the_way_is_gone_round(cell: Path, tmp_path: Path) -> None:
     assert not free_of(arm, limits, np.empty((0, 3)), 0.0)(open_.motion.q).all()
 
 
+def test_a_box_that_only_an_elbow_would_hit_is_gone_round_and_one_at_the_start_is_refused_by_name(
+    cell: Path, tmp_path: Path
+) -> None:
+    arm = load_arm(str(cell / "arm.yaml"))
+    write_limits(tmp_path / "limits.yaml", ROOM)
+    run_cell_plan(job(cell, tmp_path, limits=tmp_path / "limits.yaml", link_radius_m=0.0))
+    bare = read_joints(tmp_path / "motion.csv").q
+    elbow = links_of(arm, ROOM, 0.02, 0.06).chain(bare)[:, 4]
+    far = elbow[np.linalg.norm(elbow - elbow[0], axis=1).argmax()]
+    away = far + 0.06 * (far - elbow[0]) / np.linalg.norm(far - elbow[0])
+    limits = Limits(workspace=ROOM.workspace, forbidden=(Box(lower_m=away - 0.02, upper_m=away + 0.02, name="post"),))
+    links = links_of(arm, limits, 0.02, 0.06)
+    assert free_of(arm, limits, np.empty((0, 3)), 0.02)(bare).all(), "tool and flange keep clear of it"
+    assert not links(bare).all() and links(Q[None])[0]
+    write_limits(tmp_path / "post.yaml", limits)
+    run_cell_plan(job(cell, tmp_path, limits=tmp_path / "post.yaml"))
+    round_it = read_joints(tmp_path / "motion.csv").q
+    assert links(round_it).all() and not links_of(arm, limits, 0.02, 0.2)(round_it).all()
+    at_it = Limits(forbidden=(Box(lower_m=elbow[0] - 0.02, upper_m=elbow[0] + 0.02, name="lamp"),))
+    write_limits(tmp_path / "lamp.yaml", at_it)
+    for known in ({}, {"rig": None, "world": None, "target": None, "volume": None}):
+        with refuses(Inconsistent, ("j2 to j3", "lamp", "--link-radius-mm")):
+            run_cell_plan(job(cell, tmp_path, limits=tmp_path / "lamp.yaml", **known))
+
+
 def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_again(cell: Path) -> None:
     made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
     plan = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
@@ -153,6 +188,28 @@ def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_ag
         if tour is not None:
             others.append(foretold(tour.way.motion(QUICK.duration_s, QUICK.rate_hz)))
     assert others and foretold(plan.motion) < 0.7 * min(others)
+
+
+def test_what_no_motion_tells_is_said_where_hardly_anything_else_is_left() -> None:
+    assert any("--prior" in note for note in plan_module._at_floor((3.1e-4, 3.0e-4), (3.0e-4, 2.9e-4)))
+    assert plan_module._at_floor((6.0e-4, 6.0e-4), (3.0e-4, 3.0e-4)) == ()
+
+
+def test_places_are_moved_to_where_they_tell_more_within_limits_and_view(
+    cell: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
+    monkeypatch.setattr(plan_module, "PUSHES", 8)
+    moved_ = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    monkeypatch.setattr(plan_module, "PUSHES", 0)
+    drawn = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+
+    def excess(plan: CellPlan) -> float:
+        return float(np.sum(np.square(plan.after_m)) - np.sum(np.square(plan.least_m)))
+
+    assert excess(moved_) < 0.9 * excess(drawn)
+    assert made.allowed(moved_.motion.q).all() and moved_.seen > 0.9
+    assert np.array_equal(moved_.places[[0, -1]], drawn.places[[0, -1]]), "it begins and ends where the arm stands"
 
 
 def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:
@@ -295,6 +352,21 @@ def test_a_motion_waits_while_it_is_paused(tmp_path: Path) -> None:
     waited = [at for _, paused, at in stages if paused]
     assert done.finished and stages[-1][0] == "finished"
     assert waited[-1] - waited[0] < 0.5 and waited[-1] == waited[len(waited) // 2]
+
+
+def test_a_motion_stands_still_while_the_enable_is_let_go_of_and_goes_on_from_there(tmp_path: Path) -> None:
+    write_joints(tmp_path / "motion.csv", swing(by=0.05))
+    sources: list[JointMotionSource] = []
+    at_s: list[float] = []
+
+    def enabled() -> bool:
+        if sources and sources[0].stage == "motion":
+            at_s.append(sources[0].at_s)
+        return not 250 < len(at_s) <= 350
+
+    done = moved(tmp_path / "motion.csv", tmp_path / "out", begun=sources.append, enabled=enabled)
+    assert done.finished and done.holds == ["no enable from the operator"]
+    assert at_s[245] < at_s[252] == at_s[350] < at_s[400], "it crept on while the arm was held"
 
 
 def test_a_folder_without_a_first_calibration_is_refused(cell: Path, tmp_path: Path) -> None:

@@ -235,3 +235,11 @@ def test_frames_of_two_sizes_are_refused(armsight: Run, made: Path, tmp_path: Pa
     assert ran.code == 3
     assert "60x30" in ran.text
     assert "60x40" in ran.text
+
+
+def test_plan_is_another_spelling_of_cell_plan_wherever_it_stands(armsight: Run, tmp_path: Path) -> None:
+    words = ["--model", "ur5e", "--start", "0,-1,1,0,1,0", "--duration", "20", "-o", tmp_path / "motion.csv"]
+    given = [armsight("calibrate", *spelt) for spelt in (["cell-plan", *words], ["cell", *words, "--plan"])]
+    assert [done.code for done in given] == [0, 0]
+    assert given[0].json == given[1].json and given[0].json["kind"] == "cautious"
+    assert armsight("calibrate", "cell", "--plan", "--robot-log", "joints.csv").code == 2

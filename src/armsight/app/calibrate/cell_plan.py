@@ -17,10 +17,13 @@ from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.kinematics import reading_values
 from armsight.app.measure.run import target_of
 from armsight.app.requests.cell_plan import CellPlanJob
+from armsight.app.requests.design import Box
 from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors
 from armsight.calibrate.cell.model import CellModel, start_vector
-from armsight.calibrate.cell.plan import CellPlan, PlanSettings, cautious_motion, check_bounds, check_start, plan_motion
+from armsight.calibrate.cell.plan import CellPlan, PlanSettings, check_bounds, check_start, plan_motion
+from armsight.calibrate.cell.plan_cautious import cautious_motion
 from armsight.calibrate.cell.plan_information import blank_recording
+from armsight.calibrate.cell.plan_links import Links, Wall
 from armsight.calibrate.cell.plan_path import MotionBounds
 from armsight.calibrate.cell.plan_scene import Free, Scene
 from armsight.control.guard import Limits, joint_bounds
@@ -34,7 +37,7 @@ from armsight.records.output import Output, output
 from armsight.store import read_rig, read_world
 from armsight.store.limits_file import read_limits
 from armsight.store.tracks import write_joints
-from armsight.units import DEG
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
@@ -94,8 +97,11 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
     )
     given = {"--rig": job.rig, "--world": job.world, "--target": job.target, "--volume": job.volume}
     missing = [name for name, value in given.items() if value is None]
+    check_start(arm, bounds, free_of(arm, limits, np.empty((0, 3)), job.clearance_m), start)
+    links = links_of(arm, limits, job.clearance_m, job.link_radius_m)
+    _require_clear(links, start)
     if len(missing) == len(given):
-        return _cautious(job, arm, bounds, limits, start, settings)
+        return _cautious(job, arm, bounds, limits, start, settings, links)
     if missing or job.target is None:
         raise UsageError(
             f"{', '.join(missing)} are missing" if len(missing) > 1 else f"{missing[0]} is missing",
@@ -104,7 +110,7 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
         )
     target = _lights(job.target)
     T_flange_target = arm.T_flange_tool if job.mount is None else _mounted(job.mount)
-    scene = scene_of(job, arm, bounds, limits, target, T_flange_target)
+    scene = scene_of(job, arm, bounds, limits, target, T_flange_target, links)
     scene = replace(scene, normal=_normal(scene, start))
     learned = None if job.after is None else _learned(job.after, scene, target)
     plan = plan_motion(
@@ -173,10 +179,10 @@ def _near(job: CellPlanJob, arm: Arm, bounds: MotionBounds, start: Array) -> Mot
     )
 
 
-def free_of(arm: Arm, limits: Limits, lights: Array, clearance_m: float) -> Free:
+def free_of(arm: Arm, limits: Limits, lights: Array, clearance_m: float, links: Links | None = None) -> Free:
     """Return where (m, n) flange, tool and lights (k, 3), in flange axes, are in the workspace and in no forbidden box.
 
-    They keep clearance_m and the guard's margin from both. Links between are not looked at, as the guard does not.
+    They keep clearance_m and the guard's margin from both. links: clear as well, where given.
     """
     base, keep = arm.based(), limits.margin_m + clearance_m
     own = np.vstack([np.zeros(3), arm.T_flange_tool.translation, lights])
@@ -191,26 +197,50 @@ def free_of(arm: Arm, limits: Limits, lights: Array, clearance_m: float) -> Free
             out &= ((xyz >= box.lower_m + keep) & (xyz <= box.upper_m - keep)).all(axis=(1, 2))
         for box in limits.forbidden:
             out &= ~((xyz > box.lower_m - keep) & (xyz < box.upper_m + keep)).all(axis=2).any(axis=1)
+        if links is not None:
+            out[out] = links(q[out])
         return out
 
     return free
 
 
+def links_of(arm: Arm, limits: Limits, clearance_m: float, radius_m: float) -> Links | None:
+    """Return what an arm's links keep clear of; None for a radius of 0, which looks at none."""
+    if radius_m == 0.0:
+        return None
+    rooms = [] if limits.workspace is None else [limits.workspace]
+    walls = [Wall(name=box.name, lower=box.lower_m, upper=box.upper_m, room=True) for box in rooms]
+    walls += [Wall(name=box.name, lower=box.lower_m, upper=box.upper_m) for box in limits.forbidden]
+    return Links(arm=arm, radius_m=radius_m, keep_m=limits.margin_m + clearance_m, walls=walls)
+
+
+def _require_clear(links: Links | None, start: Array) -> None:
+    """Raise Inconsistent where a link is too near to something at the start (n,), with its name."""
+    struck = "" if links is None else links.struck(start)
+    if links is not None and struck:
+        raise Inconsistent(
+            f"where the arm stands there is {struck}, nearer than {(links.radius_m + links.keep_m) / MM:.0f} mm",
+            consequence="No motion begins there",
+            cure="Begin elsewhere (--start), correct the boxes (--limits), or say how thick the links are "
+            "(--link-radius-mm)",
+        )
+
+
 def scene_of(
-    job: CellPlanJob, arm: Arm, bounds: MotionBounds, limits: Limits, target: Target, T_flange_target: RigidTransform
+    job: CellPlanJob,
+    arm: Arm,
+    bounds: MotionBounds,
+    limits: Limits,
+    target: Target,
+    T_flange_target: RigidTransform,
+    links: Links | None = None,
 ) -> Scene:
     """Return the scene of a request; the lights' z axis as it is, away from the cameras. Raises DataRefused."""
     if job.rig is None or job.world is None or job.volume is None:
         raise UsageError("rig, world and volume are needed", consequence="No motion is planned")
     rig, world = read_rig(job.rig), read_world(job.world)
     _check_rig(job, rig)
-    volume = np.array(job.volume, dtype=np.float64)
-    if not (np.isfinite(volume).all() and (volume[:, 0] < volume[:, 1]).all()):
-        raise UsageError(
-            "the volume has no extent along each axis",
-            consequence="It is not known where the tip is to be",
-            cure="Write for instance --volume=0.3:0.6,-0.2:0.2,0.1:0.4, in m",
-        )
+    volume = _extent(job.volume)
     T_base_rig = world.T_parent_rig if world.parent == "base" else arm.T_world_base.inv() * world.T_parent_rig
     cameras, margins = [], []
     lights = np.asarray(T_flange_target.apply(target.xyz_m))
@@ -228,13 +258,25 @@ def scene_of(
         model=model,
         x=start_vector(model, cameras, lights),
         bounds=bounds,
-        free=free_of(arm, limits, lights, job.clearance_m),
+        free=free_of(arm, limits, lights, job.clearance_m, links),
         tip_m=np.array(arm.T_flange_tool.translation),
         volume=volume,
         normal=-np.asarray(T_flange_target.rotation.as_matrix()[:, 2]),
         facing_rad=job.facing_rad,
         margin_px=(margins[0], margins[1]),
     )
+
+
+def _extent(given: Box) -> Array:
+    """Return the volume (3, 2). Raises UsageError where it is none."""
+    volume = np.array(given, dtype=np.float64)
+    if not (np.isfinite(volume).all() and (volume[:, 0] < volume[:, 1]).all()):
+        raise UsageError(
+            "the volume has no extent along each axis",
+            consequence="It is not known where the tip is to be",
+            cure="Write for instance --volume=0.3:0.6,-0.2:0.2,0.1:0.4, in m",
+        )
+    return volume
 
 
 def _normal(scene: Scene, start: Array) -> Array:
@@ -250,10 +292,15 @@ def _normal(scene: Scene, start: Array) -> Array:
 
 
 def _cautious(
-    job: CellPlanJob, arm: Arm, bounds: MotionBounds, limits: Limits, start: Array, settings: PlanSettings
+    job: CellPlanJob,
+    arm: Arm,
+    bounds: MotionBounds,
+    limits: Limits,
+    start: Array,
+    settings: PlanSettings,
+    links: Links | None,
 ) -> CellPlanOutput:
-    free = free_of(arm, limits, np.empty((0, 3)), job.clearance_m)
-    check_start(arm, bounds, free, start)
+    free = free_of(arm, limits, np.empty((0, 3)), job.clearance_m, links)
     motion = cautious_motion(arm, bounds, free, start, settings)
     write_joints(job.out, motion)
     return CellPlanOutput(

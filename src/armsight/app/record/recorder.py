@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -44,6 +45,7 @@ class _Waiting:
     encoded: tuple[Future[Encoded | None], ...] | None
     size: int
     write: Callable[[RecordingWriter], None] | None = None
+    camera: str = ""
 
 
 class Recorder:
@@ -76,6 +78,7 @@ class Recorder:
         self._ending = threading.Event()
         self._failure: BaseException | None = None
         self._written = self._dropped = self._told = 0
+        self._event_s = -math.inf
         self._threads = [
             threading.Thread(target=self._write, name="recorder", daemon=True),
             threading.Thread(target=self._sync, name="recorder-sync", daemon=True),
@@ -91,10 +94,11 @@ class Recorder:
         """Pairs for which there was no room or no time."""
         return self._dropped
 
-    def put(self, left: Frame, right: Frame | None) -> bool:
+    def put(self, left: Frame, right: Frame | None, *, camera: str = "image") -> bool:
         """Hand over a pair; False where it was dropped. Raises what writing has met: DeviceFailed, Inconsistent.
 
-        right: None where the left one holds both views; it is then written as the camera `image`.
+        right: None where the left one holds both views, or is of a camera by itself; it is then written as `camera`.
+        Any thread may call this, one for each camera.
         """
         frames = [left] if right is None else [left, right]
         size = sum(frame.image.nbytes for frame in frames)
@@ -109,7 +113,7 @@ class Recorder:
             encoded = None
             if self._kind is not ImageFormat.RAW:
                 encoded = tuple(self._pool.submit(encode, frame.image, self._kind) for frame in frames)
-            self._waiting.append(_Waiting((left, right), encoded, size))
+            self._waiting.append(_Waiting((left, right), encoded, size, camera=camera))
             self._bytes += size
             self._room.notify_all()
         return True
@@ -190,16 +194,17 @@ class Recorder:
         left, right = item.pair
         encoded = [one.result() for one in item.encoded] if item.encoded else [None, None]
         if right is None:
-            self._writer.frame("image", left, encoded[0])
+            self._writer.frame(item.camera, left, encoded[0])
         else:
             self._writer.pair(left, right, (encoded[0], encoded[1]))
         self._written += 1
         if self._dropped > self._told:
             news = self._dropped - self._told
             self._told += news
-            self._writer.event(
-                left.t_s, f"{news} pairs dropped before this: the disk or the processor is too slow", level="warning"
-            )
+            self._event_s = max(self._event_s, left.t_s)  # of two cameras by themselves one may be a little behind
+            what = "frames" if right is None else "pairs"
+            why = f"{news} {what} dropped before this: the disk or the processor is too slow"
+            self._writer.event(self._event_s, why, level="warning")
 
     def _sync(self) -> None:
         while not self._ending.wait(self._sync_s):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from armsight.app.requests.design import Box, mount_of, volume_of
-from armsight.app.requests.motion import GuardLimits, RobotName, RsiConfig, Speed
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OutFolder
-from armsight.fields import Bounds, Doc, Flag
+from armsight.app.requests.motion import LIVE_SRC, GuardLimits, RobotName, RsiConfig, Speed
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, CameraFlags, OutFolder, automatic
+from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.units import DEG, MM
+
+if TYPE_CHECKING:
+    from armsight.drivers import PairSettings
 
 KNOWN, MOTION = "What is known beforehand; without it reaches about --start", "The motion"
 
@@ -78,6 +81,12 @@ class CellPlanJob:
         Bounds(least=0.0),
         Flag(unit=MM, panel=MOTION),
     ] = 20.0 * MM
+    link_radius_m: Annotated[
+        float,
+        Doc("How thick the arm's links are about the lines from joint to joint; 0: they are not looked at."),
+        Bounds(least=0.0),
+        Flag(unit=MM, panel=MOTION),
+    ] = 60.0 * MM
     frames_hz: Annotated[
         float, Doc("Frames a second of each camera."), Bounds(least=1.0, most=1000.0), Flag(panel=KNOWN)
     ] = 30.0
@@ -89,7 +98,7 @@ class CellPlanJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunMotionJob:
-    """A motion of the joints, and the robot that runs it."""
+    """A motion of the joints, and the robot that runs it; both cameras that are recorded meanwhile, or none."""
 
     robot: RobotName
     motion: Annotated[Path, Doc("joints.csv of the motion: t_s,q1,...,qn."), Flag(metavar="MOTION.csv")]
@@ -99,3 +108,6 @@ class RunMotionJob:
     override: Annotated[float, Doc("Share of the motion's own speed, 0.01 to 1."), Flag(metavar="SHARE")] = 1.0
     speed: Speed = 1.0
     rsi_config: RsiConfig = None
+    left: Annotated[str | None, Doc("Left camera, camera:NAME, recorded meanwhile: frames.mcap."), LIVE_SRC] = None
+    right: Annotated[str | None, Doc("Right camera; both, or none."), LIVE_SRC] = None
+    camera_settings: Annotated[PairSettings, Flags(CameraFlags)] = field(default_factory=automatic)

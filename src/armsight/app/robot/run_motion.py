@@ -1,14 +1,16 @@
-"""A motion of the joints run by a robot through the guard, with its readings recorded."""
+"""A motion of the joints run by a robot through the guard, with its readings recorded, and both cameras beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
+from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing, standing_outside
@@ -20,8 +22,8 @@ from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
 from armsight.control.loop import ControlLoop
 from armsight.control.play.joint_motion import JointMotionSource
-from armsight.control.status import Timing
-from armsight.drivers import Robot
+from armsight.control.status import RobotStatus, Timing
+from armsight.drivers import AUTOMATIC, Robot
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.records import Motion, Progress, Silent
@@ -33,7 +35,7 @@ from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
-RECORDING, READINGS, SUMMARY = "motion.mcap", "joints.csv", "motion.json"
+RECORDING, READINGS, SUMMARY, FRAMES = "motion.mcap", "joints.csv", "motion.json", "frames.mcap"
 CHECKED_S = 0.02
 """Time of the motion between two of its rows that are checked before it is run."""
 FEWEST_ROWS = 4
@@ -56,6 +58,8 @@ class RunMotionOutput(Output):
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
     recording: Annotated[str, Doc("The recording: commands, readings and events.")]
     joints: Annotated[str, Doc("The readings by themselves, joints.csv, for a calibration.")]
+    frames: Annotated[str, Doc("The recording of both cameras' frames; empty: none was asked for.")]
+    cameras: Annotated[list[CameraRecorded], Doc("What was recorded of each camera.")]
 
 
 def run_motion(
@@ -66,18 +70,21 @@ def run_motion(
     clock: Clock | None = None,
     opened: Robot | None = None,
     begun: Begun = lambda _: None,
+    enabled: Callable[[], bool] = lambda: True,
 ) -> RunMotionOutput:
     """Run a motion after asking: to its first reading, then along it; write recording and readings into job.out.
 
     The whole motion is checked first: ranges of the joints, boxes of tool and flange. opened: in place of the robot.
-    begun: is given the motion once it may move. Raises UsageError, DataRefused for a motion beyond a limit,
-    DeviceFailed, Cancelled.
+    begun: is given the motion once it may move. enabled: asked each cycle; while it is not the arm waits.
+    Raises UsageError, DataRefused for a motion beyond a limit, DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    if (job.out / RECORDING).exists():
-        raise UsageError(
-            f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
-        )
+    cameras = _cameras(job)
+    for made in (RECORDING, FRAMES):
+        if (job.out / made).exists():
+            raise UsageError(
+                f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
+            )
     motion, model = read_joints(job.motion), given_arm(job.arm)
     robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
     guard = guard_for(robot, model, job.limits, share=job.speed)
@@ -88,51 +95,99 @@ def run_motion(
             asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(outside)
         if not confirm(asked):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
-        tally = CycleTally(progress.cancelled)
-        begun(source)
-        timing = _followed(job, robot, guard, source, clock, tally, progress)
+        run = _Run(job, robot, guard, source, clock, progress, cameras)
+        timing = run.followed(begun, enabled)
     _write_readings(job)
-    done = _output(job, source, tally, timing)
+    done = run.output(timing)
     write_json(job.out / SUMMARY, done.to_dict())
     return done
 
 
-def _output(job: RunMotionJob, source: JointMotionSource, tally: CycleTally, timing: Timing) -> RunMotionOutput:
-    finished = source.stage == "finished"
-    return RunMotionOutput(
-        n_cycles=timing.n_cycles,
-        late=timing.late,
-        missed=timing.missed,
-        stopped_by=tally.stopped_by(finished=finished),
-        finished=finished,
-        share=source.at_s / source.length_s,
-        took_s=tally.took_s,
-        holds=tally.holds,
-        recording=str(job.out / RECORDING),
-        joints=str(job.out / READINGS),
-    )
+def _cameras(job: RunMotionJob) -> FreeJob | None:
+    """Return what the cameras are to record, None where none are given. Raises UsageError."""
+    if job.left is None and job.right is None:
+        if job.camera_settings != AUTOMATIC:
+            raise UsageError("settings of cameras are given, and no cameras", cure="Give --left and --right too")
+        return None
+    if job.left is None or job.right is None:
+        raise UsageError(
+            f"{'--left' if job.left is None else '--right'} is missing",
+            consequence="Nothing is moved: a cell is calibrated from both cameras",
+            cure="Give both cameras, or none of them",
+        )
+    return FreeJob(left=job.left, right=job.right, out=job.out / FRAMES, settings=job.camera_settings)
 
 
-def _followed(
-    job: RunMotionJob,
-    robot: Robot,
-    guard: Guard,
-    source: JointMotionSource,
-    clock: Clock,
-    tally: CycleTally,
-    progress: Progress,
-) -> Timing:
-    """Run the loop, and record it. Raises what the recorder failed of."""
-    with LoopRecorder(job.out / RECORDING, clock) as recorder:
-        loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=recorder.sink)
+class _Run:
+    """One run of a motion, recorded; both cameras beside it, where a job for them is given."""
 
-        def show() -> None:
-            progress.update(source.at_s, source.length_s, source.stage)
+    def __init__(
+        self,
+        job: RunMotionJob,
+        robot: Robot,
+        guard: Guard,
+        source: JointMotionSource,
+        clock: Clock,
+        progress: Progress,
+        frames: FreeJob | None,
+    ) -> None:
+        self._job, self._robot, self._guard, self._source = job, robot, guard, source
+        self._clock, self._progress = clock, progress
+        self._tally = CycleTally(progress.cancelled)
+        self._cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
+        self._unseen = ""
 
-        timing = run_with_progress(lambda: loop.run(until=tally), show)
-    if recorder.failed is not None:
-        raise recorder.failed
-    return timing
+    def followed(self, begun: Begun, enabled: Callable[[], bool]) -> Timing:
+        """Run the loop, and record it, the cameras from before it until after it.
+
+        Raises what a recorder failed of where the motion was run nevertheless, DeviceFailed for cameras that do not
+        begin.
+        """
+        job, progress, source = self._job, self._progress, self._source
+        with ExitStack() as stack:
+            if self._cameras is not None:
+                progress.update(0.0, source.length_s, "waiting for the cameras")
+                stack.enter_context(self._cameras)
+            recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
+            alive = lambda: enabled() and not progress.cancelled()  # noqa: E731
+            loop = ControlLoop(self._robot, self._guard, source, self._clock, enabled=alive, sink=recorder.sink)
+
+            def show() -> None:
+                progress.update(source.at_s, source.length_s, source.stage)
+
+            begun(source)
+            timing = run_with_progress(lambda: loop.run(until=self._over), show)
+        if recorder.failed is not None:
+            raise recorder.failed
+        if self._cameras is not None and self._cameras.failed is not None and not self._unseen:
+            raise self._cameras.failed  # after the end, while the rest was written
+        return timing
+
+    def _over(self, status: RobotStatus) -> bool:
+        """Take a cycle; tell whether it was the last: also where a camera is lost, as moving on gains nothing."""
+        failed = None if self._cameras is None else self._cameras.failed
+        if failed is not None and not self._unseen:
+            self._unseen = f"the cameras are no longer recorded: {failed.cause}"
+        return self._tally(status) or bool(self._unseen)
+
+    def output(self, timing: Timing) -> RunMotionOutput:
+        """Return what came of it."""
+        job, source, tally = self._job, self._source, self._tally
+        finished = source.stage == "finished"
+        return RunMotionOutput(
+            n_cycles=timing.n_cycles,
+            late=timing.late,
+            missed=timing.missed,
+            stopped_by=self._unseen or tally.stopped_by(finished=finished),
+            finished=finished,
+            share=source.at_s / source.length_s,
+            took_s=tally.took_s,
+            holds=tally.holds,
+            recording=str(job.out / RECORDING),
+            joints=str(job.out / READINGS),
+            frames="" if self._cameras is None else str(job.out / FRAMES),
+            cameras=[] if self._cameras is None else list(self._cameras.recorded),
+        )
 
 
 def question(robot: Robot, guard: Guard, motion: Motion, stands: Array) -> str:

@@ -22,21 +22,22 @@ from armsight.calibrate.cell.plan_information import (
     noise_px,
     rests,
 )
-from armsight.calibrate.cell.plan_path import SHARE, MotionBounds
+from armsight.calibrate.cell.plan_path import MotionBounds
+from armsight.calibrate.cell.plan_push import Pusher
 from armsight.calibrate.cell.plan_scene import Free, Roadmap, Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import LOOKED_HZ, Tour, by_worth, longest, tour
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
-from armsight.kinematics import Arm, jacobian
+from armsight.kinematics import Arm
 from armsight.optics import INTRINSICS
 from armsight.records import Motion, Progress, Silent, Target
-from armsight.units import DEG
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
 MOST_PLACES, TYPICAL_PLACES = 70, 35
 """Places that are chosen at most, and among how many the time is thought to be shared."""
-TRIALS = 30
-"""Exchanges of a place for another that are tried on the whole motion."""
+TRIALS, PUSHES = 30, 3
+"""Exchanges of a place for another that are tried on the whole motion, and for each how many moves of places after."""
 AMONG = 40
 """Best of the places left, of which the other one is drawn."""
 LEAST_IN_VOLUME = 5
@@ -50,14 +51,9 @@ UNTOLD = 0.7
 """A parameter that keeps so much of the deviation it had is not told by the motion."""
 LITTLE = {True: 20.0 * DEG, False: 0.05}
 """A joint that turns (rad) or slides (m) less is hardly told."""
-CAUTIOUS_M, CAUTIOUS_RAD = 0.16, 45.0 * DEG
-"""How far the flange goes, and each joint turns, in a motion about the place where the arm stands; from 0.1 m and
-25 deg no simulated cell could be calibrated (benchmarks/cell_plan.py --cautious)."""
-REST_S = 0.5
-PEAK, PEAK_CHANGE = 1.875, 5.774
-"""Of a reach of least jerk: largest speed and acceleration over way per time, and per time squared."""
-HALVED = 5
 LITTLE_SEEN = 0.6
+AT_FLOOR = 0.8
+"""A motion that leaves so much of the deviation to what no motion tells cannot be bettered by much."""
 ENDLESS = 1e4
 """So many times the motion: what is then left, no motion tells."""
 
@@ -66,7 +62,8 @@ ENDLESS = 1e4
 class PlanSettings:
     """duration_s of the motion in steps of rate_hz; frames_hz and spot_px of the cameras; seed of what is drawn.
 
-    stray_m: how far the flange strays from where its joints say, otherwise every STRAYS_S. trials: exchanges of places.
+    stray_m: how far the flange strays from where its joints say, otherwise every STRAYS_S. trials: exchanges of places,
+    with PUSHES moves of them each.
     """
 
     duration_s: float = 120.0
@@ -114,22 +111,23 @@ def plan_motion(
 ) -> CellPlan:
     """Return the motion from start (n,) and back that makes the mean variance of the tip over the volume least.
 
-    Places in view are chosen one by one by what they tell, joined to a short round, and exchanged while the information
-    of the whole motion grows: at the frames' own times, with its speed in the images, line by line. learned (P, P):
-    information of what was recorded before. Raises NotEnoughData where nothing is in view or within the limits,
+    Places in view are chosen one by one by what they tell, joined to a short round, exchanged and then moved while the
+    information of the whole motion grows: at the frames' own times, with its speed in the images, line by line. learned
+    (P, P): information of what was recorded before. Raises NotEnoughData where nothing is in view or within the limits,
     Inconsistent for a start outside them, or too little time.
     """
     settings, progress = settings or PlanSettings(), progress or Silent()
     rng = np.random.default_rng(settings.seed)
     check_bounds(scene.arm, scene.bounds)
     check_start(scene.arm, scene.bounds, scene.free, start)
-    progress.update(0, settings.trials + 2, "looking for places in view")
+    steps = 2 + settings.trials * (1 + PUSHES)
+    progress.update(0, steps, "looking for places in view")
     found = places(scene, rng, start)
     road = roadmap(scene, found)
     _check_volume(scene, road)
     spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
     known = known_before(scene, target, T_flange_target, road.q, settings.tolerance, spot_px, learned)
-    progress.update(1, settings.trials + 2, "choosing places")
+    progress.update(1, steps, "choosing places")
     J = rests(scene, known, road.q, spot_px)
     J[~scene.seen(road.q)] = 0.0  # the start may be out of view: it tells nothing
     frames = settings.duration_s * settings.frames_hz / TYPICAL_PLACES
@@ -142,6 +140,7 @@ def plan_motion(
             cure="Give more time (--duration), or a start nearer to where the lights are seen (--start)",
         )
     best, information = _improved(scene, road, known, best, order, settings, rng, progress)
+    best, information = _pushed(scene, known, best, information, settings, rng, progress)
     return _told(scene, known, best, information, settings)
 
 
@@ -219,65 +218,6 @@ def check_start(arm: Arm, bounds: MotionBounds, free: Free, start: Array) -> Non
         )
 
 
-def cautious_motion(
-    arm: Arm, bounds: MotionBounds, free: Free, start: Array, settings: PlanSettings | None = None
-) -> Motion:
-    """Return small moves of all joints about start (n,) and back, for a cell of which nothing is known.
-
-    The user sees the lights in both images there. No joint turns further than CAUTIOUS_RAD from it, and each moves the
-    flange by its share of CAUTIOUS_M at the most. Reaches of many lengths with rests between: by the speeds of joints
-    and lights the clocks are found. Raises Inconsistent where even the smallest of them leaves the limits.
-    """
-    settings = settings or PlanSettings()
-    rng = np.random.default_rng(settings.seed)
-    J = np.abs(jacobian(arm.based(), arm.values(start))[:3])
-    most = np.where(arm.revolute, CAUTIOUS_RAD, CAUTIOUS_M)
-    size = np.minimum(most, CAUTIOUS_M / np.sqrt(arm.n) / np.maximum(np.linalg.norm(J, axis=0), 1e-6))
-    size = np.minimum(size, np.minimum(bounds.upper - start, start - bounds.lower))
-    for _ in range(HALVED):
-        motion = _reaches(start, size, J, bounds, settings, rng)
-        if (bounds.within(motion.q) & free(motion.q)).all():
-            return motion
-        size = 0.5 * size
-    raise Inconsistent(
-        "even the smallest moves about where the arm stands leave its limits",
-        consequence="No motion is planned",
-        cure="Bring it away from the ends of its joints and from walls and boxes, still in view of both cameras",
-    )
-
-
-def _reaches(
-    start: Array, size: Array, J: Array, bounds: MotionBounds, settings: PlanSettings, rng: np.random.Generator
-) -> Motion:
-    """Return reaches of least jerk (Flash, Hogan 1985) between places within size (n,) of start, and back at the end.
-
-    J (3, n): by how much a joint moves the tool; the peak of such a reach is PEAK times its mean speed.
-    """
-    t = np.arange(int(settings.duration_s * settings.rate_hz) + 1) / settings.rate_hz
-    q, here, at_s = np.tile(start, (len(t), 1)), start, REST_S
-    while at_s < t[-1]:
-        # slower ones among them: clocks and lines tell themselves by different speeds
-        goal = start + size * rng.uniform(-1.0, 1.0, len(start))
-        took = _reach_s(goal - here, J, bounds) * rng.uniform(1.0, 3.0)
-        back = _reach_s(goal - start, J, bounds)
-        if at_s + took + back + 2.0 * REST_S > t[-1]:
-            goal, took = start, _reach_s(start - here, J, bounds)
-        s = np.clip((t - at_s) / took, 0.0, 1.0)
-        q += (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None] * (goal - here)
-        if goal is start:
-            break
-        here, at_s = goal, at_s + took + rng.uniform(0.0, 2.0 * REST_S)
-    return Motion(t_s=t, q=q)
-
-
-def _reach_s(way: Array, J: Array, bounds: MotionBounds) -> float:
-    """Return the shortest time of a reach over way (n,) within the limits of speed and acceleration."""
-    tool = float(np.linalg.norm(J @ np.abs(way)))
-    speed = max(float((np.abs(way) / bounds.speed).max()), tool / bounds.speed_m_s)
-    sharp = max(float((np.abs(way) / bounds.acceleration).max()), tool / bounds.acceleration_m_s2)
-    return float(max(PEAK * speed, np.sqrt(PEAK_CHANGE * sharp), 0.2)) / SHARE
-
-
 def _improved(
     scene: Scene,
     road: Roadmap,
@@ -294,7 +234,7 @@ def _improved(
     for trial in range(settings.trials):
         if progress.cancelled():
             raise Cancelled("stopped", consequence="No motion is planned")
-        progress.update(2 + trial, settings.trials + 2, "exchanging places")
+        progress.update(2 + trial, 2 + settings.trials * (1 + PUSHES), "exchanging places")
         chosen = list(best.chosen)
         # one out and another in, or one more while there is time
         left = [k for k in order if k not in best.chosen][:AMONG]
@@ -307,6 +247,34 @@ def _improved(
             continue
         there = _of_motion(scene, known, other, settings)
         value = known.worth(known.information + there)
+        if value < worth:
+            best, information, worth = other, there, value
+    return best, information
+
+
+def _pushed(
+    scene: Scene,
+    known: Known,
+    best: Tour,
+    information: Array,
+    settings: PlanSettings,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[Tour, Array]:
+    """Return the round with its places moved to where they tell more, and the information of its motion."""
+    spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
+    pusher = Pusher(scene=scene, known=known, spot_px=spot_px, duration_s=settings.duration_s, rng=rng)
+    worth, moves = known.worth(known.information + information), settings.trials * PUSHES
+    for move in range(moves):
+        if progress.cancelled():
+            raise Cancelled("stopped", consequence="No motion is planned")
+        progress.update(2 + settings.trials + move, 2 + settings.trials + moves, "moving places")
+        other = pusher.pushed(best, information)
+        if other is None:
+            continue
+        there = _of_motion(scene, known, other, settings)
+        value = known.worth(known.information + there)
+        pusher.learn(better=value < worth)
         if value < worth:
             best, information, worth = other, there, value
     return best, information
@@ -327,17 +295,18 @@ def _told(scene: Scene, known: Known, found: Tour, information: Array, settings:
     untold = tuple(name for name, a, b in zip(names, *std, strict=True) if b > UNTOLD * a)
     moved = np.ptp(motion.q, axis=0)
     seen = float(scene.seen(motion.q[:: max(1, round(settings.rate_hz / 10.0))]).mean())
+    told, least = known.tip_m(after), known.tip_m(before + ENDLESS * information)
     return CellPlan(
         motion=motion,
         before_m=known.tip_m(before),
-        after_m=known.tip_m(after),
-        least_m=known.tip_m(before + ENDLESS * information),
+        after_m=told,
+        least_m=least,
         kinds={kind: (parts[0][kind], parts[1][kind]) for kind in KINDS},
         untold=untold,
         seen=seen,
         moved=moved,
         places=found.places,
-        notes=_notes(scene, moved, untold, seen),
+        notes=(*_notes(scene, moved, untold, seen), *_at_floor(told, least)),
     )
 
 
@@ -369,3 +338,14 @@ def _notes(scene: Scene, moved: Array, untold: tuple[str, ...], seen: float) -> 
             "be known, or let the lights face both"
         )
     return tuple(notes)
+
+
+def _at_floor(told: tuple[float, float], least: tuple[float, float]) -> tuple[str, ...]:
+    """Return what is said where hardly anything is left that a motion could better."""
+    after, floor = max(told), max(least)
+    if floor < AT_FLOOR * after:
+        return ()
+    return (
+        f"of {after / MM:.2f} mm {floor / MM:.2f} are how large the cell is, by the arm's lengths and the target as "
+        "built, which no motion tells: a rig calibrated with an exact board would (armsight calibrate cell --prior)",
+    )

@@ -87,7 +87,11 @@ def tour(scene: Scene, road: Roadmap, chosen: Sequence[int], duration_s: float) 
     stops = [0]
     for a, b in zip(order, [*order[1:], 0], strict=True):
         stops += road.between(a, b)
-    places = road.q[stops]
+    return smooth(scene, road.q[stops], chosen, duration_s)
+
+
+def smooth(scene: Scene, places: Array, chosen: Sequence[int], duration_s: float) -> Tour | None:
+    """Return the round through places (k, n) in their order; None where none keeps clear, or fits the time."""
     for parts in PARTS:
         way = way_through(scene.arm, places, scene.bounds, parts=parts)
         if way.least_s > duration_s:

@@ -87,7 +87,7 @@ class JointMotionSource:
         if not now.running or (self._on_it and off > ASTRAY):
             self._on_it, self._rate = False, 0.0
         if not self._on_it:
-            if off > CLOSE or still > ARRIVED:
+            if not now.running or off > CLOSE or still > ARRIVED:
                 return JointGoal(q=goal)
             self._on_it = True
         if self._paused and self._rate == 0.0:
