@@ -62,8 +62,8 @@ def calibrate_cell(
     tolerance_m, tolerance_rad
         Standard deviation of nominal lengths, and of nominal zeros and angles.
     compliance
-        Whether joints give way under the arm's weight; None: where the recording shows it, and else the deviations count
-        what they may.
+        Whether joints give way under the arm's weight; None: where the recording shows it, and else the
+        deviations count what they may.
     out
         A folder to write rig.yaml, world.yaml, target.yaml, arm.yaml, cell.json and report.html into.
 

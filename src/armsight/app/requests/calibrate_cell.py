@@ -74,8 +74,8 @@ class CellJob:
     compliance: Annotated[
         bool | None,
         Doc(
-            "Whether joints give way under the arm's weight: on fits how far, off says they do not, auto fits where the "
-            "recording shows it and else counts in the deviations what they may."
+            "Whether joints give way under the arm's weight: on fits how far, off says they do not, auto fits where "
+            "the recording shows it and else counts in the deviations what they may."
         ),
         Flag(metavar="WHETHER", default="auto", read=compliance_called),
     ] = None
