@@ -118,7 +118,7 @@ def calibrated(world: Any, motion: Callable[[Array], Array], seconds: float) -> 
     log_t, log_q, left, right = made.record(rng, truth, float(truth.motion.begin_s[0]), seconds, motion)
     sizes = (truth.left.size, truth.right.size)
     recording = recording_of(arm_of(world), Motion(t_s=log_t, q=log_q), (track_of(left), track_of(right)), sizes)
-    solved = solve_cell(recording, target_of(world), ArmTolerance())
+    solved = solve_cell(recording, target_of(world), ArmTolerance(), progress=Silent())
     model, x = solved.model, solved.fit.x
     lights = model.lights_m(x)
     nominal = np.array([world.target[name] for name in model.lights])

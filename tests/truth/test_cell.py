@@ -105,7 +105,7 @@ def test_a_target_whose_axes_point_to_the_cameras_is_told(good: tuple[CellWorld,
     assert not any("z axis" in note for note in found.notes)
     over = {name: (x, -y, -z) for name, (x, y, z) in world.target.items()}
     notes = calibrated(replace(world, target=over)).notes
-    assert any("z axis points towards the cameras" in note for note in notes), notes
+    assert any("z axis" in note for note in notes), notes
 
 
 FAULTS: dict[str, tuple[type[DataRefused], tuple[str, ...]]] = {

@@ -29,7 +29,7 @@ from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
-from armsight.records import Motion, Progress, SpotTrack, Target
+from armsight.records import Motion, Progress, Silent, SpotTrack, Target
 from armsight.records.result_parts import BothPixels, BothSeconds
 
 Array = NDArray[np.float64]
@@ -83,7 +83,12 @@ def calibrate_cell(
     recording = recording_of(arm, joints, tracks, sizes)
     _require_motion(arm, joints)
     solved = solve_cell(
-        recording, target, options.tolerance, priors=options.priors, compliance=compliance, progress=progress
+        recording,
+        target,
+        options.tolerance,
+        priors=options.priors,
+        compliance=compliance,
+        progress=progress or Silent(),
     )
     first = solved.doubts[0]
     if alarming(first) and not (first.cause is Cause.ELASTIC and compliance is False):

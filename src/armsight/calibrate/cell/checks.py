@@ -108,6 +108,11 @@ def alarming(each: Suspicion) -> bool:
     return each.evidence > ALARM and each.visible > VISIBLE
 
 
+def gives_way(doubts: Sequence[Suspicion]) -> bool:
+    """Tell whether joints that give way are beyond chance: less than an alarm, as it is taken into the model."""
+    return any(each.cause is Cause.ELASTIC and each.evidence > 1.0 for each in doubts)
+
+
 CURES = {
     Cause.LEFT_MOVED: "Fasten the left camera, and record again without touching it",
     Cause.RIGHT_MOVED: "Fasten the right camera, and record again without touching it",

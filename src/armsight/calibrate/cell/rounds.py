@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cell.assignment import NEAR, NamedLights, assign, name_lights, places_on_flange
-from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, refusal, suspicions
+from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, gives_way, refusal, suspicions
 from armsight.calibrate.cell.fit import (
     CellData,
     CellFit,
@@ -36,7 +36,7 @@ from armsight.calibrate.cell.tracklets import SHORTEST, moves, tracklets
 from armsight.calibrate.cell.wander import Wander
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES
-from armsight.records import Progress, Silent, Target
+from armsight.records import Progress, Target
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -83,10 +83,9 @@ def solve_cell(
     *,
     priors: CellPriors | None = None,
     compliance: bool | None = None,
-    progress: Progress | None = None,
+    progress: Progress,
 ) -> Solved:
     """Return the fit of everything that the recording can tell. Raises DataRefused with the reason."""
-    progress = progress or Silent()
     starts, weights = _starts(recording)
     progress.update(1, 4, "finding the cameras")
     lights = _named(recording, starts, weights, target)
@@ -108,17 +107,15 @@ def solve_cell(
         raise
     _require_one_model(suspicions(model, found))
     passes = [True, False]
-    while passes:
-        thin = passes.pop(0)
+    for thin in passes:
         progress.update(3 if thin else 4, 4, "fitting, all spots")
         # how far this arm is from its model, and how it strays, are both of the fit before
         known = before(found.x, learned_tolerance(model, found, tolerance))
         found = _bearing(model, _round(model, found, known, free, thin=thin, wander=straying(model, found)))
         doubts = suspicions(model, found)
-        if compliance is None and any(each.evidence > 1.0 for each in doubts if each.cause is Cause.ELASTIC):
-            compliance = True
-            free = free_names(model, found, tolerance, compliance=True)
-            passes = passes or [False]
+        if compliance is None and gives_way(doubts):
+            compliance, free = True, free_names(model, found, tolerance, compliance=True)
+            passes += [] if thin else [False]
     return Solved(model=model, fit=found, lights=lights, doubts=tuple(doubts))
 
 
