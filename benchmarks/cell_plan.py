@@ -38,7 +38,7 @@ from armsight.geometry import align_points
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import Rig, RigKind
-from armsight.records import Motion, Spots, Target, spot_target
+from armsight.records import Motion, Silent, Spots, Target, spot_target
 from bench import machine, table, test_scene
 from cell_records import EXACT_PX, arm_of, target_of, track_of
 

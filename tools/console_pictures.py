@@ -7,6 +7,7 @@ Needs Debian's Chromium. A path is taught with the jog keys, so that there is on
 
 from __future__ import annotations
 
+import importlib
 import io
 import shutil
 import socket
@@ -27,6 +28,7 @@ CHROMIUM = "/usr/bin/chromium"
 FOLDER = Path("docs/images")
 LARGEST_BYTES = 150_000
 PATIENCE_MS = 180_000
+TESTS = Path(__file__).resolve().parent.parent / "tests"
 
 
 @contextmanager
@@ -88,6 +90,7 @@ def main(out: Path) -> None:
     with sync_playwright() as player:
         browser = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         take_mirrors(browser, out)
+        take_cell(browser, out)
         take_robot(browser, out)
         browser.close()
 
@@ -115,6 +118,34 @@ def take_mirrors(browser: Any, out: Path) -> None:
             page.wait_for_timeout(1500)
             page.evaluate("window.scrollTo(0, 0)")
             save(page, out / "console-mirrors.png")
+            page.close()
+
+
+def take_cell(browser: Any, out: Path) -> None:
+    """Take the page Cell while it records lights that two webcams see."""
+    with tempfile.TemporaryDirectory() as made:
+        home, folder = Path(made), Path(made) / "my-cell"
+        sys.path.insert(0, str(TESTS))
+        drawing: Any = importlib.import_module("drawn_cell")
+        drawn = drawing.drawn_cell(home / "set", frames=1500)
+        for side in drawing.SIDES:
+            (home / side).mkdir()
+            for k, image in enumerate(drawn.images(side)):
+                Image.fromarray(image).save(home / side / f"{k:04d}.png", compress_level=1)
+        folder.mkdir()
+        for name in ("target.yaml", "arm.yaml", "joints.csv"):
+            shutil.copy(home / "set" / name, folder / name)
+        left, right = (str(home / side) for side in drawing.SIDES)
+        write_cell(folder, CellFile(left=left, right=right, target="target.yaml", arm="arm.yaml", fps=drawing.FPS))
+        with served(folder) as address:
+            page = browser.new_page(viewport={"width": 1280, "height": 1500})
+            page.set_default_timeout(PATIENCE_MS)
+            page.goto(f"{address}/cell", wait_until="domcontentloaded")
+            page.wait_for_selector("[data-testid=lamp-lights][data-level=good]")
+            page.click("[data-testid=record-cell]")
+            page.wait_for_timeout(22_000)
+            page.evaluate("window.scrollTo(0, 0)")
+            save(page, out / "console-cell.png")
             page.close()
 
 

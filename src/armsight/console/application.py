@@ -16,6 +16,7 @@ from starlette.applications import Starlette
 from armsight.console import texts
 from armsight.console.layout import STATIC, page, text_of
 from armsight.console.pages.calibrate import calibrate_page
+from armsight.console.pages.cell import cell_page
 from armsight.console.pages.identify import identify_page
 from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
@@ -28,6 +29,7 @@ from armsight.console.state import Console
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
     "calibrate": calibrate_page,
+    "cell": cell_page,
     "identify": identify_page,
     "teach": teach_page,
     "verify": verify_page,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.guided.boards import BoardCalibration
+from armsight.app.guided.cell import CellStep
 from armsight.app.guided.mirror_alignment import MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
@@ -204,9 +205,10 @@ class Console:
         return rig if rig is not None and read_rig(rig).kind is RigKind.MIRROR else None
 
     def _forget_steps(self, *names: str) -> None:
-        """Begin steps anew, all of them where none is named."""
+        """Begin steps anew; where none is named all but one that reads the cell's files when it needs them."""
         for name in names or tuple(self.steps):
-            self.steps.pop(name, None)
+            if name != CELL:
+                self.steps.pop(name, None)
         self._alignment = None
 
     def set_look(self, look: DetectionSettings) -> None:
@@ -241,7 +243,11 @@ class Console:
         return self.station is not None and self.station.current
 
     def close(self) -> None:
-        """End measuring, and teaching and supervision with it."""
+        """End measuring, and teaching, supervision and a cell's recording with it."""
+        cell = self.steps.get(CELL)
+        if cell is not None and isinstance(cell.step, CellStep):
+            with suppress(ArmsightError):
+                cell.step.end()
         if self.supervisor is not None:
             with suppress(ArmsightError):
                 self.supervisor.end()
@@ -330,6 +336,19 @@ def _arm(console: Console, folder: Path) -> Guided:
     )
 
 
+def _whole_cell(console: Console, folder: Path) -> Guided:
+    """Return the step of the page Cell, which keeps its recordings in folders of their own."""
+    return CellStep(
+        folder=console.folder,
+        file_of=lambda name: cell_path(console.folder, getattr(console.cell, name), name),
+        read_joints=None if console.robot is None else console.robot.reading,
+        look=lambda: console.look,
+    )
+
+
+CELL = "cell"
+"""The step that has a page of its own."""
+
 STEPS: dict[str, Callable[[Console, Path], Guided]] = {
     "camera-left": _camera("left"),
     "camera-right": _camera("right"),
@@ -339,6 +358,7 @@ STEPS: dict[str, Callable[[Console, Path], Guided]] = {
     "tooltip": _tip,
     "handeye": _handeye,
     "arm": _arm,
+    CELL: _whole_cell,
 }
 
 OF_TWO_CAMERAS = ("camera-right", "stereo", "timing")
@@ -346,6 +366,6 @@ OF_TWO_CAMERAS = ("camera-right", "stereo", "timing")
 
 
 def steps_of(console: Console) -> tuple[str, ...]:
-    """Return the steps that a page offers for a cell, in their order."""
+    """Return the steps that the page Calibrate offers for a cell, in their order."""
     one = len(console.pictures) == 1
-    return tuple(name for name in STEPS if not (one and name in OF_TWO_CAMERAS))
+    return tuple(name for name in STEPS if name != CELL and not (one and name in OF_TWO_CAMERAS))

@@ -1,4 +1,4 @@
-"""Every English sentence of the console, in one place for translation."""
+"""Every English sentence of the console, in one place for translation; those of the page Cell are in texts_cell."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ TITLE = "armsight"
 PAGES = {
     "live": "Live",
     "calibrate": "Calibrate",
+    "cell": "Cell",
     "identify": "Identify",
     "teach": "Teach and play",
     "verify": "Verify",
@@ -141,6 +142,7 @@ STEPS = {
     "arm": "Arm",
 }
 ONE_CAMERA = "The camera's lens"
+WHOLE_CELL = "All of it at once, from one recording"
 NEXT = {
     "board_twice": "Hold the board still, whole in both views of the picture, the two beside each other; accept it.",
     "show_lights": "Hold the lit target still, all lights in both views of the picture, and accept it.",
@@ -157,6 +159,13 @@ NEXT = {
     "turn_hand": "Turn the hand about its own {axis}, both ways, and accept a pose at each end: {share:.0%} of what is "
     "needed is there. The lights must stay in both pictures.",
     "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
+    "record_cell": "Press Record, then move the arm: all joints, through the whole of both pictures.",
+    "lights_back": "Bring all lights back into the {side} picture.",
+    "move_joint": "Move joint {axis} more: {share:.0%} of what is needed is there.",
+    "to_place": "Bring the lights into the {place} of the {side} picture.",
+    "go_on": "Go on: nearer to the cameras and farther from them, other turns of the wrist, a rest now and then.",
+    "end_recording": "There is enough: end the recording, or go on to two minutes.",
+    "bring_log": "Bring the controller's log of this motion, name it below, then calibrate.",
     "more": "Good. Accept some more, each at another place and tilt.",
     "run": "There is enough: calibrate.",
     "not_possible": "{why}",

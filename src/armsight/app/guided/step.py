@@ -28,6 +28,13 @@ class Next(StrEnum):
     MOVE_ROBOT = "move_robot"
     TURN_HAND = "turn_hand"
     RECORD = "record"
+    RECORD_CELL = "record_cell"
+    LIGHTS_BACK = "lights_back"
+    MOVE_JOINT = "move_joint"
+    TO_PLACE = "to_place"
+    GO_ON = "go_on"
+    END_RECORDING = "end_recording"
+    BRING_LOG = "bring_log"
     MORE = "more"
     RUN = "run"
     NOT_POSSIBLE = "not_possible"
@@ -37,7 +44,8 @@ class Next(StrEnum):
 class Hint:
     """What to do next, where in the picture (side, column and row of a 3x3 grid), and why nothing can be done.
 
-    axis: of the hand, x, y or z, about which it should be turned; share: how much of that there is, 0 to 1.
+    axis: of the hand, x, y or z, about which it should be turned, or a joint's name; share: how much of that there is,
+    0 to 1.
     """
 
     what: Next
@@ -61,7 +69,8 @@ class Sample:
 class Verdict:
     """good: whether the result can be trusted. words: of the calibration itself. rows: names and values for a table.
 
-    file: what was written; report: beside it, None where there is none.
+    file: what was written; report: beside it, None where there is none. lists: more to read, title and lines. use:
+    under which keys of the cell which files stand, None for none, where it is not the one file of the step.
     """
 
     good: bool
@@ -69,6 +78,8 @@ class Verdict:
     rows: tuple[tuple[str, str], ...]
     file: Path
     report: Path | None = None
+    lists: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    use: tuple[tuple[str, Path | None], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

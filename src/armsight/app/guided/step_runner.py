@@ -71,6 +71,26 @@ class GuidedStepState:
     not_done: str = ""
 
 
+class ToldProgress:
+    """How far a calibration is, for every page that shows it; each of them may end it."""
+
+    def __init__(self) -> None:
+        self.told: tuple[float, float, str] = (0.0, 0.0, "")
+        self._cancelled = threading.Event()
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """Take how far it is."""
+        self.told = (done, total, note)
+
+    def cancelled(self) -> bool:
+        """Return whether somebody ended it."""
+        return self._cancelled.is_set()
+
+    def cancel(self) -> None:
+        """End it as soon as it can."""
+        self._cancelled.set()
+
+
 class GuidedStepRunner:
     """Does what pages ask of a step, in the order in which they ask; any thread may call it."""
 
@@ -78,6 +98,8 @@ class GuidedStepRunner:
         self.step = step
         self._lock = threading.Lock()
         self._history = History()
+        self.progress = ToldProgress()
+        """Of the calibration that runs, where it was begun with run_told; else of the last one."""
         self._state = self._looked()
 
     @property
@@ -92,11 +114,23 @@ class GuidedStepRunner:
 
     def accept(self, station: Callable[[], Station]) -> None:
         """Take what is seen now; why it was not taken stands in the state."""
-        self._do("accept", lambda: self.step.accept(station()))
+        self.do("accept", lambda: self.step.accept(station()))
 
     def drop(self, index: int) -> None:
         """Forget a sample."""
-        self._do("drop", lambda: self.step.drop(index))
+        self.do("drop", lambda: self.step.drop(index))
+
+    def look(self) -> None:
+        """Look how a step stands that goes on by itself, where nothing is done just now."""
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
+            before, now = self._state, self._looked()
+            kept = {name: getattr(before, name) for name in ("count", "refused", "verdict", "not_done")}
+            now = replace(now, **kept)
+            self._state = before if now == before else now
+        finally:
+            self._lock.release()
 
     def run(self, progress: Progress) -> None:
         """Calibrate; the verdict, or why there is none, stands in the state."""
@@ -108,7 +142,15 @@ class GuidedStepRunner:
             verdict = verdicts[0] if verdicts else None
             self._state = replace(before, count=before.count + 1, busy="", verdict=verdict, not_done=why)
 
-    def _do(self, what: str, act: Callable[[], object]) -> None:
+    def run_told(self) -> None:
+        """Calibrate as run does, so that every page sees how far it is and may end it; once where several ask."""
+        if self._state.busy == "run":
+            return
+        self.progress = ToldProgress()
+        self.run(self.progress)
+
+    def do(self, what: str, act: Callable[[], object]) -> None:
+        """Do something of the step's own; why it could not be done stands in the state."""
         with self._lock:
             before = replace(self._state, busy=what, refused="")
             self._state = before

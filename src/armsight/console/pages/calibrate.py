@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from armsight.app.guided.step import Hint, Sample
 from armsight.app.guided.step_runner import GuidedStepRunner, GuidedStepState
 from armsight.app.live.measurement import COMPLEX
-from armsight.console import texts
+from armsight.console import texts, texts_cell
 from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, jog_card, set_attribute, set_text, text_of
 from armsight.console.pages.mirrors import alignment_card, built_card
 from armsight.console.plots import Plot
@@ -22,6 +22,7 @@ from armsight.records import Silent
 
 CELLS = 9
 """Of a picture's coverage."""
+ROW_NAMES = texts.ROW_NAMES | texts_cell.ROWS
 
 
 def calibrate_page(console: Console) -> None:
@@ -38,6 +39,8 @@ def calibrate_page(console: Console) -> None:
         for name in steps_of(console):
             title = step_title(console, name)
             button(title, partial(choose, name), kind="act quiet", testid=f"step-{name}")
+        if len(console.pictures) == 2:
+            text_of("a", texts.WHOLE_CELL, href="/cell")
     body = ui.element("div").style("display: contents")
     choose("stereo" if "stereo" in steps_of(console) else "mirrors")
 
@@ -132,7 +135,7 @@ class _Step:
         if before is None or (state.verdict, state.not_done) != (before.verdict, before.not_done):
             self._verdict.clear()
             with self._verdict:
-                _show_verdict(self._console, self._runner.name, state)
+                show_verdict(self._console, self._runner.name, state)
 
     def _show(self, state: GuidedStepState) -> None:
         set_text(self._hint, hint_text(state.hint))
@@ -153,7 +156,7 @@ class _Step:
                         button(texts.DROP, partial(self._drop, i, sample), kind="act quiet", help_=what)
         self._spread.clear()
         with self._spread:
-            _table(state.spread)
+            rows_table(state.spread)
         self._plots.clear()
         with self._plots:
             _plots(state)
@@ -166,11 +169,12 @@ def hint_text(hint: Hint) -> str:
     return texts.NEXT[hint.what.value].format(**figures, axis=hint.axis, share=hint.share)
 
 
-def _table(rows: Iterable[tuple[str, str]]) -> None:
+def rows_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Put names and values as a table onto the page that is being built."""
     with ui.element("table").classes("plain"):
         for name, value in rows:
             with ui.element("tr"):
-                text_of("td", texts.ROW_NAMES.get(name, name))
+                text_of("td", ROW_NAMES.get(name, name))
                 text_of("td", value)
 
 
@@ -179,12 +183,13 @@ def _plots(state: GuidedStepState) -> None:
     if not state.curves:
         text_of("p", texts.NO_PLOT_YET).classes("hint")
     for i, ((name, unit), points) in enumerate(state.curves.items()):
-        words = texts.ROW_NAMES.get(name, name)
+        words = ROW_NAMES.get(name, name)
         title = f"{words} ({unit})" if unit else words
         Plot(title, (words,), testid=f"chart-{i}", dots=True, first=i).show([points])
 
 
-def _show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
+def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
+    """Put the verdict of a step onto the page, or why there is none; nothing before it was asked for."""
     verdict = state.verdict
     if verdict is None and not state.not_done:
         return
@@ -195,14 +200,21 @@ def _show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
             return
         _lamp("good" if verdict.good else "bad", texts.GOOD if verdict.good else texts.NOT_GOOD)
         text_of("p", verdict.words)
-        _table(verdict.rows)
-        text_of("p", texts.SAVED.format(file=verdict.file.name))
+        rows_table(verdict.rows)
+        text_of("p", texts.SAVED.format(file=_inside(console, verdict.file)))
         with ui.element("div").classes("row"):
             if verdict.report is not None:
-                text_of("a", texts.REPORT, href=f"/console/files/{verdict.report.name}", target="_blank")
-            if verdict.good and name in USED_AS:
+                href = f"/console/files/{_inside(console, verdict.report)}"
+                text_of("a", texts.REPORT, href=href, target="_blank")
+            used = verdict.use or (((USED_AS[name], verdict.file),) if name in USED_AS else ())
+            if verdict.good and used:
                 words = texts.USE_LENS if name in LENSES else texts.USE_IT
-                button(words, partial(_use, console, name, verdict.file), testid="use")
+                button(words, partial(_use, console, used), testid="use")
+        for title, lines in verdict.lists:
+            text_of("h3", title)
+            with ui.element("ul").classes("lines"):
+                for line in lines:
+                    text_of("li", line)
 
 
 def _lamp(level: str, words: str) -> None:
@@ -223,9 +235,15 @@ USED_AS = {
 """Under which key of the cell a step's file stands."""
 
 
-async def _use(console: Console, name: str, file: Path) -> None:
+def _inside(console: Console, file: Path) -> str:
+    """Return a file of the cell's folder by its name in it."""
+    return file.relative_to(console.folder).as_posix()
+
+
+async def _use(console: Console, used: Sequence[tuple[str, Path | None]]) -> None:
+    changed = {key: "" if file is None else _inside(console, file) for key, file in used}
     try:
-        await run.io_bound(console.apply, console.cell.model_copy(update={USED_AS[name]: file.name}))
+        await run.io_bound(console.apply, console.cell.model_copy(update=changed))
         ui.notify(texts.APPLIED, type="positive")
     except ArmsightError as error:
         ui.notify(str(error), type="negative", multi_line=True)

@@ -5,8 +5,17 @@ from __future__ import annotations
 from nicegui import run, ui
 
 from armsight.console import texts
-from armsight.console.layout import button, card, file_name, set_attribute, set_text, text, text_of, ticked
-from armsight.console.routes import LARGEST_BYTES
+from armsight.console.layout import (
+    button,
+    card,
+    file_name,
+    set_attribute,
+    set_text,
+    text,
+    text_of,
+    ticked,
+)
+from armsight.console.pages.uploads import uploader
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 
@@ -24,7 +33,7 @@ def settings_page(console: Console) -> None:
         for name in texts.FIELDS:
             if name not in SOURCES:
                 fields[name] = _field(console, name)
-        _upload()
+        uploader()
     said = text_of("p", role="alert").classes("hint")
 
     async def apply() -> None:
@@ -50,21 +59,3 @@ def _field(console: Console, name: str) -> ui.input:
 def _typed(console: Console, name: str, field: ui.input) -> str:
     """Return what a field holds: a source or board as it is, else a file of the folder. Raises UsageError."""
     return text(field) if name in SOURCES else file_name(field, kept=getattr(console.cell, name))
-
-
-def _upload() -> None:
-    """Choose a file of this machine and bring it into the cell's folder; the browser sends it by itself."""
-    with ui.element("label"):
-        text_of("span", texts.UPLOAD.format(mb=LARGEST_BYTES // 1_000_000))
-        chooser = ui.element("input")
-        chooser.props.update(
-            {
-                "type": "file",
-                "data-upload": "/console/files/",
-                "data-largest": str(LARGEST_BYTES),
-                "data-too-big": texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000),
-                "data-not-sent": texts.NOT_SENT,
-                "data-testid": "upload",
-            }
-        )
-    text_of("p", role="alert", id="uploaded").classes("hint")
