@@ -225,7 +225,8 @@ def faults(first: int, count: int) -> None:
             errors, _ = tip_errors(world, found.measured_with)
             off_mm = rms(errors) / MM if np.isfinite(errors).any() else "lost"
         held = told == "called good" and fault != "elastic_arm"  # which may be taken into the model, and told
-        right = not held and any(word in words.lower() for word in CAUSES[fault])
+        first_told = words.lower().partition("; less likely")[0]
+        right = not held and any(word in first_told for word in CAUSES[fault])
         rows.setdefault(fault, []).append([told, right, off_mm])
         print(f"cell {seed}, {fault} {world.truth.told}: {told}, tip off {off_mm} mm: {words[:300]}", flush=True)
     out = []
@@ -236,7 +237,7 @@ def faults(first: int, count: int) -> None:
         out.append(
             [fault, len(cases), counts["refused"], counts["doubtful"], named, counts["called good"], good or "-"]
         )
-    head = ["fault", "cells", "refused", "doubtful", "cause named", "called good", "tip off in these, mm"]
+    head = ["fault", "cells", "refused", "doubtful", "right cause first", "called good", "tip off in these, mm"]
     table(f"{count} cells with one fault each, from seed {first}", head, out)
 
 
