@@ -251,6 +251,7 @@ def good(first: int, count: int) -> None:
             alarms.append(f"{seed}: refused: {error}")
         else:
             alarms += [f"{seed}: {found.words}"] if found.alarm else []
+        print(f"{seed - first + 1} cells, {len(alarms)} alarms", end="\r", flush=True)
     print(f"\n{count} cells without a fault: {len(alarms)} alarms")
     for words in alarms:
         print(" ", words[:300])
