@@ -31,6 +31,8 @@ FEWEST_TOLD = 4.0
 """Corrections by which a class's deviation is told, at least: of fewer nobody could say."""
 LEAST = {"length_m": 5e-5, "zero_rad": 1e-4, "angle_rad": 1e-4}
 """No arm is built better."""
+LEAST_LINK_M = 1e-3
+"""A shorter length is an axis that should meet another, and does not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -296,8 +298,17 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
     """Return how far this arm is from its model, by class of parameter, as its own corrections show.
 
     Expectation maximisation of the variance of each class's corrections (Dempster, Laird, Rubin 1977, example 4.7):
-    lengths; zeros and directions of axes. Never beyond what was given, never below what any arm is built to.
+    lengths; zeros and directions of axes. Never beyond what was given, never below what any arm is built to. Lengths of
+    links stay as given: what lengths have in common, the scale, no recording shows, and a wrist tells nothing of it.
     """
+    # joints' own lengths that are nominally none cannot tell whether all others are too long
+    links = {
+        f"{joint.name}.{key}"
+        for joint in model.recording.arm.joints
+        for key in ("a_m", "d_m")
+        if abs(getattr(joint, key)) > LEAST_LINK_M
+    }
+    tolerance = replace(tolerance, links=frozenset(links), link_m=tolerance.length_m)
     free = found.places
     H = found.information(model)[np.ix_(free, free)]
     arm = [k for k, at in enumerate(free) if model.arm_at <= at < model.lights_at]
