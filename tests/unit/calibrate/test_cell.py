@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.cell.knowledge import pair_slopes
+from armsight.calibrate.cell.fit import WAVES, CellData, blocks_of, fit_cell
+from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge, pair_slopes
 from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
 from armsight.calibrate.cell.observations import Spots, recording_of
 from armsight.calibrate.cell.tip import tip_slopes
@@ -17,6 +18,7 @@ from armsight.calibrate.cell.wander import Wander
 from armsight.geometry import align_points
 from armsight.kinematics import fk, preset
 from armsight.records import Motion, SpotTrack
+from armsight.records.target import Target, TargetKind
 
 LIGHTS = np.array([[0.05, 0.01, 0.08], [-0.04, 0.03, 0.06], [0.0, -0.05, 0.075]])
 SIZE = (1280, 720)
@@ -114,6 +116,47 @@ def test_the_tip_moves_with_the_parameters_as_a_measurement_anew_says(cell):
         assert np.abs(found - before - slopes.measured[k] @ step).max() < 2e-2 * np.abs(found - before).max() + 1e-9
 
 
+def test_what_gears_do_wherever_their_joints_come_by_is_within_what_is_claimed(cell):
+    model, x = cell
+    spots, block = blocks_of(model, x, some(model))
+    t = model.times_s(x, spots)
+    q, _ = model.recording.log.at(t)
+    columns = np.array([model.names.index(f"{joint.name}.theta_rad") for joint in model.arm.arm.joints])
+    std, strays = 5e-4, np.zeros((len(spots), 6))
+    strays[:, 1] = 5e-4 * np.sin(WAVES[5] * q[:, 1])
+    _, J = model.columns(x, spots)
+    uv = model.pixels(x, spots) + np.einsum("mik,mk->mi", J[:, :, columns], strays)
+    target = Target(kind=TargetKind.SPOTS, names=("A", "B", "C"), xyz_m=LIGHTS)
+    data = CellData(
+        spots=replace(spots, uv_px=uv),
+        block=block,
+        scale=(1.0, 1.0),
+        wander=Wander(
+            std=np.full(6, std), time_s=20.0, columns=columns, t_s=np.bincount(block, t) / np.bincount(block)
+        ),
+    )
+    poses = [f"{side}.{name}" for side in ("left", "right") for name in ("tx", "ty", "tz", "rx", "ry", "rz")]
+    free = (*poses, "j2.theta_rad", "j3.theta_rad", *model.names[model.lights_at :])
+    found = fit_cell(model, x, data, free, default_knowledge(model, x, ArmTolerance(), target))
+    at, step = found.places, model.difference(found.x, x)
+    along = found.information(model)[np.ix_(at, at)] @ step[at]
+    square = along @ step[at]
+    # beside what the process in time leaves open, this wave is one of as many of which each may be all of it
+    assert along @ found.covariance(model)[np.ix_(at, at)] @ along > 0.95 * (square + square**2 / len(WAVES))
+
+
+def test_the_commanded_tip_strays_with_the_joints(cell):
+    model, x = cell
+    q, at = moving(np.array([14.0])), np.array([0.0, 0.02, 0.1])
+    slopes = tip_slopes(model, x, q, RigidTransform.identity(), at, (0.1, 0.1))
+    columns = np.array([model.names.index(f"{joint.name}.theta_rad") for joint in model.arm.arm.joints])
+    std = np.array([1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 6e-4])
+    arm = preset("ur5e")
+    point = np.append(at, 1.0)
+    tips = [((fk(arm, q + step)[0] - fk(arm, q)[0]) @ point)[:3] for step in np.diag(std)]
+    np.testing.assert_allclose(slopes.strayed_m(columns, std)[0], np.transpose(tips) @ tips, rtol=1e-2, atol=1e-10)
+
+
 def test_eliminating_the_straying_is_generalised_least_squares():
     rng = np.random.default_rng(3)
     b, m, P, n = 6, 8, 5, 2
@@ -138,6 +181,9 @@ def test_eliminating_the_straying_is_generalised_least_squares():
     W = np.linalg.inv(V)
     np.testing.assert_allclose(reduced.A, flat.T @ W @ flat, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(reduced.g, flat.T @ W @ every, rtol=1e-8, atol=1e-8)
+    wander = Wander(std=std, time_s=time_s, columns=columns, t_s=t_s)
+    left = wander.left_of(normals, np.einsum("bmp,bm->bp", J, r)[:, :, None])
+    np.testing.assert_allclose(left[:, 0], flat.T @ W @ every, rtol=1e-8, atol=1e-8)
     assert reduced.square == pytest.approx(every @ W @ every, rel=1e-8)
     assert reduced.logdet == pytest.approx(np.linalg.slogdet(V)[1], rel=1e-8)
 

@@ -107,6 +107,8 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff:
     _require_baseline(solved, parts)
     q, slopes, places = _tips(solved, parts, tip)
     measured, commanded = slopes.spread_m(slopes.measured, covariance), slopes.spread_m(slopes.commanded, covariance)
+    if found.wander is not None:  # what the joints say is off by as much as the arm strays from them
+        commanded = commanded + slopes.strayed_m(found.wander.columns, found.wander.std)
     residual, learned = _rms(found), _learned(solved, covariance)
     return CellCalibration(
         parts=parts,

@@ -23,11 +23,16 @@ rounding leaves 1e-7."""
 SAG_RAD_M = 1e-3
 """How far a joint gives way per metre of lever that the arm's weight has about it, where nobody says: gears, harmonic
 drives and links of industrial arms give way by 0.1 to 3 mrad."""
+WAVES = np.geomspace(4.0, 64.0, 9)
+"""rad a rad: waves of gears' errors over a joint's turn, from eccentric wheels to single teeth; shorter ones average
+out, longer ones are zeros and lengths."""
 EM_ROUNDS = 50
 FEWEST_TOLD = 4.0
 """Corrections by which a class's deviation is told, at least: of fewer nobody could say."""
 LEAST = {"length_m": 5e-5, "zero_rad": 1e-4, "angle_rad": 1e-4}
 """No arm is built better."""
+LEAST_LINK_M = 1e-3
+"""A shorter length is an axis that should meet another, and does not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,13 +98,19 @@ class CellFit:
     def covariance(self, model: CellModel, *, stiff: bool = True) -> Array:
         """Return the covariance (P, P) of all parameters; zero for those that are held.
 
-        stiff: whether joints that are held do not give way at all. Else they may, by SAG_RAD_M before anything is seen;
-        where the fit with them free lies d away, d d' is added, the square of the bias that holding them makes.
+        The arm may stray by time or by place, and both count. stiff: whether joints that are held do not give way at
+        all. Else they may, by SAG_RAD_M before anything is seen; where the fit with them free lies d away, d d' is
+        added, the square of the bias that holding them makes.
         """
         free = self.places
         H = self.information(model)
         out = np.zeros_like(H)
-        out[np.ix_(free, free)] = _inverse(H[np.ix_(free, free)])
+        inverse = _inverse(H[np.ix_(free, free)])
+        out[np.ix_(free, free)] = inverse
+        if self.wander is not None:
+            # each wave is a bias of the fit, of unit deviation
+            steps = inverse @ self._by_place(model, self.wander)[free]
+            out[np.ix_(free, free)] += steps @ steps.T
         if stiff:
             return out
         held = [model.names.index(name) for name in model.arm.sags if name not in self.free]
@@ -110,6 +121,26 @@ class CellFit:
         step = np.zeros(len(self.x))
         step[every] = _inverse(H[np.ix_(every, every)])[:, len(free) :] @ data[held]
         return np.asarray(out + np.outer(step, step))
+
+    def _by_place(self, model: CellModel, wander: Wander) -> Array:
+        """Return gradients (P, k): what the arm does to all parameters if it strays by its joints' places, not by time.
+
+        What a gear does it does again wherever its joint comes by, and visits are then no new evidence: a wave of each
+        joint with the straying's deviation, of which neither length nor phase is known.
+        """
+        arm = model.arm.arm
+        k = WAVES / np.where(arm.revolute, 1.0, arm.length_m)[:, None]  # (n, w)
+        g = np.zeros((len(wander.t_s), len(self.x), 2 * k.size))
+        # spot by spot: within a stretch a joint may go through a whole wave
+        for block in range(len(g)):
+            spots = self.spots.take(np.flatnonzero(self.block == block))
+            turns = model.recording.log.at(model.times_s(self.x, spots))[0][:, :, None] * k
+            waves = np.concatenate([np.sin(turns), np.cos(turns)], axis=2)
+            waves *= wander.std[:, None] / np.sqrt(len(WAVES))
+            J = spots.whitening(self.scale) @ model.columns(self.x, spots)[1]
+            moved = J[:, :, wander.columns, None] * waves[:, None]
+            g[block] = J.reshape(-1, len(self.x)).T @ moved.reshape(2 * len(spots), -1)
+        return wander.left_of(self.normals, g)
 
 
 def _inverse(information: Array) -> Array:
@@ -267,8 +298,17 @@ def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance)
     """Return how far this arm is from its model, by class of parameter, as its own corrections show.
 
     Expectation maximisation of the variance of each class's corrections (Dempster, Laird, Rubin 1977, example 4.7):
-    lengths; zeros and directions of axes. Never beyond what was given, never below what any arm is built to.
+    lengths; zeros and directions of axes. Never beyond what was given, never below what any arm is built to. Lengths of
+    links stay as given: what lengths have in common, the scale, no recording shows, and a wrist tells nothing of it.
     """
+    # joints' own lengths that are nominally none cannot tell whether all others are too long
+    links = {
+        f"{joint.name}.{key}"
+        for joint in model.recording.arm.joints
+        for key in ("a_m", "d_m")
+        if abs(getattr(joint, key)) > LEAST_LINK_M
+    }
+    tolerance = replace(tolerance, links=frozenset(links), link_m=tolerance.length_m)
     free = found.places
     H = found.information(model)[np.ix_(free, free)]
     arm = [k for k, at in enumerate(free) if model.arm_at <= at < model.lights_at]

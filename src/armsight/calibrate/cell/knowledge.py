@@ -32,18 +32,23 @@ SHAPE_M = 5e-4
 class ArmTolerance:
     """What a nominal arm is believed to: standard deviations of its lengths, joint zeros, directions of axes, and sag.
 
-    Zeros are set by hand at mastering, axes are bored on machines: the two are learned apart.
+    Zeros are set by hand at mastering, axes are bored on machines: the two are learned apart. links: names of lengths
+    that are not nominally zero, believed to link_m: they set the scale, of which the others tell nothing.
     """
 
     length_m: float = 2e-3
     zero_rad: float = 0.03
     angle_rad: float = 0.03
     sag: float = 0.05
+    link_m: float = 2e-3
+    links: frozenset[str] = frozenset()
 
     def kind(self, name: str) -> str:
         """Return which of its fields a parameter goes by."""
         if name.endswith(".sag"):
             return "sag"
+        if name in self.links:
+            return "link_m"
         if name.endswith(".theta_rad"):
             return "zero_rad"
         return "length_m" if name.endswith("_m") else "angle_rad"

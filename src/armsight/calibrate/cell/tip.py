@@ -40,6 +40,10 @@ class TipSlopes:
         """Return the covariance (k, 3, 3) of the tip by that (P, P) of the parameters."""
         return np.asarray(slopes @ covariance @ slopes.transpose(0, 2, 1))
 
+    def strayed_m(self, columns: NDArray[np.intp], std: Array) -> Array:
+        """Return the covariance (k, 3, 3) of the commanded tip where joints, columns (n,), stray by std (n,)."""
+        return self.spread_m(self.commanded[:, :, columns], np.diag(std**2))
+
 
 def tip_slopes(
     model: CellModel, x: Array, q: Array, T_flange_target: RigidTransform, tip_m: Array, sigma_px: tuple[float, float]

@@ -67,6 +67,13 @@ class Wander:
         chol = scipy.linalg.cholesky_banded(band.reshape(n + 1, b * n), lower=True, check_finite=False)
         return normals.A[:, at].reshape(b * n, -1), np.asarray(chol), normals.g[:, at].ravel()
 
+    def left_of(self, normals: BlockNormals, g: Array) -> Array:
+        """Return what of gradients g (b, P, k) by stretches remains (P, k) with the straying eliminated."""
+        C, chol, _ = self.system(normals)
+        right = g[:, self.columns].reshape(len(C), -1)
+        solved = scipy.linalg.cho_solve_banded((chol, True), right, check_finite=False)
+        return np.asarray(g.sum(axis=0) - C.T @ solved)
+
     def _precision(self) -> tuple[Array, Array]:
         """Return diagonal (b,) and what is beside it (b - 1,) of the precision of a process of unit variance."""
         r = np.exp(-np.diff(self.t_s) / self.time_s)
