@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.cell import CellOptions, CellPriors, calibrate_cell
+from armsight.calibrate.cell import ArmTolerance, CellOptions, CellPriors, calibrate_cell
 from armsight.calibrate.cell.rounds import Solved
 from armsight.calibrate.cell.tip import tip_slopes
 from armsight.kinematics import fk
@@ -19,6 +19,8 @@ from cell_records import Calibrated, arm_of, nominal_axes, target_of, track_of
 
 Array = NDArray[np.float64]
 DRAWS = 200
+MAKERS_M = 3e-4
+"""To how much the arms' lengths are built, as their makers say and the command is told (--tolerance-mm 0.3)."""
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 
@@ -118,7 +120,9 @@ def ours(world: Any, board: Rig | None = None) -> Ours:
         [track_of(track) for track in (world.left, world.right)],
         target_of(world),
         sizes=[track.size for track in (world.left, world.right)],
-        options=CellOptions(priors=None if board is None else board_priors(board)),
+        options=CellOptions(
+            priors=None if board is None else board_priors(board), tolerance=ArmTolerance(length_m=MAKERS_M)
+        ),
     )
     parts, model, truth = done.parts, done.solved.model, world.truth
     arm = parts.arm.based()

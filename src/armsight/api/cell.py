@@ -32,7 +32,7 @@ def calibrate_cell(
     size: tuple[int, int] | None = None,
     right_size: tuple[int, int] | None = None,
     tip: PathText | Sequence[float] | None = None,
-    tolerance_m: float = 2e-3,
+    tolerance_m: float = 1e-3,
     tolerance_rad: float = 0.03,
     compliance: bool | None = None,
     fps: float | None = None,

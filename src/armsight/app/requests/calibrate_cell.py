@@ -61,7 +61,7 @@ class CellJob:
         str, Doc("The tool's tip in target axes, X,Y,Z in m or with units, or tip.yaml."), Flag("--tip", metavar="TIP")
     ] = ""
     tolerance_m: Annotated[float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6), Flag(unit=MM)] = (
-        2e-3
+        1e-3
     )
     tolerance_rad: Annotated[
         float, Doc("Standard deviation of nominal zeros and angles."), Bounds(least=1e-6), Flag(unit=DEG, default=1.72)

@@ -132,7 +132,7 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff:
         straying=_straying(found, arm),
         scale=scale,
         tip=TipDeviation(**_deviations(measured, commanded, slopes)),
-        notes=(*_notes(solved, scale), *_turned_over(solved, parts, q)),
+        notes=_notes(solved, scale),
         advice=_advice(learned),
     )
 
@@ -312,18 +312,6 @@ def _notes(solved: Solved, scale: ScaleCheck) -> tuple[str, ...]:
             "are trusted"
         )
     return tuple(out)
-
-
-def _turned_over(solved: Solved, parts: CellParts, q: Array) -> tuple[str, ...]:
-    """Return a note where the target's z axis points towards the cameras: `measure` takes lights from its -z side."""
-    T = solved.model.flange(solved.fit.x, q) @ parts.T_flange_target.as_matrix()
-    cameras = [np.asarray(solved.model.T_base_camera(solved.fit.x, side).translation) for side in (0, 1)]
-    if np.median(np.einsum("ki,ki->k", T[:, :3, 2], np.mean(cameras, axis=0) - T[:, :3, 3])) < 0.0:
-        return ()
-    return (
-        "The target's z axis points towards the cameras, and `armsight measure` takes lights as seen from the -z side: "
-        "turn the axes of its file over (x, -y, -z) and calibrate again, or poses will be refused or turned over",
-    )
 
 
 def _advice(learned: Sequence[Learned]) -> tuple[str, ...]:

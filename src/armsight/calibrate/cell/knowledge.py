@@ -36,11 +36,11 @@ class ArmTolerance:
     that are not nominally zero, believed to link_m: they set the scale, of which the others tell nothing.
     """
 
-    length_m: float = 2e-3
+    length_m: float = 1e-3
     zero_rad: float = 0.03
     angle_rad: float = 0.03
     sag: float = 0.05
-    link_m: float = 2e-3
+    link_m: float = 1e-3
     links: frozenset[str] = frozenset()
 
     def kind(self, name: str) -> str:
