@@ -128,8 +128,12 @@ def ours(world: Any, board: Rig | None = None) -> Ours:
     arm = parts.arm.based()
     sigma = (truth.left.noise_px, truth.right.noise_px)
     slopes = tip_slopes(model, done.solved.fit.x, truth.samples, parts.T_flange_target, truth.tip_target_m, sigma)
-    # beside what the joints' giving way leaves open: the Cramer-Rao bound, with what the stamps' jitter adds
-    bound = done.covariance - done.solved.fit.covariance(model, stiff=False) + done.solved.fit.covariance(model)
+    # the Cramer-Rao bound, with what the stamps' jitter adds: what arms may do beyond the model is no part of it
+    fit, free = done.solved.fit, done.solved.fit.places
+    H = fit.information(model)[np.ix_(free, free)]
+    size = 1.0 / np.sqrt(np.diag(H))
+    bound = done.covariance - fit.covariance(model, stiff=False)
+    bound[np.ix_(free, free)] += np.linalg.inv(H * np.outer(size, size)) * np.outer(size, size)
     return Ours(
         measured_with=Calibrated(
             rig=parts.rig,
