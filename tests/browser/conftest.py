@@ -183,11 +183,23 @@ def held(page: Any, words: str) -> bool:
             return bool(came == "done")
 
 
+def faults(page: Any, scheme: str) -> list[tuple[str, list[str]]]:
+    """Return the serious faults of accessibility that axe finds on a page, light or dark, with some of their places."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    page.emulate_media(color_scheme=scheme)
+    return [
+        (fault["id"], [node["html"][:200] for node in fault["nodes"]][:3])
+        for fault in Axe().run(page).response["violations"]
+        if fault["impact"] in ("serious", "critical")
+    ]
+
+
 @pytest.fixture(scope="session")
 def console() -> SimpleNamespace:
     """How a console is begun (folder, flags -> address, process) and ended, how a page is opened, what a person does on
     it with the robot, and a cell that two busy cores can draw."""
     return SimpleNamespace(
         begin=begin, end=end, opened=opened, measuring=measuring, robot_says=robot_says, rests=rests, jog=jog,
-        held=held, small_cell=small_cell,
+        held=held, small_cell=small_cell, faults=faults,
     )  # fmt: skip

@@ -55,20 +55,11 @@ def test_a_mirror_that_is_off_is_named_and_a_sample_is_taken(browser: Any, conso
 
 
 def test_its_page_has_no_serious_fault_and_fits_a_phone(browser: Any, console: Any, cell: str) -> None:
-    from axe_playwright_python.sync_playwright import Axe
-
     page = console.opened(browser, f"{cell}/calibrate", width=390)
     page.wait_for_selector("[data-testid=alignment]:not(:empty)")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     for scheme in ("light", "dark"):
-        page.emulate_media(color_scheme=scheme)
-        found = Axe().run(page).response["violations"]
-        serious = [
-            (fault["id"], [node["html"][:200] for node in fault["nodes"]][:3])
-            for fault in found
-            if fault["impact"] in ("serious", "critical")
-        ]
-        assert serious == [], scheme
+        assert console.faults(page, scheme) == [], scheme
     page.goto(f"{cell}/live")
     page.wait_for_selector("[data-testid=camera-complex]")
     assert page.locator("[data-testid=camera-left]").count() == 0

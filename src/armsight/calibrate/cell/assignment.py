@@ -90,7 +90,8 @@ def name_lights(places_m: Array, positions_m: Mapping[str, Array], *, arm_fits: 
         hint = (
             "Its mirror image would fit: check the target's coordinates (right-handed), or for cameras that mirror"
             if mirrored < min(allowed, 0.3 * best)
-            else "Give the file of the target that is on the flange, or measure it: armsight calibrate target"
+            else "Give the file of the target that is on the flange, or measure it: armsight calibrate target; see "
+            "too that --model is of this arm"
             if arm_fits
             else "Check that --model is of this arm, whose motion explains the images poorly; then the target's file"
         )

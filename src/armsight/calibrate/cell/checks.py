@@ -117,8 +117,10 @@ CURES = {
     Cause.LEFT_MOVED: "Fasten the left camera, and record again without touching it",
     Cause.RIGHT_MOVED: "Fasten the right camera, and record again without touching it",
     Cause.TARGET_SLIPPED: "Clamp the target to the flange, and record again",
-    Cause.LEFT_CLOCK: "Record again with the left camera's own stamps, or close other programs that use it",
-    Cause.RIGHT_CLOCK: "Record again with the right camera's own stamps, or close other programs that use it",
+    Cause.LEFT_CLOCK: "Record again with the left camera's own stamps, or close other programs that use it; where "
+    "both cameras are named it was the robot's clock",
+    Cause.RIGHT_CLOCK: "Record again with the right camera's own stamps, or close other programs that use it; where "
+    "both cameras are named it was the robot's clock",
     Cause.JOINT_JUMPED: "Look at that joint's encoder and coupling (a slipped belt, a lost reference); record again",
     Cause.ELASTIC: "Give the links' masses in the arm's file and --compliance on",
 }
