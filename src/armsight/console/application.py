@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
-from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
-from nicegui import app, core, ui
+from nicegui import app, ui
 from starlette.applications import Starlette
 
 from armsight.console import texts
 from armsight.console.layout import STATIC, page, text_of
+from armsight.console.page_socket import PageSocket
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.cell import cell_page
 from armsight.console.pages.identify import identify_page
@@ -22,9 +23,10 @@ from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
 from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
-from armsight.console.robot_link import add_robot_link, person_of
+from armsight.console.robot_link import add_robot_link
 from armsight.console.routes import SafeHeaders, add_files, add_pictures
 from armsight.console.state import Console
+from armsight.console.visitors import person_of
 
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
@@ -42,6 +44,7 @@ WATCHED: dict[str, Callable[[Console], None]] = {"live": partial(live_page, watc
 
 def add_console(server: FastAPI, console: Console) -> None:
     """Add the console's pages to a server: /live and its sisters; / leads to /live."""
+    server.add_middleware(PageSocket, note=partial(_note, console))
     server.add_middleware(SafeHeaders)
     server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
     add_pictures(server, console)
@@ -56,8 +59,8 @@ def add_console(server: FastAPI, console: Console) -> None:
         _add_page(name, build, console)
     app.on_page_exception(lambda: text_of("p", texts.PAGE_FAILED))  # what went wrong is for the log, not for callers
     server.mount("/api", Starlette())  # what is no path there is told so here: a page of NiceGUI would be kept for it
-    _hear_own_pages_only()
     ui.run_with(server, title=texts.TITLE, dark=None, show_welcome_message=False, tailwind=False)
+    app.config.socket_io_js_transports = ["websocket"]
 
 
 def _add_page(name: str, build: Callable[[Console], None], console: Console) -> None:
@@ -68,18 +71,12 @@ def _add_page(name: str, build: Callable[[Console], None], console: Console) -> 
             (build if person.role == "drive" else WATCHED.get(name, _not_for_watchers))(console)
 
 
-def _hear_own_pages_only() -> None:
-    """Let a browser's socket speak for the page that it opened: NiceGUI takes a page's name alone for the right to it.
-
-    A socket is in the room of its page from its handshake on.
-    """
-    heard = core.sio.handlers["/"]["event"]
-
-    def check(sid: str, message: dict[str, Any]) -> None:
-        if message.get("client_id") in core.sio.rooms(sid):
-            heard(sid, message)
-
-    core.sio.on("event", check)
+def _note(console: Console, message: str) -> None:
+    """Keep what callers did, in the robot's log where there is one."""
+    if console.robot is None:
+        logging.getLogger(__name__).warning(message)
+    else:
+        console.robot.service.authority.note("warning", message)
 
 
 def _not_for_watchers(_: Console) -> None:

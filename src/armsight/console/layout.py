@@ -19,6 +19,7 @@ from armsight.app.operator.job_runner import BackgroundJob, JobRunner
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import texts
 from armsight.console.state import Console
+from armsight.console.visitors import logged_in, page_name
 from armsight.errors import ArmsightError, UsageError
 from armsight.units import DEG, MM
 
@@ -115,6 +116,9 @@ def page(name: str, console: Console) -> Iterator[None]:
         ui.element("span").classes("space")
         if console.robot is not None:
             _robot_bar(console.robot)
+        if logged_in(ui.context.client.request):
+            with ui.element("form").props("method=post action=/logout"):
+                text_of("button", texts.LOG_OUT, testid="log-out", type="submit").classes("act quiet")
     with ui.element("main").style("display: contents"):
         text_of("h1", texts.PAGES[name])
         yield
@@ -136,7 +140,7 @@ def _robot_bar(robot: RobotCell) -> None:
     bar = ui.element("div").classes("robot")
     bar.props.update(
         {
-            "data-robot": ui.context.client.id,
+            "data-robot": page_name(),
             "data-instance": robot.service.authority.instance,
             "data-gone": texts.GONE,
             "data-stale": texts.STALE,
@@ -249,7 +253,7 @@ class Working:
         """Put it onto the page that is being built; name: of the work."""
         self._jobs, self._name, self._ended = jobs, name, ended
         self._shown: BackgroundJob | None = None
-        self._browser = ui.context.client.id
+        self._browser = page_name()
         self._said = text_of("p", role="status", testid="work").classes("hint")
         with ui.element("div").classes("row") as self._asking:
             self._question = text_of("p")

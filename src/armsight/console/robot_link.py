@@ -10,15 +10,15 @@ import secrets
 import time
 from typing import Annotated, Any, Literal, TypeVar
 
-from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-from starlette.requests import HTTPConnection
 
 from armsight.console import texts
 from armsight.console.layout import SIGNS
 from armsight.console.state import Console
+from armsight.console.visitors import opener_of, person_of, require_login
 from armsight.control.guard import GuardState
-from armsight.control.session.operator_session import OperatorSession, Person, Push
+from armsight.control.session.operator_session import OperatorSession, Push
 from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
 from armsight.drivers.remote.protocol import MAX_JOINTS
@@ -28,9 +28,6 @@ LONGEST = 2000
 """Characters of a message; ours have a tenth."""
 LARGEST_PX = 1e5
 """Farthest corner of a rectangle drawn on a picture: ten times the widest camera."""
-BROWSER = r"^[0-9A-Za-z_-]{1,64}$"
-"""A browser's name: the identifier of a page's connection."""
-
 Seconds = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]
 """A time on the loop's clock; a machine that was on for 30 years has 1e9."""
 Pixel = Annotated[float, Field(ge=-LARGEST_PX, le=LARGEST_PX, allow_inf_nan=False)]
@@ -67,6 +64,13 @@ class Beat(_Said):
     number: int | None = Field(None, ge=1, lt=2**53)
 
 
+class Page(_Said):
+    """The page is this one, by the name that the server gave it: work that was begun there moves with its enable."""
+
+    do: Literal["page"]
+    page: str = Field(max_length=64)
+
+
 class Stop(_Said):
     """Stop the robot."""
 
@@ -93,7 +97,7 @@ class Drawn(_Said):
     mask: tuple[Pixel, Pixel, Pixel, Pixel] = Field(strict=False)
 
 
-RobotMessage = Beat | Stop | Reset | Override
+RobotMessage = Page | Beat | Stop | Reset | Override
 """What a page may say of the robot."""
 
 _ROBOT: TypeAdapter[RobotMessage] = TypeAdapter(Annotated[RobotMessage, Field(discriminator="do")])
@@ -145,21 +149,13 @@ def _refused(why: str) -> UsageError:
 STATE_S = 0.1
 """Time between two states sent to a browser."""
 
-IDENTITY = "armsight.identity"
-"""Where the server that lets callers in puts who they are into a request's scope."""
-
 SENT_AFTER = "armsight.sent_after_s"
 """Where the server says after what time (time.monotonic()) a message was sent, by the round trip that it measures."""
 
 
-def person_of(connection: HTTPConnection | None) -> Person:
-    """Return who asks; where nobody is checked, because only this machine is served, its operator."""
-    found: Any = None if connection is None else connection.scope.get(IDENTITY)
-    return Person() if found is None else Person(who=found.who, role=found.role)
-
-
 def add_robot_link(server: FastAPI, console: Console) -> None:
-    """Serve the WebSocket /console/robot?browser=NAME, and /console/stop, which works without it."""
+    """Serve the WebSocket /console/robot, and /console/stop, which works without it."""
+    links: dict[str, RobotLink] = {}
 
     @server.post("/console/stop", include_in_schema=False)
     async def stop(request: Request) -> Response:
@@ -168,20 +164,23 @@ def add_robot_link(server: FastAPI, console: Console) -> None:
         return Response(status_code=204)
 
     @server.websocket("/console/robot")
-    async def robot(socket: WebSocket, browser: Annotated[str, Query(pattern=BROWSER)]) -> None:
+    async def robot(socket: WebSocket) -> None:
         if console.robot is None:
             await socket.close(code=1008)
             return
         await socket.accept()
-        await RobotLink(console.robot.session, socket, browser).serve()
+        await RobotLink(console.robot.session, socket, links).serve()
 
 
 class RobotLink:
-    """One browser's connection to the operator's session."""
+    """One browser's connection to the operator's session: of a page once it says which, and that page is its own.
 
-    def __init__(self, session: OperatorSession, socket: WebSocket, browser: str) -> None:
-        self._session, self._socket, self._browser = session, socket, browser
-        self._person = person_of(socket)
+    links: the connection of each page, by the page's name.
+    """
+
+    def __init__(self, session: OperatorSession, socket: WebSocket, links: dict[str, RobotLink]) -> None:
+        self._session, self._socket, self._links = session, socket, links
+        self._browser = secrets.token_urlsafe(16)
         self._key = secrets.token_hex(16)  # names its enable on the line for stops, while the session lets it
         self._refused = ""
         self._sent_s = -math.inf
@@ -195,7 +194,7 @@ class RobotLink:
                 self.take(said.get("text"), 0.0 if sent_after_s is None else time.monotonic() - sent_after_s)
         finally:
             # before anything is awaited: the robot is let go of even where the page's other task hangs
-            self._session.leave(self._browser)
+            self._give_up()
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await sender
@@ -203,16 +202,19 @@ class RobotLink:
     def take(self, text: str | None, age_s: float = 0.0) -> None:
         """Do what a message asked age_s ago; what is refused, or is no message, is told with the next state."""
         try:
+            require_login(person_of(self._socket))
             match robot_message(text):
+                case Page(page=name):
+                    self._join(name)
                 case Beat() as beat:
                     self._beat(beat, age_s)
                 case Stop():
-                    self._session.stop(self._person)
+                    self._session.stop(person_of(self._socket))
                 case Reset():
-                    self._session.reset(self._browser, self._person)
+                    self._session.reset(self._browser, person_of(self._socket))
                     self._refused = ""
                 case Override(share=share):
-                    self._override(share)
+                    self._session.choose_override(self._browser, person_of(self._socket), share)
         except ArmsightError as error:
             self._refused = str(error)
 
@@ -222,20 +224,37 @@ class RobotLink:
             raise UsageError("the page saw a state that it was not told", consequence="Nothing was done")
         push = None if beat.push is None else beat.push.held()
         said = {"enable": beat.enable, "seen_s": seen_s, "age_s": age_s, "push": push, "number": beat.number}
-        self._session.beat(self._browser, self._person, key=self._key, **said)  # type: ignore[arg-type]
+        self._session.beat(self._browser, person_of(self._socket), key=self._key, **said)  # type: ignore[arg-type]
         if beat.enable:
             self._refused = ""
 
-    def _override(self, share: float) -> None:
-        """Take another speed, from who drives or may do so while nobody does."""
-        if self._person.role == "drive" and self._session.browser in ("", self._browser):
-            self._session.override = share
+    def _join(self, page: str) -> None:
+        """Speak for a page from now on. Raises UsageError for another's, or none."""
+        if opener_of(page) != person_of(self._socket):
+            raise UsageError(
+                "this page is not yours, or is gone", consequence="Nothing was done", cure="Load the page anew"
+            )
+        if (before := self._links.get(page)) is not self:
+            self._give_up()
+            if before is not None:  # the page's connection broke, and the server has not seen it yet
+                before._give_up()
+            self._browser = page
+            self._links[page] = self
+
+    def _give_up(self) -> None:
+        """Let the robot go, and the page."""
+        self._session.leave(self._browser)
+        if self._links.get(self._browser) is self:
+            del self._links[self._browser]
+        self._browser = secrets.token_urlsafe(16)
 
     async def _send_states(self) -> None:
-        while True:
+        while person_of(self._socket).role != "none":
             self._session.look()
             await self._socket.send_text(json.dumps(self.state()))
             await asyncio.sleep(STATE_S)
+        self._give_up()
+        await self._socket.close(1008, "logged out")
 
     def state(self) -> dict[str, Any]:
         """Return what the page is told."""
@@ -257,7 +276,7 @@ class RobotLink:
             "mine": mine,
             "enabled": enabled,
             "override": session.override,
-            "drives": self._person.role == "drive",
+            "drives": person_of(self._socket).role == "drive",
             "line": session.service.stop_port,
             "key": self._key,
         }

@@ -19,8 +19,8 @@ from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Shown
 from armsight.app.live.views import complex_view
 from armsight.console import texts
-from armsight.console.robot_link import person_of
 from armsight.console.state import Console
+from armsight.console.visitors import person_of
 from armsight.errors import ArmsightError
 from armsight.store.atomic import write_bytes
 
@@ -89,13 +89,19 @@ def add_files(server: FastAPI, console: Console) -> None:
             data += part
             if len(data) > LARGEST_BYTES:
                 return PlainTextResponse(texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000), 413)
-        if not data.strip():
-            return PlainTextResponse(texts.EMPTY_FILE.format(name=name), 400)
-        try:
-            write_bytes(console.folder / name, bytes(data))
-        except ArmsightError as error:
-            return PlainTextResponse(str(error), 507)
-        return PlainTextResponse(texts.UPLOADED.format(name=name))
+        refused = _refused(console.folder, name, person_of(request).role)  # it may have taken long
+        return refused or _written(console.folder, name, bytes(data))
+
+
+def _written(folder: Path, name: str, data: bytes) -> PlainTextResponse:
+    """Write a file that was brought into the folder; return what is told of it."""
+    if not data.strip():
+        return PlainTextResponse(texts.EMPTY_FILE.format(name=name), 400)
+    try:
+        write_bytes(folder / name, data)
+    except ArmsightError as error:
+        return PlainTextResponse(str(error), 507)
+    return PlainTextResponse(texts.UPLOADED.format(name=name))
 
 
 def _refused(folder: Path, name: str, role: str) -> PlainTextResponse | None:
@@ -176,6 +182,9 @@ async def _said(socket: WebSocket) -> str:
     said = await socket.receive()
     if said["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(said.get("code", 1005))
+    if person_of(socket).role == "none":  # what they came in by has ended
+        await socket.close(1008, "logged out")
+        raise WebSocketDisconnect(1008)
     return said.get("text") or ""
 
 

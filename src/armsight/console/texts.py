@@ -23,6 +23,7 @@ OVERRIDE = "Speed"
 WATCHING = "Your token may watch: see the page Live. The stop works for you as well."
 PAGE_FAILED = "This page could not be built. What went wrong is in the log of the console."
 GONE = "No connection to the console. The robot is held."
+LOG_OUT = "Log out"
 SHARED = "The port for stops cannot be reached: a stop shares the way of this page."
 STALE = "The console was started anew. Load this page again."
 ROBOT = {

@@ -1,32 +1,28 @@
-"""Who may come in: tokens, addresses, where pages come from; and the door of pages, which asks for a token."""
+"""Who may come in: by tokens and the log-ins of browsers, from which addresses and pages; asked again at any time."""
 
 from __future__ import annotations
 
 import re
 from collections import OrderedDict, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from html import escape
-from http.cookies import SimpleCookie
+from dataclasses import dataclass, field
+from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Literal
-from urllib.parse import parse_qs
+from typing import Any, Literal
 
-from starlette.requests import HTTPConnection, Request
-from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
-from starlette.websockets import WebSocketClose
+from starlette.requests import HTTPConnection
 
 from armsight.clock import Clock, SystemClock
 from armsight.errors import BadFile
-from armsight.server.limited import known_as
+from armsight.server.browser_sessions import BrowserSessions
 from armsight.store.tokens import TokenEntry, read_tokens
 
 Role = Literal["watch", "drive"]
 
 FAILURES = 5
-"""So many wrong tokens of one address within WINDOW_S, and it has to wait."""
+"""So many wrong tokens of one address within WINDOW_S, and further wrong ones are answered 429. A right one is let in
+all the same: a stop must pass, and guessing is hopeless at 256 random bits, limited or not."""
 
 WINDOW_S = 60.0
 
@@ -35,8 +31,8 @@ ADDRESSES = 1024
 
 LONGEST_TOKEN = 200
 
-COOKIE = "armsight_token"
-"""In which a browser keeps its token."""
+COOKIE, SECURE_COOKIE = "armsight_session", "__Host-armsight_session"
+"""In which a browser keeps the id of its log-in: the latter over TLS, which no other host or plain text can set."""
 
 LONGEST_COOKIE = 4096
 
@@ -46,10 +42,15 @@ LOCAL_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IG
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who it is and what they may do."""
+    """Who it is and what they may do.
+
+    token: its SHA-256; login: the SHA-256 of the id of a browser's log-in, empty where the token itself was sent.
+    """
 
     who: str
     role: Role
+    token: str = field(default="", compare=False, repr=False)
+    login: str = field(default="", compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,10 +63,11 @@ class Denied:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caller:
-    """What a request says of itself: its address and its headers Authorization, Host and Origin."""
+    """What a request says of itself: its address, its headers Authorization, Host and Origin, its log-in's cookie."""
 
     address: str
     authorization: str = ""
+    session: str = field(default="", repr=False)
     host: str = ""
     origin: str = ""
 
@@ -78,16 +80,22 @@ class Authenticator:
     """
 
     def __init__(
-        self, tokens: Sequence[TokenEntry] | Path = (), *, clock: Clock | None = None, page_port: int | None = None
+        self,
+        tokens: Sequence[TokenEntry] | Path = (),
+        *,
+        clock: Clock | None = None,
+        page_port: int | None = None,
+        sessions: BrowserSessions | None = None,
     ) -> None:
         """tokens: or their file, which is read anew when it has changed. page_port: of this machine's own pages, where
-        they come from another port than they ask. Raises BadFile."""
+        they come from another port than they ask. sessions: where browsers' log-ins are kept. Raises BadFile."""
         self._file = tokens if isinstance(tokens, Path) else None
         self._entries = read_tokens(tokens) if isinstance(tokens, Path) else tuple(tokens)
         self._open = self._file is None and not self._entries
         self._read_at = self._stamp()
         self._page_port = page_port
         self._clock = clock or SystemClock()
+        self.sessions = sessions or BrowserSessions(clock=self._clock)
         self._failed: OrderedDict[str, deque[float]] = OrderedDict()
 
     def check(self, caller: Caller) -> Identity | Denied:
@@ -96,20 +104,42 @@ class Authenticator:
             return Denied(status=403, why=f"a page of {caller.origin[:80]!r} may not use this server")
         if self._open:
             return self._local(caller)
+        found = self._of_token(caller.authorization) if caller.authorization else self._of_session(caller.session)
+        if found is not None:
+            return found
+        if not caller.authorization:  # nothing was tried: a browser that opens a page, or whose log-in has ended
+            return Denied(status=401, why="no token")
         if self._waits(caller.address):
             return Denied(status=429, why=f"{FAILURES} wrong tokens within {WINDOW_S:g} s; wait")
-        kind, _, token = caller.authorization.partition(" ")
-        found = self._entry(token.strip()) if kind.lower() == "bearer" and len(token) <= LONGEST_TOKEN else None
-        if found is None:
-            if not caller.authorization:  # nothing was tried: a browser that opens a page for the first time
-                return Denied(status=401, why="no token")
-            self._note_failure(caller.address)
-            return Denied(status=401, why="no valid token")
-        return Identity(who=found.name, role=_role(found))
+        self._note_failure(caller.address)
+        return Denied(status=401, why="no valid token")
 
     def knows(self, who: Identity) -> bool:
-        """Tell whether somebody who came in may still do what they may."""
-        return self._open or any((entry.name, _role(entry)) == (who.who, who.role) for entry in self._tokens())
+        """Tell whether somebody who came in may still do what they may: to be asked for everything that they say."""
+        if self._open:
+            return True
+        if who.login and self.sessions.token(who.login) != who.token:
+            return False
+        return any(
+            (entry.name, _role(entry), entry.sha256) == (who.who, who.role, who.token) for entry in self._tokens()
+        )
+
+    def log_in(self, who: Identity) -> str:
+        """Return the id of a new log-in of somebody whose token is good, for their browser to keep."""
+        return self.sessions.begin(who.token)
+
+    def _of_token(self, authorization: str) -> Identity | None:
+        kind, _, token = authorization.partition(" ")
+        if kind.lower() != "bearer" or len(token) > LONGEST_TOKEN:
+            return None
+        # every entry is compared, so that the time does not tell which came near
+        matching = [entry for entry in self._tokens() if entry.matches(token.strip())]
+        return _identity(matching[0]) if matching else None
+
+    def _of_session(self, session: str) -> Identity | None:
+        login = BrowserSessions.digest(session)
+        token = self.sessions.token(login) if session else ""
+        return next((_identity(entry, login) for entry in self._tokens() if entry.sha256 == token), None)
 
     def _tokens(self) -> tuple[TokenEntry, ...]:
         """Return the tokens as they are now; none while their file cannot be read, and nobody comes in."""
@@ -145,11 +175,6 @@ class Authenticator:
             return Denied(status=403, why="without tokens only this machine may use the server, by the name localhost")
         return Identity(who="local", role="drive")
 
-    def _entry(self, token: str) -> TokenEntry | None:
-        """Return the token's entry; every entry is compared, so that the time does not tell which came near."""
-        matching = [entry for entry in self._tokens() if entry.matches(token)]
-        return matching[0] if matching else None
-
     def _waits(self, address: str) -> bool:
         failed = self._failed.get(address)
         if failed is None:
@@ -170,22 +195,62 @@ def _role(entry: TokenEntry) -> Role:
     return "drive" if entry.role == "drive" else "watch"
 
 
+def _identity(entry: TokenEntry, login: str = "") -> Identity:
+    return Identity(who=entry.name, role=_role(entry), token=entry.sha256, login=login)
+
+
+class Visitor:
+    """Somebody who came in, as they are at the moment that this is asked: a role may end while a connection lasts."""
+
+    def __init__(self, auth: Authenticator, found: Identity) -> None:
+        self._auth, self._found = auth, found
+
+    @property
+    def who(self) -> str:
+        """Their name."""
+        return self._found.who
+
+    @property
+    def role(self) -> Role | Literal["none"]:
+        """What they may do now; none: their token was taken out or made anew, or their log-in has ended."""
+        return self._found.role if self._auth.knows(self._found) else "none"
+
+    @property
+    def logged_in(self) -> bool:
+        """Whether they came by a log-in, which they can end."""
+        return bool(self._found.login)
+
+
+def is_secure(scope: Any) -> bool:
+    """Return whether a request came over TLS."""
+    return scope.get("scheme") in ("https", "wss")
+
+
+def cookie_name(scope: Any) -> str:
+    """Return the name of the cookie that holds the log-in of a request's browser."""
+    return SECURE_COOKIE if is_secure(scope) else COOKIE
+
+
 def caller_of(connection: HTTPConnection, token: str = "") -> Caller:
-    """Return what a request says of itself; token: one that it brings elsewhere than in its header or its cookie."""
+    """Return what a request says of itself; token: one that it brings elsewhere than in its header."""
     headers = connection.headers
-    said = headers.get("authorization", "")
-    if not said and not token:
-        cookies: SimpleCookie = SimpleCookie()
-        cookies.load(headers.get("cookie", "")[:LONGEST_COOKIE])
-        token = cookies[COOKIE].value if COOKIE in cookies else ""
-    if token and len(token) <= LONGEST_TOKEN:
-        said = f"Bearer {token}"
     return Caller(
         address=address_of(connection),
-        authorization=said,
+        authorization=f"Bearer {token}" if token else headers.get("authorization", ""),
+        session=_session_of(connection),
         host=headers.get("host", ""),
         origin=headers.get("origin", ""),
     )
+
+
+def _session_of(connection: HTTPConnection) -> str:
+    cookies: SimpleCookie = SimpleCookie()
+    try:
+        cookies.load(connection.headers.get("cookie", "")[:LONGEST_COOKIE])
+    except CookieError:
+        return ""
+    found = cookies.get(cookie_name(connection.scope))
+    return "" if found is None else found.value[:LONGEST_TOKEN]
 
 
 def address_of(connection: HTTPConnection) -> str:
@@ -201,71 +266,3 @@ def is_loopback(address: str) -> bool:
         return ip_address(address).is_loopback
     except ValueError:
         return False
-
-
-IDENTITY = "armsight.identity"
-LOGIN = "/login"
-LONGEST_BODY = 4096
-DAY_S = 86_400
-
-PAGE = (
-    "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>armsight</title>"
-    "<meta name='viewport' content='width=device-width'></head><body style='font-family:system-ui;margin:2rem'>"
-    "<h1>armsight</h1><p>{why}</p><form method='post' action='/login'><label>Token "
-    "<input name='token' type='password' autocomplete='current-password' autofocus></label> "
-    "<button>Enter</button></form></body></html>"
-)
-
-
-class Gate:
-    """Lets requests through whose token is good, in the header or in the cookie; the paths `/api/` check their own.
-
-    Who it is stands in scope[IDENTITY].
-    """
-
-    def __init__(self, app: ASGIApp, auth: Authenticator, *, secure: bool) -> None:
-        """secure: whether pages are served over TLS, and the cookie is for it alone."""
-        self.app, self._auth, self._secure = app, auth, secure
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request through, or answer it here."""
-        if scope["type"] not in ("http", "websocket") or scope["path"].startswith("/api/"):
-            await self.app(scope, receive, send)
-            return
-        if scope["type"] == "http" and scope["path"] == LOGIN and scope["method"] == "POST":
-            await (await self._login(Request(scope, receive)))(scope, receive, send)
-            return
-        found = self._auth.check(caller_of(HTTPConnection(scope)))
-        if not isinstance(found, Denied):
-            known_as(scope, found.who)
-            await self.app({**scope, IDENTITY: found}, receive, send)
-        elif scope["type"] == "websocket":
-            await WebSocketClose(code=1008, reason=found.why[:120])(scope, receive, send)
-        else:
-            await _denied(found, str(scope["path"]))(scope, receive, send)
-
-    async def _login(self, request: Request) -> Response:
-        """Keep a good token in the browser, and lead on; ask again where it is none."""
-        body = b""
-        async for part in request.stream():
-            body += part
-            if len(body) > LONGEST_BODY:
-                return PlainTextResponse("too long", 413)
-        token = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
-        found = self._auth.check(caller_of(request, token))
-        if isinstance(found, Denied):
-            return _asking(found)
-        answer = RedirectResponse("/", status_code=303)
-        answer.set_cookie(COOKIE, token, max_age=DAY_S, httponly=True, samesite="strict", secure=self._secure)
-        return answer
-
-
-def _denied(denied: Denied, path: str) -> Response:
-    """Ask for the token where a page was wanted; refuse all else."""
-    asks = denied.status == 401 and "." not in path.rpartition("/")[2]
-    return _asking(denied) if asks else PlainTextResponse(denied.why, denied.status)
-
-
-def _asking(denied: Denied) -> Response:
-    why = "Who are you? Enter your token." if denied.why == "no token" else denied.why
-    return HTMLResponse(PAGE.format(why=escape(why)), denied.status)

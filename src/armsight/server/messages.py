@@ -142,10 +142,12 @@ class Session:
         except (Inconsistent, UsageError):
             self.violations += 1
             raise
-        self._seq = command.seq
+        self._seq = max(self._seq, command.seq)
         return command
 
     def _check(self, command: say.Command) -> None:
+        if isinstance(command, say.StopMessage):
+            return  # from whomever, and whenever: one that is played again stops a robot, and nothing more
         if not secrets.compare_digest(command.session.encode(), self.nonce.encode()):
             raise Inconsistent(
                 "a message of another connection", consequence="Nothing was done", cure="Send this one's session"

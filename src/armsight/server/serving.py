@@ -21,8 +21,10 @@ from armsight.control.session.service import Service
 from armsight.errors import Cancelled
 from armsight.priority import SERVES, give_way
 from armsight.server.application import create_app
-from armsight.server.auth import Authenticator, Gate
+from armsight.server.auth import Authenticator
+from armsight.server.browser_sessions import BrowserSessions
 from armsight.server.connections import Connections
+from armsight.server.gate import Gate
 from armsight.server.stop_line import stop_line
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, check_options, web_server
@@ -61,7 +63,11 @@ def serve_pages(
     the robot that the pages move, which gets its line for stops. Raises as check_options.
     """
     check_options(options)
-    gate = Gate(app, Authenticator(options.tokens or ()), secure=options.tls_cert is not None)
+    # one for the pages and for the programs beside them
+    auth: Authenticator = getattr(app.state, "auth", None) or Authenticator(options.tokens or ())
+    if service is not None:
+        auth.sessions = BrowserSessions(service.host.line.sessions)
+    gate = Gate(app, auth)
     with contextlib.ExitStack() as stack:
         if service is not None:
             stack.enter_context(stop_line(service, options, page_port=listener.getsockname()[1]))

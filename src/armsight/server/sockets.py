@@ -17,7 +17,7 @@ from armsight.control.session.loop_host import SETPOINT_S
 from armsight.control.session.service import Service
 from armsight.control.setpoints import Taken
 from armsight.drivers.remote import protocol as say
-from armsight.errors import ArmsightError, DeviceFailed
+from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.server.auth import Authenticator, Caller, Denied, Identity
 from armsight.server.limited import LimitedWebSocket, age_of, connection_of, known_as
 from armsight.server.messages import VIOLATIONS, Session, accepted, command_of, event_message, state_message
@@ -34,6 +34,8 @@ TOO_LONG = 1009
 
 WATCHERS, WATCHERS_PER_ADDRESS = 32, 16
 """Connections that watch at a time; one more, and the busiest makes room. Who drives is not counted among them."""
+
+TAKEN_OUT = "its token was taken out"
 
 CROWDED = 1013
 """Close code: try again later."""
@@ -93,7 +95,7 @@ class Connection:
         known_as(self._socket.scope, found.who, keep=self._role == "drive")
         if self._role == "drive":
             try:
-                self._lease = self._authority.take(self._who)
+                self._lease = self._authority.take(self._who, found.who)
             except DeviceFailed as error:
                 self._authority.note("warning", f"{self._who} was refused to drive: {error.cause}")
                 await self._socket.accept()
@@ -183,8 +185,12 @@ class Connection:
                 await self._send(answer)
                 if session.spent:
                     await self._socket.close(BROKE_RULES, "against the protocol")
+                elif not self._auth.knows(self._found):
+                    await self._socket.close(BROKE_RULES, TAKEN_OUT)
             if session.spent:
                 return f"{self._who} broke the rules {VIOLATIONS} times"
+            if not self._auth.knows(self._found):
+                return f"the token of {self._who} was taken out"
 
     def _left(self, code: int | None) -> str:
         if code == TOO_LONG:
@@ -197,6 +203,8 @@ class Connection:
         """Do what a message says and return the answer; what is refused is kept in the log."""
         seq = None
         try:
+            if not self._auth.knows(self._found):
+                raise UsageError(TAKEN_OUT, consequence="Nothing was done", cure="Connect with a token that counts")
             command = session.admit(text)
             seq = command.seq
             if isinstance(command, say.ReadMessage):
@@ -220,7 +228,7 @@ class Connection:
                     await self._send(self._state())
                 await asyncio.sleep(STATE_S)
                 if not self._auth.knows(self._found):
-                    await self._socket.close(BROKE_RULES, "its token was taken out")
+                    await self._socket.close(BROKE_RULES, TAKEN_OUT)
                 for event in events.take():
                     await self._send(event_message(event))
 

@@ -11,6 +11,7 @@ import contextlib
 import multiprocessing
 import os
 import pickle
+import secrets
 import signal
 import socket
 import time
@@ -27,9 +28,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from armsight.control.session.channels import granted
 from armsight.control.session.loop_host import LoopEvent
 from armsight.drivers.remote import protocol as say
-from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
+from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, UsageError
 from armsight.priority import listen_first
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
+from armsight.server.browser_sessions import BrowserSessions
 from armsight.server.connections import LINE, Connections
 from armsight.server.limited import age_of, known_as
 from armsight.server.messages import Session
@@ -105,7 +107,7 @@ class StopLine:
             command = session.admit(message.get("text") or "")
             seq = command.seq
             if isinstance(command, say.Heartbeat):
-                self._beat(command, age_of(message))
+                self._beat(command, who, age_of(message))
                 known_as(socket.scope, who.who, keep=True)  # who drives does not make room for others
             else:
                 self._stop(who)
@@ -113,10 +115,12 @@ class StopLine:
             return say.Refused.of(error, seq)
         return say.Done(reply_to=command.seq)
 
-    def _beat(self, said: say.Heartbeat, age_s: float) -> None:
-        lease, key = granted(self._channels.grant)
-        if not key or said.key != key:
+    def _beat(self, said: say.Heartbeat, who: Identity, age_s: float) -> None:
+        lease, key, person = granted(self._channels.grant)
+        if not key or not secrets.compare_digest(said.key.encode(), key.encode()):
             raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
+        if who.role != "drive" or who.who != person:  # the key tells drivers apart, the token is the right to drive
+            raise UsageError(f"{who.who} does not drive", consequence="Nothing was done", cure="Connect to drive")
         self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease, key)
 
     def _stop(self, who: Identity) -> None:
@@ -181,7 +185,8 @@ def run_stop_line(
     # other work of a busy machine must not keep a stop waiting
     listen_first()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
-    line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))
+    sessions = BrowserSessions(channels.sessions)
+    line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port, sessions=sessions))
     server = web_server(line.app(), options, Connections(line.note, LINE), lifespan=False)
 
     async def watch() -> None:

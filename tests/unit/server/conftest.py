@@ -71,8 +71,8 @@ class FakeHost:
 
     enable_age_s = 0.25
 
-    def grant(self, lease: int, key: str) -> None:
-        self.line.grant.write(json.dumps([lease, key]).encode())
+    def grant(self, lease: int, key: str, person: str = "") -> None:
+        self.line.grant.write(json.dumps([lease, key, person]).encode())
 
     def post(self, setpoint, *, age_s: float = 0.0) -> None:
         self._tell("post", setpoint)

@@ -7,13 +7,13 @@ import json
 from types import SimpleNamespace
 
 import pytest
-from fastapi import FastAPI
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armsight.console import robot_link
-from armsight.console.robot_link import LONGEST, Beat, JogKey, RobotLink, add_robot_link
-from armsight.control.session.operator_session import OperatorSession
+from armsight.console.robot_link import LONGEST, Beat, JogKey, RobotLink
+from armsight.console.visitors import IDENTITY
+from armsight.control.session.operator_session import OperatorSession, Person
 
 NOW = 100.0
 KEY = {"frame": "joints", "axis": 0, "sense": "1"}
@@ -48,9 +48,16 @@ NO_MESSAGES = [
 """None stands for bytes."""
 
 
+class Visit:
+    """Somebody who came in; their role may change."""
+
+    def __init__(self, who, role):
+        self.who, self.role = who, role
+
+
 @pytest.fixture
 def link(service):
-    made = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), "a")
+    made = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), {})
     made.state()
     return made
 
@@ -103,7 +110,7 @@ def test_reading_without_the_schema_would_be_found(service, host, monkeypatch):
 
     def found(said):
         host.told.clear()
-        fresh = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), "a")
+        fresh = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), {})
         try:
             return not refuses(fresh, host, said)
         except Exception:
@@ -130,7 +137,7 @@ SAID = st.text(max_size=60) | (VALUES | NEARLY).map(json.dumps)
 def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable(service, host, said):
     host.told.clear()
     host.t_s += 20.0  # whoever drove before is silent for long
-    link = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), "a")
+    link = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), {})
     link.state()
     link.take(said)
     assert 0.01 <= link.state()["override"] <= 1.0
@@ -138,7 +145,7 @@ def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable
         asked = json.loads(said)
         assert asked["do"] == "reset" or (asked["do"] == "beat" and asked["enable"] is True and asked["seen"] >= NOW)
     link.take('{"do": "stop"}')
-    link._session.leave("a")
+    link._give_up()
 
 
 def test_bytes_and_a_page_that_goes_end_nothing_but_the_connection(service, host):
@@ -154,21 +161,78 @@ def test_bytes_and_a_page_that_goes_end_nothing_but_the_connection(service, host
         sent.append(json.loads(text))
 
     socket = SimpleNamespace(scope={}, receive=receive, send_text=send_text)
-    asyncio.run(RobotLink(OperatorSession(service), socket, "a").serve())
+    asyncio.run(RobotLink(OperatorSession(service), socket, {}).serve())
     assert ("stop", "stopped by operator") in host.told and sent
 
 
-@pytest.mark.parametrize("query", ["", *[f"browser={name}" for name in ("", "x" * 65, "a%20b", "%00", "%C2%B2")]])
-def test_a_page_without_a_name_is_refused(service, query):
-    pages, sent = FastAPI(), []
-    add_robot_link(pages, SimpleNamespace(robot=SimpleNamespace(session=OperatorSession(service))))
+EVE, ANN, BEN = Visit("eve", "watch"), Visit("ann", "drive"), Visit("ben", "drive")
 
-    async def receive():
-        return {"type": "websocket.connect"}
 
-    async def send(message):
-        sent.append(message)
+@pytest.fixture
+def pages(monkeypatch):
+    """The pages that are open, by name, with who opened them."""
+    opened = {"anns": ANN, "bens": BEN, "eves": EVE}
+    found = {name: Person(who=visit.who, role=visit.role) for name, visit in opened.items()}
+    monkeypatch.setattr(robot_link, "opener_of", found.get)
+    return found
 
-    scope = {"type": "websocket", "path": "/console/robot", "query_string": query.encode(), "headers": []}
-    asyncio.run(pages(scope, receive, send))
-    assert [(message["type"], message["code"]) for message in sent] == [("websocket.close", 1008)]
+
+def joined(session, links, visit, page):
+    made = RobotLink(session, SimpleNamespace(scope={IDENTITY: visit}), links)
+    made.state()
+    made.take(json.dumps({"do": "page", "page": page}))
+    return made
+
+
+@pytest.mark.parametrize("visit", [EVE, BEN])
+def test_nobody_speaks_for_anothers_page(service, host, pages, visit):
+    session, links = OperatorSession(service), {}
+    driver = joined(session, links, ANN, "anns")
+    driver.take(json.dumps(BEAT))
+    assert session.browser == "anns" and session.enabled("anns")
+    other = joined(session, links, visit, "anns")
+    assert "not yours" in other.state()["refused"] and not other.state()["mine"]
+    other.take(json.dumps({**BEAT, "enable": False}))
+    assert session.enabled("anns") and driver.state()["mine"]
+
+
+def test_a_connection_that_broke_gives_way_to_the_pages_next_one(service, host, pages):
+    session, links = OperatorSession(service), {}
+    first = joined(session, links, ANN, "anns")
+    first.take(json.dumps({**BEAT, "enable": False}))
+    second = joined(session, links, ANN, "anns")
+    second.take(json.dumps(BEAT))
+    first._give_up()  # its end is seen late
+    assert session.enabled("anns") and links == {"anns": second}
+    second._give_up()
+    assert not session.enabled("anns") and links == {}
+
+
+@pytest.mark.parametrize("said", [BEAT, {**BEAT, "push": None}, {"do": "reset"}, OVERRIDE, {"do": "stop"}])
+def test_who_was_logged_out_says_nothing_more(service, host, pages, said):
+    visit = Visit("ann", "drive")
+    link = joined(OperatorSession(service), {}, visit, "anns")
+    link.take(json.dumps(BEAT))
+    host.told.clear()
+    visit.role = "none"
+    link.take(json.dumps(said))
+    assert host.told == [] and "has ended" in link.state()["refused"] and not link.state()["drives"]
+
+
+def test_a_connection_ends_with_what_it_was_opened_by(service, host, pages):
+    visit, sent, closed = Visit("ann", "drive"), [], []
+
+    async def send_text(text):
+        sent.append(json.loads(text))
+        visit.role = "none"
+
+    async def close(code, reason):
+        closed.append(code)
+
+    socket = SimpleNamespace(scope={IDENTITY: visit}, send_text=send_text, close=close)
+    link = RobotLink(OperatorSession(service), socket, {})
+    link.state()
+    link.take(json.dumps(BEAT))
+    asyncio.run(link._send_states())
+    assert len(sent) == 1 and closed == [1008]
+    assert [what[0] for what in host.told] == ["beat", "post", "stop", "release"], "it was held"

@@ -53,8 +53,15 @@ LINE = 'tells({ line: 8081, key: "k" }); sockets[1].tells({ type: "line", versio
 @pytest.mark.parametrize(("protocol", "scheme"), [("http:", "ws:"), ("https:", "wss:")])
 def test_a_page_opens_the_line_that_it_is_told_of(protocol, scheme):
     assert played(f"{LINE} console.log(JSON.stringify(sockets.map((s) => s.url)))", protocol) == [
-        f"{scheme}//robot:8080/console/robot?browser=b",
+        f"{scheme}//robot:8080/console/robot",
         f"{scheme}//robot:8081/api/v1/stop",
+    ]
+
+
+def test_a_page_tells_its_name_on_the_connection_and_in_no_address():
+    assert played("sockets[0].onopen(); console.log(JSON.stringify([sockets[0].said, sockets[0].url]))") == [
+        [{"do": "page", "page": "b"}],
+        "ws://robot:8080/console/robot",
     ]
 
 

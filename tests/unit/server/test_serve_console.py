@@ -57,7 +57,7 @@ def test_pages_and_interface_are_there(address: str) -> None:
 
 
 def test_a_page_and_a_program_do_not_drive_at_once(address: str) -> None:
-    with connect(f"ws://{address}/console/robot?browser=page", max_queue=None) as page:
+    with connect(f"ws://{address}/console/robot", max_queue=None) as page:
         with connect(f"ws://{address}/api/v1/drive", max_queue=None) as program:
             assert "welcome" in str(program.recv(timeout=30.0))
             assert any("drives" in beat(page, enable=True)["refused"] for _ in range(20))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 from types import SimpleNamespace
 
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from armsight.control.session.channels import LineChannels, granted
@@ -16,6 +17,7 @@ from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
 from armsight.server.auth import COOKIE, Authenticator, Caller, Denied, Identity
+from armsight.server.browser_sessions import BrowserSessions
 from armsight.server.limited import CONNECTION
 from armsight.server.messages import Session
 from armsight.server.stop_line import StopLine, stop_line
@@ -26,13 +28,14 @@ WAIT_S = 20.0
 PAGE_PORT = 8080
 PAGE = f"http://127.0.0.1:{PAGE_PORT}"
 ANN = Person(who="ann")
+ROLES = {"ann": "drive", "ben": "drive", "eve": "watch"}
 
 
 class Page:
     """What a page does on the line."""
 
-    def __init__(self, served, **headers):
-        known = {"Cookie": f"{COOKIE}={served.token}", "Origin": PAGE}
+    def __init__(self, served, name="eve", **headers):
+        known = {"Cookie": served.cookie(name), "Origin": PAGE}
         self.socket = connect(
             f"ws://127.0.0.1:{served.service.stop_port}{say.STOP_PATH}",
             additional_headers={**known, **headers}, proxy=None, compression=None,
@@ -46,10 +49,14 @@ class Page:
 
 
 class Served:
-    """A line of a loop in memory."""
+    """A line of a loop in memory, and the log-ins of browsers."""
 
-    def __init__(self, service, token):
-        self.service, self.token = service, token
+    def __init__(self, service, tokens):
+        self.service, self.tokens = service, tokens
+        self.sessions = BrowserSessions(service.host.line.sessions)
+
+    def cookie(self, name):
+        return f"{COOKIE}={self.sessions.begin(hashlib.sha256(self.tokens[name].encode()).hexdigest())}"
 
     @property
     def orders(self):
@@ -61,10 +68,10 @@ class Served:
 @pytest.fixture(scope="module")
 def served(fakes, tmp_path_factory):
     file = tmp_path_factory.mktemp("line") / "tokens.yaml"
-    token = add_token(file, "eve", "watch")
+    tokens = {name: add_token(file, name, role) for name, role in ROLES.items()}
     service = Service(fakes.FakeHost(), fakes.KeptLog())
     with stop_line(service, ServeOptions(port=0, tokens=file), page_port=PAGE_PORT):
-        yield Served(service, token)
+        yield Served(service, tokens)
 
 
 @pytest.fixture
@@ -86,9 +93,29 @@ def test_no_foreign_page_and_nobody_without_a_token(served, headers):
     assert served.orders == []
 
 
-def test_an_enable_counts_by_the_key_that_is_granted(served, page):
+@pytest.mark.parametrize("name", ["ben", "eve"])
+def test_anothers_key_is_no_right(served, name):
+    served.service.host.grant(7, "key", "ann")
+    other = Page(served, name)
+    assert other.say(type="heartbeat", enable=True, number=1, key="key") == "refused"
+    assert other.say(type="heartbeat", enable=False, number=2, key="key") == "refused"
+    assert served.orders == []
+    other.socket.close()
+
+
+def test_a_log_out_ends_what_the_line_hears(served):
+    page = Page(served, "ann")
+    assert page.say(type="stop") == "done" and len(served.orders) == 1
+    served.service.host.line.sessions.write(b"{}")
+    with pytest.raises(ConnectionClosed):
+        page.say(type="stop")
+    assert served.orders == []
+
+
+def test_an_enable_counts_by_the_key_that_is_granted(served):
+    page = Page(served, "ann")
     beat = {"type": "heartbeat", "enable": True, "number": 1}
-    served.service.host.grant(7, "key")
+    served.service.host.grant(7, "key", "ann")
     assert page.say(**beat, key="other") == "refused" and page.say(**beat) == "refused"
     assert served.orders == []
     assert page.say(**beat, key="key") == "done"
@@ -129,38 +156,38 @@ def test_a_pages_enable_counts_on_the_line_only_while_it_does_on_the_page(servic
         session.beat("a", ANN, enable=enable, seen_s=host.t_s - age_s, number=1, key="key")
 
     beat(True)
-    assert granted(line) == (1, "key")
+    assert granted(line) == (1, "key", "ann")
     beat(False)
-    assert granted(line) == (1, ""), "let go of"
+    assert granted(line)[:2] == (1, ""), "let go of"
     beat(True)
     session.stop(Person(who="eve"))
-    assert granted(line) == (1, ""), "stopped"
+    assert granted(line)[:2] == (1, ""), "stopped"
     beat(True)
     session.reset("a", ANN)
-    assert granted(line) == (1, ""), "reset while it is held on"
+    assert granted(line)[:2] == (1, ""), "reset while it is held on"
     with pytest.raises(DeviceFailed):
         beat(True)
-    assert granted(line) == (1, "")
+    assert granted(line)[:2] == (1, "")
     beat(False)
     beat(True)
     with pytest.raises(DeviceFailed):
         beat(True, age_s=2.0 * FRESH_S)
-    assert granted(line) == (1, ""), "out of a buffer"
+    assert granted(line)[:2] == (1, ""), "out of a buffer"
     beat(False)
     beat(True)
     session.leave("a")
-    assert granted(line) == (1, ""), "gone"
+    assert granted(line)[:2] == (1, ""), "gone"
 
 
 def test_nobody_is_granted_before_anybody_was():
-    assert granted(LineChannels().grant) == (0, "")
+    assert granted(LineChannels().grant) == (0, "", "")
 
 
 def test_who_drives_does_not_make_room_on_the_line():
     kept = []
     connection = SimpleNamespace(transport=None, guarded=SimpleNamespace(known=lambda *_, keep: kept.append(keep)))
     channels, session = LineChannels(), Session("stop")
-    channels.grant.write(json.dumps([1, "key"]).encode())
+    channels.grant.write(json.dumps([1, "key", "ann"]).encode())
     line, socket = StopLine(channels, Authenticator()), SimpleNamespace(scope={"state": {CONNECTION: connection}})
     for seq, said in enumerate(({"type": "stop"}, {"type": "heartbeat", "enable": True, "key": "key"}), start=1):
         text = json.dumps({**said, "session": session.nonce, "seq": seq})

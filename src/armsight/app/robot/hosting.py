@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import multiprocessing
 import os
 import pickle
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from armsight.app.robot.opening import open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
-from armsight.control.session.channels import JointTrack, LineChannels, error_of, put_error
+from armsight.control.session.channels import Grant, JointTrack, LineChannels, error_of, put_error
 from armsight.control.session.loop_host import LoopEvent, LoopRecord
 from armsight.control.session.loop_side import Channels, lateness_s, run_loop
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
@@ -111,9 +110,9 @@ class _SharedMemoryHost:
             )
         return found
 
-    def grant(self, lease: int, key: str) -> None:
-        """Let the line for stops take the enables of a lease by its key; an empty key: of nobody."""
-        self.line.grant.write(json.dumps([lease, key]).encode())
+    def grant(self, lease: int, key: str, person: str = "") -> None:
+        """Let the line for stops take the enables of a lease from a person, by its key; an empty key: of nobody."""
+        self.line.grant.write(Grant(lease, key, person).encoded())
 
     def post(self, setpoint: SetPoint, *, age_s: float = 0.0) -> None:
         """Replace what is asked of the robot. Raises DeviceLost, UsageError for what a client cannot ask."""

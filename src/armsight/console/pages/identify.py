@@ -27,6 +27,7 @@ from armsight.console.layout import (
 )
 from armsight.console.scene import Scene
 from armsight.console.state import Console
+from armsight.console.visitors import page_name
 from armsight.errors import ArmsightError
 from armsight.units import DEG, MM
 
@@ -50,7 +51,7 @@ class _Identify:
     def __init__(self, console: Console, ranges: tuple[Range, ...]) -> None:
         self._console, self._ranges = console, ranges
         self._robot = console.require_robot()
-        self._browser = ui.context.client.id
+        self._browser = page_name()
         with card(texts.JOINT_RANGES):
             text_of("p", texts.JOINT_RANGES_HELP.format(light=sweeps.light_of(console.folder, console.cell))).classes(
                 "hint"

@@ -29,6 +29,7 @@ from armsight.console.layout import (
 )
 from armsight.console.scene import Scene
 from armsight.console.state import Console
+from armsight.console.visitors import page_name
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM
@@ -234,7 +235,7 @@ class _Play:
     def __init__(self, console: Console, editor: PathEditor) -> None:
         self._console, self._editor = console, editor
         self._robot = console.require_robot()
-        self._browser = ui.context.client.id
+        self._browser = page_name()
         with card(texts.PLAY_CARD):
             with ui.element("div").classes("row"):
                 self._speed = ui.number(texts.PLAY_SPEED, value=10.0, min=0.1)

@@ -32,6 +32,7 @@ from armsight.console.layout import (
 from armsight.console.plots import Plot
 from armsight.console.routes import reports
 from armsight.console.state import Console
+from armsight.console.visitors import page_name
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
 from armsight.units import MM
@@ -141,7 +142,7 @@ class _Iso:
     def __init__(self, console: Console, reported: Callable[[], object]) -> None:
         self._reported = reported
         self._console, self._robot = console, console.require_robot()
-        self._browser = ui.context.client.id
+        self._browser = page_name()
         with card(texts.ISO):
             text_of("p", texts.ISO_HELP).classes("hint")
             with ui.element("div").classes("row"):

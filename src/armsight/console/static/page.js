@@ -4,6 +4,12 @@
   setInterval(() => {
     if (window.socket) document.documentElement.toggleAttribute("data-offline", !window.socket.connected);
   }, 250);
+  // Where the log-in has ended, the page that asks for a token comes.
+  setInterval(async () => {
+    if (!window.socket || window.socket.connected) return;
+    const answer = await fetch(location.href, { method: "HEAD" }).catch(() => null);
+    if (answer && answer.status === 401) location.reload();
+  }, 3000);
   document.addEventListener("DOMContentLoaded", () => (document.documentElement.lang = "en"));
   document.addEventListener("change", async (event) => {
     const chooser = event.target;

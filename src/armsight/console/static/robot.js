@@ -39,7 +39,8 @@
     const here = bar();
     if (!here) return void setTimeout(connect, 100);
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
-    socket = new WebSocket(`${scheme}//${location.host}/console/robot?browser=${encodeURIComponent(here.dataset.robot)}`);
+    socket = new WebSocket(`${scheme}//${location.host}/console/robot`);
+    socket.onopen = () => say({ do: "page", page: here.dataset.robot });
     socket.onmessage = (event) => {
       state = JSON.parse(event.data);
       heard = performance.now();

@@ -65,13 +65,14 @@ class EnableLost(DeviceFailed):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lease:
-    """The right to drive: one at a time. number tells leases of the same person apart.
+    """The right to drive: one at a time. number tells leases of the same person apart; who: as it is shown.
 
-    key: what their enable is known by on the line for stops; for them alone.
+    person: whom the token stands for, who alone may use it. key: what their enable is known by on the line for stops.
     """
 
     number: int
     who: str
+    person: str
     since_s: float
     key: str
 
@@ -114,8 +115,11 @@ class ControlAuthority:
         return self._lease
 
     @synchronized
-    def take(self, who: str) -> Lease:
-        """Return the right to drive. Raises DeviceFailed, saying who has it and since when, where it is taken."""
+    def take(self, who: str, person: str = "") -> Lease:
+        """Return the right to drive; person: the name that the token of who stands for, where they are shown by more.
+
+        Raises DeviceFailed, saying who has it and since when, where it is taken.
+        """
         now_s, held = self._host.now_s(), self._lease
         if held is not None:
             if now_s - max(self._beat_s, held.since_s) < SILENT_S:
@@ -126,8 +130,9 @@ class ControlAuthority:
                 )
             self.leave(held, f"{held.who} was silent for {SILENT_S:g} s and {who} drives now")
         self._leases += 1
-        self._lease = Lease(number=self._leases, who=who, since_s=now_s, key=secrets.token_hex(16))
-        self._host.grant(self._lease.number, self._lease.key)
+        key = secrets.token_hex(16)
+        self._lease = Lease(number=self._leases, who=who, person=person or who, since_s=now_s, key=key)
+        self._host.grant(self._lease.number, key, self._lease.person)
         self.note("info", f"{who} drives")
         return self._lease
 
@@ -161,11 +166,14 @@ class ControlAuthority:
         that was too long under way; Inconsistent and UsageError for what it cannot do; DeviceLost where the loop has
         ended.
         """
-        if lease is not self._lease:
+        stops = isinstance(command, Stop)
+        if lease is not self._lease and not stops:
             raise DeviceFailed(
                 f"{lease.who} no longer drives", consequence="Nothing was done", cure="Open the connection again"
             )
         now_s = self._host.now_s()
+        if stops:
+            self.stop(lease.who)  # before all that may be refused
         if not isinstance(command, Beat):
             kind, values = logged(command)
             self._log.command(now_s, lease.who, kind, {"seq": seq, **values})
@@ -203,7 +211,7 @@ class ControlAuthority:
             case Hold():
                 self._post(Hold(why=f"{lease.who} asked for it"), age_s)
             case Stop():
-                self.stop(lease.who)
+                pass  # it is done
             case Reset():
                 self._reset(lease, now)
             case _:

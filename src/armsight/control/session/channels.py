@@ -11,7 +11,7 @@ import pickle
 import zlib
 from dataclasses import dataclass, field
 from multiprocessing import RawArray
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,22 +137,39 @@ def error_of(record: Any) -> ArmsightError | None:
     return rebuilt(*record[1:]) if isinstance(record, tuple) and record[0] == FAILED else None
 
 
+SESSION_BYTES = 1 << 17
+"""Of the log-ins of browsers."""
+
+
 @dataclass(frozen=True, slots=True)
 class LineChannels:
     """What the line for stops shares.
 
-    orders: to the loop. grant: whose enable counts, written by the server. notes: for the server's log.
+    orders: to the loop. grant: whose enable counts, written by the server. notes: for the server's log. sessions: the
+    log-ins of browsers, written by the server.
     """
 
     orders: Queue = field(default_factory=lambda: Queue(256, 512))
     grant: Newest = field(default_factory=lambda: Newest(256))
     notes: Queue = field(default_factory=lambda: Queue(256, 512))
+    sessions: Newest = field(default_factory=lambda: Newest(SESSION_BYTES))
 
 
-def granted(grant: Newest) -> tuple[int, str]:
-    """Return whose enable the line for stops takes: the lease's number, and its key; an empty one: nobody's."""
-    lease, key = json.loads(grant.read() or b'[0, ""]')
-    return int(lease), str(key)
+class Grant(NamedTuple):
+    """Whose enable the line for stops takes: the lease's number, its key (empty: nobody's), and the driver's name."""
+
+    lease: int = 0
+    key: str = ""
+    person: str = ""
+
+    def encoded(self) -> bytes:
+        """Return it as `granted` reads it."""
+        return json.dumps(self).encode()
+
+
+def granted(grant: Newest) -> Grant:
+    """Return whose enable counts now."""
+    return Grant(*json.loads(grant.read() or b"[]"))
 
 
 class JointTrack:

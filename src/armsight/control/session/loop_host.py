@@ -107,8 +107,9 @@ class LoopHost(Protocol):
         """What the line for stops shares with the loop and with the server."""
         ...
 
-    def grant(self, lease: int, key: str) -> None:
-        """Let the line for stops take the enables of lease number lease, by its key; an empty key: of nobody."""
+    def grant(self, lease: int, key: str, person: str = "") -> None:
+        """Let the line for stops take the enables of lease number lease from a person, by its key; an empty key: of
+        nobody."""
         ...
 
     def post(self, setpoint: SetPoint, *, age_s: float = 0.0) -> None:

@@ -197,7 +197,7 @@ class OrderSource:
                 self._follow(value, sent_s)
             case "hold":
                 self.drop()
-            case "beat" if not (key and value[0]) or granted(self._grant) == (lease, key):
+            case "beat" if not (key and value[0]) or granted(self._grant)[:2] == (lease, key):
                 self._beat(value, sent_s, lease)
             case "release":
                 self._let_go()

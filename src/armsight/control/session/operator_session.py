@@ -48,10 +48,10 @@ LET_GO = "Let the enable go, and hold it anew"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Person:
-    """Who looks at a page, and what they may do."""
+    """Who looks at a page, and what they may do; none: what they came in by has ended."""
 
     who: str = "operator"
-    role: Literal["watch", "drive"] = "drive"
+    role: Literal["none", "watch", "drive"] = "drive"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +65,8 @@ class Push:
 
 class OperatorSession:
     """The robot as browsers drive it, one at a time. Every browser has a name of its own; any thread may call this.
+
+    The name tells browsers apart and is no right: whoever speaks in it is asked for their role each time.
 
     The browser that holds the enable has the right to drive; it keeps it until another takes it after ten
     silent seconds, or until its connection ends. Nothing here moves the robot without its beats.
@@ -128,7 +130,10 @@ class OperatorSession:
         drives where another does, and at every beat of an enable that does not count; UsageError for whom may only
         watch, DeviceLost.
         """
-        if browser != self._browser or self._authority.driver is not self._lease:
+        if person.role != "drive" and not enable:
+            return  # a watcher has nothing to let go of
+        self._check_role(person)
+        if not self._is_driver(browser, person):
             if not enable:
                 self._lost.discard(browser)
                 self._vain.discard(browser)
@@ -181,7 +186,8 @@ class OperatorSession:
     @synchronized
     def reset(self, browser: str, person: Person) -> None:
         """Take commands again after a stop; the enable has to be held anew. Raises DeviceFailed, UsageError."""
-        if browser != self._browser or self._authority.driver is not self._lease:
+        self._check_role(person)
+        if not self._is_driver(browser, person):
             self._take(browser, person)
         self._let_line("")
         self._perform(Reset())
@@ -189,6 +195,15 @@ class OperatorSession:
         if not self._pressed:
             # browsers are silent while nothing is held, and the authority waits to hear that it was let go of
             self._perform(Beat(enable=False))
+
+    @synchronized
+    def choose_override(self, browser: str, person: Person, share: float) -> None:
+        """Take another speed from who drives, or from who may while nobody does. Raises UsageError, DeviceFailed."""
+        self._check_role(person)
+        driver = self._authority.driver
+        if driver is not None and not self._is_driver(browser, person):
+            raise DeviceFailed(f"{driver.who} drives", consequence="The speed stays as it is")
+        self.override = share
 
     @synchronized
     def enabled(self, browser: str) -> bool:
@@ -231,13 +246,26 @@ class OperatorSession:
             cause = "another drove when you pressed the enable" if driver is None else f"{driver.who} drives"
             raise DeviceFailed(cause, consequence="The robot is not moved", cure=LET_GO)
 
-    def _take(self, browser: str, person: Person) -> None:
+    def _is_driver(self, browser: str, person: Person) -> bool:
+        """Return whether this person has the right to drive, from this browser."""
+        lease = self._lease
+        return (
+            lease is not None
+            and browser == self._browser
+            and lease is self._authority.driver
+            and (lease.person == person.who)
+        )
+
+    def _check_role(self, person: Person) -> None:
+        """Raise UsageError for whom may not drive now: to be asked for everything that moves the robot, or lets it."""
         if person.role != "drive":
             raise UsageError(
-                f"{person.who} may watch, not drive",
+                f"{person.who} may {'watch, not drive' if person.role == 'watch' else 'no longer drive'}",
                 consequence="The robot is not moved",
                 cure="Ask for a token that may drive",
             )
+
+    def _take(self, browser: str, person: Person) -> None:
         self._lease = self._authority.take(person.who)
         self._line_key = self._lease.key  # a page's enable counts only as long as it does here
         self._let_line("")
@@ -247,7 +275,7 @@ class OperatorSession:
         """Let the line for stops take enables by this key; an empty one: none."""
         if self._lease is not None and key != self._line_key:
             self._line_key = key
-            self._host.grant(self._lease.number, key)
+            self._host.grant(self._lease.number, key, self._lease.person)
 
     def _lose(self, why: str) -> None:
         """Stop the robot, and let anybody drive who releases the stop; who is lost has to let the enable go first."""
