@@ -24,8 +24,6 @@ from bench import machine, table, test_scene
 
 cell = test_scene("servo_lies")
 BOUND_MM = 30.0
-ANEW = "enable"
-"""A hold whose reason has this word ends by a fresh enable only."""
 
 
 def lies_of(job: tuple[int, tuple[str, ...]]) -> list[tuple[str, int, str, Any]]:
@@ -77,7 +75,7 @@ def lies(pool: Any, seeds: int, names: tuple[str, ...], end_s: float, show: bool
 def honest_of(seed: int) -> tuple[int, bool, set[str], float, float]:
     """Return whether an honest run was stopped falsely, why it held, how long, and how far the target was at most."""
     log = cell.honest_run(seed)
-    false = [why for why in log.why if ANEW in why]
+    false = [why for why in log.why if cell.for_good(why)]
     off = np.array(log.off_m)[np.array(log.t_s) > 1.0]
     return seed, bool(false), set(false), float(np.mean([bool(why) for why in log.why])), float(np.median(off))
 

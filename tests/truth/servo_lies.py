@@ -505,9 +505,14 @@ def told(name: str, start: Cell, after_s: float = AFTER_S) -> Log:
 
 
 def _over(cell: Cell) -> bool:
-    """Tell whether the arm has stood for a second in a hold that only a fresh enable ends."""
+    """Tell whether the arm has stood for a second in a hold that only a person ends."""
     n, log = round(1.0 / CYCLE_S), cell.log
-    return len(log.why) > n and all("enable" in why for why in log.why[-n:])
+    return len(log.why) > n and all(map(for_good, log.why[-n:]))
+
+
+def for_good(why: str) -> bool:
+    """Tell whether a hold is one that ends by a person's deed only."""
+    return "enable" in why or "wrong premise" in why or "as the arm's motion" in why
 
 
 def honest(start: Cell, after_s: float = AFTER_S) -> Log:

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from armsight.control.servo import ServoSource, TargetTrack
-from armsight.control.servo.delay import Lateness
 from armsight.control.servo.law import Reaction
+from armsight.control.servo.premise import PremiseWatch
 
 sys.path.insert(0, str(Path(__file__).parent))
 import servo_lies as scene
@@ -30,19 +30,19 @@ def way_m(name: str, seed: int, after_s: float) -> float:
     ("name", "seed", "after_s", "rule"),
     [
         ("frozen while followed well", 2, 2.0, (Reaction, "see")),
-        ("frame before last", 6, 3.5, (Lateness, "see")),
+        ("frame before last", 6, 3.5, (PremiseWatch, "_judged")),
         ("aside by 60 mm, 14 Hz", 4, 2.0, (TargetTrack, "_sudden")),
         ("turned by 180 deg about z", 4, 2.0, (ServoSource, "_jumped_away")),
     ],
 )
 def test_a_lie_is_harmless_and_without_its_rule_it_is_not(monkeypatch, name, seed, after_s, rule):
     assert way_m(name, seed, after_s) < BOUND_M
-    monkeypatch.setattr(*rule, lambda *_, **__: False)
+    monkeypatch.setattr(*rule, lambda *_, **__: None)
     assert way_m(name, seed, after_s) > BOUND_M
 
 
 @pytest.mark.parametrize("seed", [22, 5])
 def test_an_honest_target_that_is_hidden_now_and_then_needs_no_fresh_enable(seed):
     log = scene.honest_run(seed, 4.0)
-    assert not [why for why in log.why if "enable" in why]
+    assert not [why for why in log.why if scene.for_good(why)]
     assert "" in log.why

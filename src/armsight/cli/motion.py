@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
 from armsight.app.requests.shared import OutFolder
-from armsight.cli.command import app, command
+from armsight.cli.command import ResultsDoubted, app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.cli.flags import Asked
 from armsight.cli.tables import figure
@@ -41,6 +41,8 @@ def servo(face: CommandUI, job: requests.motion.ServoJob, yes: Yes = False) -> N
     done = run_servo(job, face.moves(yes=yes), ServoLine(face).show, face.progress("servo"))
     servo_tables(face, done)
     face.result(done)
+    if done.wrong_premise is not None:
+        raise ResultsDoubted
 
 
 class ServoLine(StatusLine):
@@ -117,6 +119,8 @@ def teach(
         raise UsageError(f"{needed} are needed", consequence="Nothing is taught", cure="Give them, or --from poses.csv")
     teach_tables(face, done)
     face.result(done)
+    if done.servo is not None and done.servo.wrong_premise is not None:
+        raise ResultsDoubted
 
 
 def standing_taught(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import TargetState
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, on_axis
-from armsight.control.servo.delay import ArmLag, CameraDelay, Lateness
+from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.law import STANDS, Reaction
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
@@ -38,6 +39,7 @@ def settings(mount: Mount = Mount.EYE_IN_HAND, **more) -> ServoSettings:
         "T_flange_desired": on_axis(T_FLANGE_CAMERA if inside else ARM.T_flange_tool, 0.5),
         "gain_t": 2.0,
         "gain_r": 2.0,
+        "first_m_s": math.inf,  # the arm here stands, and would be slow for ever
     }
     return ServoSettings(**{**known, **more})
 
@@ -106,6 +108,13 @@ def test_a_moving_target_is_met_where_it_will_be_with_its_velocity_fed_forward(m
     assert twist.angular_rad_s == pytest.approx(np.zeros(3), abs=5e-3)
     assert setup.source.target(setup.t_s) == (TargetState.FRESH, pytest.approx(0.05, abs=0.051))
     assert setup.source.camera_delay_s == pytest.approx(LATE_S)
+
+
+@pytest.mark.parametrize(("mount", "most_m_s"), [(Mount.EYE_IN_HAND, 0.04), (Mount.EYE_TO_HAND, math.inf)])
+def test_a_camera_on_the_flange_goes_its_first_centimetre_slowly(mount, most_m_s):
+    twist = bench(mount=mount, first_m_s=0.04).run(2.0)
+    assert isinstance(twist, ToolTwist)
+    assert np.linalg.norm(twist.velocity_m_s) == pytest.approx(min(most_m_s, np.linalg.norm(V + 4.0 * V)), rel=0.1)
 
 
 def test_the_law_alone_goes_for_where_the_newest_frame_had_it():
@@ -313,20 +322,6 @@ def test_one_picture_may_be_sent_twice_and_not_four_times():
     reaction = Reaction(0.01)
     seen_by_a_moving_camera(reaction, 0.0, 0.0, STANDS)
     assert not seen_by_a_moving_camera(reaction, 0.05, 1.0, 1)[0]
-
-
-@pytest.mark.parametrize("late", [0, 2, 8])
-def test_pictures_older_than_their_times_show_in_the_targets_way(late):
-    """The camera swings, the target rests; the picture is of `late` frames before."""
-    lateness = Lateness()
-    rigs = [np.eye(4) for _ in range(80)]
-    for k, rig in enumerate(rigs):
-        rig[:2, 3] = 0.01 * np.sin(0.25 * k), 0.005 * np.sin(0.4 * k)
-    for k in range(late, 80):
-        lateness.see(0.033 * k, 0.033, rigs[k], np.array([0.0, 0.0, 0.5]) - rigs[k - late][:3, 3])
-    assert lateness.frames == late
-    lateness.forget()
-    assert lateness.frames == 0
 
 
 def test_a_second_jump_near_the_first_is_none_back():

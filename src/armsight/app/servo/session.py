@@ -71,6 +71,10 @@ class ServoOutput(Output):
     late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
     missed: Annotated[int, Doc("Cycles that never began.")]
     stopped_by: Annotated[str, Doc("Why it ended: time, operator, or in words what the guard stopped for.")]
+    wrong_premise: Annotated[
+        str | None,
+        Doc("What the target's motion contradicts: hand-eye, rig, target, pictures or robot; null: nothing."),
+    ]
     n_frames: Annotated[int, Doc("Pairs of frames measured.")]
     n_ok: Annotated[int, Doc("Pairs that showed the whole target.")]
     n_doubtful: Annotated[int, Doc("Pairs whose pose does not fit the claims: not followed.")]
@@ -181,6 +185,7 @@ def servo_output(
         late=timing.late,
         missed=timing.missed,
         stopped_by=tally.stopped_by(),
+        wrong_premise=None if source.wrong is None else source.wrong.cause.value,
         n_frames=sum(counts.values()),
         n_ok=counts[PoseStatus.OK],
         n_doubtful=counts[PoseStatus.DOUBTFUL],
@@ -251,7 +256,7 @@ class ServoSession:
                 enabled=lambda: not progress.cancelled(),
                 sink=recorder.sink,
             )
-            timing = self._follow(loop, tally, show, progress)
+            timing = self._follow(loop, source, tally, show, progress)
         failed = self._failed() or recorder.failed
         if failed is not None:
             raise failed
@@ -279,7 +284,9 @@ class ServoSession:
     def _failed(self) -> ArmsightError | None:
         return None if self._thread is None else self._thread.failed
 
-    def _follow(self, loop: ControlLoop, tally: Tally, show: Show, progress: Progress) -> Timing:
+    def _follow(
+        self, loop: ControlLoop, source: ServoSource, tally: Tally, show: Show, progress: Progress
+    ) -> Timing:
         """Run the loop: in this thread where time is simulated, beside the telling where it is real."""
         clock = self._devices.clock
         for_s = math.inf if self._job.seconds_s is None else self._job.seconds_s
@@ -291,6 +298,8 @@ class ServoSession:
                 show(loop.status, tally.error_m)
 
         def until(status: RobotStatus) -> bool:
+            if source.contradiction:
+                loop.stop(source.contradiction)
             ended = tally(status)
             return ended or self._failed() is not None
 

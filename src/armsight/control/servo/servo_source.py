@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
-from armsight.control.servo.delay import ArmLag, CameraDelay, Lateness
+from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.law import (
     Reaction,
     ServoError,
@@ -22,6 +22,7 @@ from armsight.control.servo.law import (
     servo_twist,
     stability_gain,
 )
+from armsight.control.servo.premise import LEVER_M, Cause, Premise, PremiseWatch
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.errors import Inconsistent, StaleData
@@ -35,12 +36,18 @@ Array = NDArray[np.float64]
 
 STALE_S = 0.15
 """A target whose last frame is older is not followed: four frames of a webcam."""
+FIRST_M, FIRST_M_S = 0.01, 0.04
+"""The first centimetre is gone at no more than this speed: nothing has tested the premises. After it the speed may grow
+with the way that was gone without a contradiction: twofold after two centimetres, tenfold after ten."""
 WHY = {
     TargetState.LOST: "the target is lost",
     TargetState.STALE: "the last frame with the target is too old",
     TargetState.JUMPED: "the target jumped",
 }
 ANEW = "let the enable go and give it anew"
+NAMED_S = 0.5
+"""A contradiction holds the arm at once; what it comes from is told when it stands and the last pictures have come."""
+CONTRADICTED = "the target does not move as the arm's motion has to make it"
 NOT_SEEN, SETTLING = "the target was not seen yet", "the target was seen only just now"
 
 
@@ -70,7 +77,8 @@ class ServoSettings:
     the target will be when the command takes effect, with its velocity fed forward; else the law of MATH 3.3 alone, of
     the newest frame as it was. resume_m, resume_rad: after a jump the target is followed again by itself where it is so
     near to where it would have been. chase_m: so far the camera may go while the target, seen away from where it is
-    wanted, stays where it is in the picture: then the picture stands, or the target is fixed to the camera.
+    wanted, stays where it is in the picture: then the picture stands, or the target is fixed to the camera. first_m_s: so
+    fast a camera on the flange goes its first centimetre after a target at most.
     """
 
     mount: Mount
@@ -84,6 +92,7 @@ class ServoSettings:
     resume_m: float = 0.02
     resume_rad: float = 3.0 * DEG
     chase_m: float = 0.01
+    first_m_s: float = FIRST_M_S
 
     def with_gain(self, gain: float) -> ServoSettings:
         """Return the same with one gain for position and rotation, in 1/s."""
@@ -142,7 +151,11 @@ class ServoSource:
         self._unplaced = ""
         self._before_jump: Tracked | None = None
         self._reaction = Reaction(settings.chase_m)
-        self._lateness = Lateness()
+        self._premise = PremiseWatch((*map(joint_reversed, range(arm.n)), INVERTED))
+        self._T_camera_parent = inverse(self._T_parent_camera)
+        self._q_begun = np.zeros(arm.n)
+        self._contradicted_s = np.inf
+        self.contradiction = ""
         self.error: ServoError | None = None
 
     @property
@@ -175,6 +188,11 @@ class ServoSource:
         """What is known of the target's motion in base axes; None before it was seen."""
         return self._track.now
 
+    @property
+    def wrong(self) -> Premise | None:
+        """What the target's motion contradicts of what is believed; None where nothing."""
+        return self._premise.wrong
+
     def observe(self, pose: TargetPose, exposed_s: float, now_s: float) -> None:
         """Take what a frame shows, in rig axes, exposed at exposed_s and known at now_s, both on the loop's clock."""
         self._camera.add(exposed_s, now_s)
@@ -185,11 +203,12 @@ class ServoSource:
         if T_rig_target is None or covariance is None or not T_rig_target[2, 3] > 0.0:  # nothing behind it is seen
             return
         try:
-            T_base_flange = self._flange_at(exposed_s)
+            q = self.history.at(exposed_s).q
         except StaleData as error:
             self._unplaced = error.cause
             return
         self._unplaced = ""
+        T_base_flange = self._flange(q)
         on_flange = self.settings.mount is Mount.EYE_IN_HAND
         T_base_rig = T_base_flange @ self._T_parent_camera if on_flange else self._T_parent_camera
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
@@ -199,7 +218,6 @@ class ServoSource:
             sigma = np.full(6, np.inf)
             sigma[: len(covariance)] = np.sqrt(np.diag(covariance))
             self._reaction.see(T_base_rig, T_rig_target, sigma)
-            self._lateness.see(exposed_s, self._camera.period_s, T_base_rig, T_rig_target[:3, 3])
         if has_rotation:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
@@ -210,6 +228,12 @@ class ServoSource:
                 return
             self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
         now = self._track.now
+        if on_flange and has_rotation and now is not None:
+            if before is None or now.begun_s != before.begun_s:
+                self._premise.begin()
+                self._q_begun = q
+            others = self._elsewhere(q, T_base_flange)
+            self._premise.see(exposed_s, T_base_rig, T_rig_target[:3, 3], np.sqrt(np.diag(covariance)[:3]), others)
         jumps = before is not None and now is not None and now.jumped and not before.jumped
         if jumps and self._before_jump is None:  # a second jump, near where the first led, is none back
             self._before_jump = before
@@ -232,10 +256,11 @@ class ServoSource:
         """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
         if now.q_s is not None and self.history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
+        self._name(now.t_s)
         if not now.enabled:  # who gives the enable anew has looked where the target is
             self._before_jump = None
             self._reaction.forget()
-            self._lateness.forget()
+            self._premise.forget()
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
             self.error = None
@@ -244,12 +269,13 @@ class ServoSource:
         T_base_flange = T_base_tool @ self._T_tool_flange
         if not self.settings.predict and self._seen is not None:
             self._keep(self._seen.T_flange_target, self._seen.has_rotation)
-            return self._twist(T_base_flange, self._seen.T_flange_target, self._seen.has_rotation)
+            twist = self._twist(T_base_flange, self._seen.T_flange_target, self._seen.has_rotation)
+            return self._held_back(twist, T_base_flange, T_base_tool[:3, 3])
         motion = tracked.at(now.t_s - self._cycle_s + self._lag.lag_s)  # when the arm is where it was last told to be
         T_flange_target = inverse(T_base_flange) @ motion.T_base_target
         self._keep(T_flange_target, motion.has_rotation)
         twist = self._twist(T_base_flange, T_flange_target, motion.has_rotation)
-        return self._fed_forward(twist, motion, T_base_tool[:3, 3])
+        return self._held_back(self._fed_forward(twist, motion, T_base_tool[:3, 3]), T_base_flange, T_base_tool[:3, 3])
 
     def warm_up(self) -> None:
         """Run once what a cycle runs, so that no cycle waits for the compiler."""
@@ -267,15 +293,21 @@ class ServoSource:
             other.observe(seen, t_s, t_s)
             other.target(t_s)
 
+    def _name(self, now_s: float) -> None:
+        """Tell what is contradicted once the arm had time to stand."""
+        wrong = self.wrong
+        self._contradicted_s = np.inf if wrong is None else min(self._contradicted_s, now_s)
+        named = wrong is not None and now_s - self._contradicted_s > NAMED_S
+        self.contradiction = wrong.text if named and wrong is not None else ""
+
     def _why_not(self, now_s: float) -> str:
         """Return why the target is not followed, or nothing."""
         if self._unplaced:
             return self._unplaced
         if self._reaction.missing:
             return f"the target stays in the picture as the camera moves: a picture that stands? {ANEW}"
-        if self._lateness.frames:
-            late_s = self._lateness.frames * self._camera.period_s
-            return f"the pictures are older than their times by about {late_s / MS:.0f} ms: {ANEW}"
+        if self.wrong is not None:
+            return self.contradiction or CONTRADICTED
         state, age_s = self.target(now_s)
         tracked = self._track.now
         if state is TargetState.JUMPED and tracked is not None and tracked.settled:
@@ -335,6 +367,25 @@ class ServoSource:
             angular_rad_s=twist.angular_rad_s + turning,
         )
 
+    def _held_back(self, twist: ToolTwist, T_base_flange: Array, tool_m: Array) -> ToolTwist:
+        """Return a twist as slow as what is not tested yet has to be; tool_m (3,): in base."""
+        if self.settings.mount is not Mount.EYE_IN_HAND:  # these cameras do not see what the arm does
+            return twist
+        camera_m = (T_base_flange @ self._T_parent_camera)[:3, 3]
+        swung = twist.velocity_m_s + cross(twist.angular_rad_s, camera_m - tool_m)
+        speeds = (twist.velocity_m_s, swung, LEVER_M * twist.angular_rad_s)
+        fastest = max(float(np.linalg.norm(speed)) for speed in speeds)
+        share = self.settings.first_m_s * max(1.0, self._premise.way_m / FIRST_M) / max(fastest, 1e-9)
+        if share >= 1.0:
+            return twist
+        return ToolTwist(velocity_m_s=share * twist.velocity_m_s, angular_rad_s=share * twist.angular_rad_s)
+
+    def _elsewhere(self, q: Array, T_base_flange: Array) -> Array:
+        """Return where the rig is (n + 1, 4, 4) were each joint reversed, or the hand-eye calibration inverted."""
+        opposite = np.tile(q, (len(q), 1)) + np.diag(2.0 * (self._q_begun - q))
+        reversed_ = [self._flange(one) @ self._T_parent_camera for one in opposite]
+        return np.array([*reversed_, T_base_flange @ self._T_camera_parent])
+
     def _middle(self, names: tuple[str, ...]) -> Array | None:
         """Return the middle (3,) of lights in target axes; None where some were not told apart."""
         known = self._target.names
@@ -342,7 +393,22 @@ class ServoSource:
             return np.asarray(self._target.xyz_m[[known.index(name) for name in names]].mean(axis=0))
         return np.asarray(self._target.xyz_m.mean(axis=0)) if len(names) == len(known) else None
 
-    def _flange_at(self, t_s: float) -> Array:
-        """Return T_base_flange (4, 4) at an exposure. Raises StaleData where the joints are not known there."""
-        q = self.history.at(t_s).q
+    def _flange(self, q: Array) -> Array:
+        """Return T_base_flange (4, 4) at joint readings q (n,)."""
         return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)
+
+
+INVERTED = Premise(
+    cause=Cause.HAND_EYE,
+    says="the target moves in the pictures as if the hand-eye calibration were inverted: T_camera_flange in its place",
+    handicap=2.0,
+)
+
+
+def joint_reversed(joint: int) -> Premise:
+    """Return the premise that a joint, from 0, goes the other way than the arm's model has it."""
+    return Premise(
+        cause=Cause.ROBOT,
+        says=f"the target moves in the pictures as if joint {joint + 1} turned the other way than the arm's model has it",
+        handicap=2.0,
+    )

@@ -1,0 +1,357 @@
+"""What the arm's own motion makes of the target in the pictures, held against what the cameras see of it.
+
+The servo believes a hand-eye calibration, a rig, a target, the pictures' times and the arm's model. Each of them, where
+it is wrong, lets the target seem to move as the arm does. A hand may lead the target meanwhile, so that no motion of it
+is impossible: what is asked is under which premise it moves most as a hand does. A premise other than the one believed
+that explains the newest second so much better that chance does not is found to be what is so.
+
+A hand: an integrated Wiener process of third order (Wahba 1978), its level free; from reach to reach its jerk cannot be
+foretold, place and velocity at the beginning are unknown. What follows from a motion of the arm that the target itself
+led to is foretold by nobody better than by the premise that holds, so that the ratio of likelihoods stays small in
+honest runs, closed loop or not (Ville 1939).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.geometry.poses import skew
+from armsight.units import DEG, MM, MS
+
+Array = NDArray[np.float64]
+
+FRAMES, FEWEST = 40, 7
+"""Frames that are looked at: 1.3 s of a webcam; of fewer than FEWEST nothing is told."""
+STEP_S = 0.02
+"""Frames nearer to the last one than this are left out: a faster camera would fill the window in no time."""
+BACK = (1, 2, 3, 4, 6, 8, 11, 15, 20, 30)
+"""Frames by which pictures may be older than their stamps: up to a second of a webcam."""
+MODES = 20
+"""The slowest shapes of a hand's way in the window; what is faster than three frames is noise under any premise."""
+LEVELS = np.concatenate([[0.0], np.logspace(-5.0, 3.0, 9)])
+"""Power density of the hand's jerk in m^2/s^5: a target that stands, up to reaches at 0.5 m/s."""
+BEGIN_S = 1.0
+"""The hand's acceleration at the beginning is what its jerk makes in so long."""
+FLOOR_M = 1e-4
+"""Standard deviation added to a position: tremor of a hand (0.07 mm), shaking and steps of an arm."""
+HONEST_RAD, HONEST_SCALE, HONEST_M, HONEST_S = 0.6 * DEG, 0.007, 0.005, 0.006
+"""Standard deviations of a good hand-eye calibration, of a rig's scale and of the pictures' times: no wrong premise."""
+LIKELY = 12.0
+"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so."""
+TURNS_DEG = (5.0, 10.0, 20.0, 35.0, 60.0, 90.0, 120.0, 150.0)
+STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
+"""A camera that moved less in the window tells nothing."""
+LEVER_M = 0.01 / (2.0 * DEG)
+"""A turn counts as the way at this lever: 2 degrees as 10 mm."""
+
+
+class Cause(StrEnum):
+    """Whose fault a wrong premise is."""
+
+    HAND_EYE = "hand-eye"
+    RIG = "rig"
+    TARGET = "target"
+    PICTURES = "pictures"
+    ROBOT = "robot"
+
+
+CURES = {
+    Cause.HAND_EYE: "calibrate the hand-eye anew, with the cameras as they are mounted",
+    Cause.RIG: "check that rig.yaml is of these cameras, left and right, and in metres",
+    Cause.TARGET: "check that target.yaml is of this target, and in metres",
+    Cause.PICTURES: "check the cameras, their driver and --latency",
+    Cause.ROBOT: "check that the arm's model is of this robot",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Premise:
+    """What may be so in place of what is believed.
+
+    says: what the target's motion looks like. handicap: by how much more than LIKELY its logarithm of likelihood has to
+    be: honest hands that are followed well look like some premises.
+    """
+
+    cause: Cause
+    says: str
+    handicap: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """What is wrong, and what to look at."""
+        return f"wrong premise ({self.cause}): {self.says}; {CURES[self.cause]}"
+
+
+class PremiseWatch:
+    """Watches one track of a target. One thread sees; any may look at wrong and way_m."""
+
+    def __init__(self, others: tuple[Premise, ...] = ()) -> None:
+        """others: premises under which the cameras are elsewhere; where, is told with each frame."""
+        self._others = others
+        self._t_s: deque[float] = deque(maxlen=FRAMES + BACK[-1])
+        self._T: deque[Array] = deque(maxlen=FRAMES + BACK[-1])
+        self._seen: deque[Array] = deque(maxlen=FRAMES)
+        self._elsewhere: deque[Array] = deque(maxlen=FRAMES)
+        self._anew = False
+        self.way_m = 0.0
+        self.wrong: Premise | None = None
+
+    def see(self, t_s: float, T_frame_rig: Array, xyz_m: Array, sigma_m: Array, others: Array | None = None) -> None:
+        """Take where the rig was, (4, 4), in the axes in which a hand leads the target (those of the arm's base) or in
+        which it stands, as the target was seen at xyz_m (3,) in rig axes, at t_s.
+
+        sigma_m (3,): standard deviations in rig axes. others (k, 4, 4): where the rig was under each other premise.
+        """
+        if self._anew:
+            self.begin()
+        if self._t_s and t_s - self._t_s[-1] < STEP_S:
+            return
+        if self._T:
+            before = self._T[-1]
+            turn = np.arccos(np.clip(0.5 * (np.trace(before[:3, :3].T @ T_frame_rig[:3, :3]) - 1.0), -1.0, 1.0))
+            way_m = np.linalg.norm(T_frame_rig[:3, 3] - before[:3, 3])
+            self.way_m += float(max(way_m, LEVER_M * turn))
+        self._t_s.append(t_s)
+        self._T.append(T_frame_rig)
+        self._seen.append(np.concatenate([xyz_m, sigma_m]))
+        self._elsewhere.append(np.empty((0, 4, 4)) if others is None else others)
+        if len(self._seen) >= FEWEST:
+            self.wrong = self._judged()
+
+    def begin(self) -> None:
+        """Begin anew: another track of the target. For the thread that sees."""
+        for kept in (self._t_s, self._T, self._seen, self._elsewhere):
+            kept.clear()
+        self.way_m, self.wrong, self._anew = 0.0, None, False
+
+    def forget(self) -> None:
+        """Forget what was found: the operator has looked. What the target did before the arm moved still counts."""
+        self._anew = self._anew or self.wrong is not None
+        self.way_m, self.wrong = 0.0, None
+
+    def _judged(self) -> Premise | None:
+        """Return the likeliest premise where one is far likelier than the one believed; once it was, with each frame
+        anew: the first that is likely is not always the likeliest in the end."""
+        n = len(self._seen)
+        T, seen = np.array(self._T), np.array(self._seen)
+        t_s, now = np.array(self._t_s)[-n:], T[-n:]
+        if max(np.ptp(now[:, :3, 3], axis=0).max() / STILL_M, np.ptp(now[:, :3, :3], axis=0).max() / STILL_RAD) < 1.0:
+            return self.wrong
+        xyz_m, sigma_m = seen[:, :3], np.sqrt(np.square(seen[:, 3:]).mean(axis=0) + FLOOR_M**2)
+        variances, modes = hand_modes(t_s)
+        rows = np.arange(len(T) - n, len(T)) - np.array(BACK)[:, None]  # where it was before the first frame, it stood
+        elsewhere = np.array([*self._elsewhere]).swapaxes(0, 1)  # (o, n, 4, 4)
+        ways = placed(np.concatenate([T[np.maximum(rows, 0)], elsewhere]), xyz_m)  # (o, n, 3)
+        ways = np.concatenate([xyz_m[None], ways])
+        terms = modes.T @ camera_terms(now, xyz_m)  # (k, 39)
+        paths = np.concatenate([(terms @ bank().weights), spread(modes, ways)], axis=1)
+        doubt = np.concatenate([terms @ bank().doubt, spread(modes, HONEST_S * swept(t_s, now, xyz_m)[None])], axis=1)
+        likely = likelihoods(by_way(paths), by_way(doubt), variances, sigma_m)
+        premises = (*bank().premises, UNMOVED, *(late_by(one, t_s) for one in BACK), *self._others)
+        handicap = np.array([premise.handicap for premise in premises])
+        if self.wrong is None and (likely - likely[0] - handicap).max() < LIKELY:
+            return None
+        return premises[1 + int(np.argmax(likely[1:]))]
+
+
+UNMOVED = Premise(
+    cause=Cause.PICTURES,
+    says="the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",
+    handicap=30.0,
+)
+
+
+def late_by(frames: int, t_s: Array) -> Premise:
+    """Return the premise that pictures are so many frames older than their times t_s (n,)."""
+    late_s = frames * float(t_s[-1] - t_s[0]) / (len(t_s) - 1)
+    return Premise(
+        cause=Cause.PICTURES,
+        says=f"the pictures are older than their times by about {late_s / MS:.0f} ms",
+        handicap=4.0,
+    )
+
+
+def hand_modes(t_s: Array) -> tuple[Array, Array]:
+    """Return variances (k,) of the shapes (n, k) of a hand's way at times (n,), the widest first, for a unit of power.
+
+    Place and velocity at the beginning are taken out: they are not known.
+    """
+    t = t_s - t_s[0]
+    s, u = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    K = s**3 * (10.0 * u**2 - 5.0 * u * s + s**2) / 120.0 + BEGIN_S * np.square(s * u) / 4.0
+    free = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1), mode="complete")[0][:, 2:]
+    variances, shapes = np.linalg.eigh(free.T @ K @ free)
+    return np.maximum(variances[::-1][:MODES], 0.0), np.asarray(free @ shapes[:, ::-1][:, :MODES])
+
+
+def relative(T: Array) -> tuple[Array, Array]:
+    """Return rotations (..., n, 3, 3) and places (..., n, 3) of rigs (..., n, 4, 4) in the axes of the middle one."""
+    middle = T[..., T.shape[-3] // 2, None, :, :]
+    R = middle[..., :3, :3].swapaxes(-1, -2)
+    return R @ T[..., :3, :3], (R @ (T[..., :3, 3] - middle[..., :3, 3])[..., None])[..., 0]
+
+
+def placed(T: Array, xyz_m: Array) -> Array:
+    """Return where (..., n, 3) a target seen at xyz_m (n, 3) is, in the axes of the middle one of rigs (..., n, 4, 4)."""
+    R, p = relative(T)
+    return np.asarray((R @ xyz_m[:, :, None])[..., 0] + p)
+
+
+def camera_terms(T: Array, xyz_m: Array) -> Array:
+    """Return the products (n, 39) of which `weights` makes the target's way under each premise of the bank."""
+    R, p = relative(T)
+    products = R[:, :, :, None] * xyz_m[:, None, None, :]
+    return np.concatenate([products.reshape(-1, 27), R.reshape(-1, 9), p], axis=1)
+
+
+def spread(modes: Array, ways: Array) -> Array:
+    """Return the parts (k, 3 h) that ways (h, n, 3) have of each shape (n, k)."""
+    return np.asarray((modes.T @ ways).swapaxes(0, 1).reshape(modes.shape[1], -1))
+
+
+def by_way(parts: Array) -> Array:
+    """Return parts (k, 3 h) of shapes way by way, (h, k, 3)."""
+    return parts.reshape(len(parts), -1, 3).swapaxes(0, 1)
+
+
+def weights(M: Array, m: Array) -> Array:
+    """Return (39, 3): the way M^-1 (R (M x + m) + p) of a target seen at x is in the products of camera_terms.
+
+    M (3, 3), m (3,): what is seen is x, and in the axes of the rig that is believed it is M x + m. The way is told in the
+    axes of what is seen, where the noise is as claimed.
+    """
+    inverse = np.linalg.inv(M)
+    return np.concatenate(
+        [
+            np.einsum("il,sj->lsji", inverse, M).reshape(27, 3),
+            np.einsum("il,s->lsi", inverse, m).reshape(9, 3),
+            inverse.T,
+        ]
+    )
+
+
+def swept(t_s: Array, T: Array, xyz_m: Array) -> Array:
+    """Return the velocity (n, 3) of a point fixed to the rig at xyz_m (n, 3): what an error of the times makes of it."""
+    R, p = relative(T)
+    at = np.einsum("nij,mj->nmi", R, xyz_m) + p[:, None]  # rig n, point m
+    k = np.arange(len(t_s))
+    after, before = np.minimum(k + 1, len(k) - 1), np.maximum(k - 1, 0)
+    return np.asarray((at[after, k] - at[before, k]) / (t_s[after] - t_s[before])[:, None])
+
+
+def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> Array:
+    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each under the hand's motion that explains it best.
+
+    doubt (r, k, 3): what the honest errors do to a way, each of unit deviation; they are eliminated, as is usual in
+    generalised least squares. variances (k,): of the hand's shapes.
+    """
+    x, g = paths.reshape(len(paths), -1), doubt.reshape(len(doubt), -1)
+    V = (LEVELS[:, None, None] * variances[:, None] + np.square(sigma_m)).reshape(len(LEVELS), -1)
+    weighed = g / V[:, None]  # (level, r, 3 k)
+    root = np.linalg.cholesky(np.eye(len(g)) + weighed @ g.T)
+    projector = np.linalg.solve(root, weighed)  # (level, r, 3 k)
+    explained = np.square(x @ projector.reshape(-1, x.shape[1]).T).reshape(len(x), len(LEVELS), -1).sum(axis=2)
+    spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+    return np.asarray((-0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log)).max(axis=1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bank:
+    """Premises under which what is seen is changed alike in each frame: the one believed first, its weights (39, 3 h),
+    and doubt (39, 3 r): what honest errors of a standard deviation do."""
+
+    premises: tuple[Premise, ...]
+    weights: Array
+    doubt: Array
+
+
+@cache
+def bank() -> Bank:
+    """Return the premises about the cameras."""
+    found: list[tuple[Premise, Array, Array]] = [(Premise(cause=Cause.HAND_EYE, says=""), np.eye(3), np.zeros(3))]
+    directions = [np.array(v) - 1.0 for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
+    for direction in directions:
+        axis = direction / np.linalg.norm(direction)
+        for deg in TURNS_DEG:
+            found.append((turned(deg, axis), Rotation.from_rotvec(deg * DEG * axis).as_matrix(), np.zeros(3)))
+        if tuple(direction) > (0.0, 0.0, 0.0):
+            found.append((turned(180.0, axis), Rotation.from_rotvec(np.pi * axis).as_matrix(), np.zeros(3)))
+        if np.abs(direction).sum() == 1.0:
+            found += [(aside(far_m, axis), np.eye(3), far_m * axis) for far_m in (0.03, 0.1)]
+    for i, name in enumerate("xy"):
+        M = np.eye(3)
+        M[i, i] = -1.0
+        found.append((mirrored(name), M, np.zeros(3)))
+    for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
+        found.append((scaled(factor), factor * np.eye(3), np.zeros(3)))
+        if abs(factor - 1.0) > 0.06:
+            found.append((deepened(factor), np.diag([1.0, 1.0, factor]), np.zeros(3)))
+    premises, M, m = zip(*found, strict=True)
+    return Bank(
+        premises=premises,
+        weights=np.concatenate(list(map(weights, M, m)), axis=1),
+        doubt=np.concatenate(honest_errors(), axis=1),
+    )
+
+
+def honest_errors() -> list[Array]:
+    """Return the weights (39, 3) of small errors of a calibration: by turn, scale and place, a standard deviation each."""
+    believed, still, eps = np.eye(3), np.zeros(3), 1e-6
+    steps = [(HONEST_RAD, skew(axis), still) for axis in np.eye(3)]
+    steps += [(HONEST_SCALE, believed, still)] + [(HONEST_M, np.zeros((3, 3)), axis) for axis in np.eye(3)]
+    return [
+        size * (weights(believed + eps * M, eps * m) - weights(believed - eps * M, -eps * m)) / (2.0 * eps)
+        for size, M, m in steps
+    ]
+
+
+def turned(deg: float, axis: Array) -> Premise:
+    """Return the premise that the cameras are turned about an axis (3,) of theirs."""
+    names = " and ".join(
+        f"{'-' if part < 0.0 else ''}{name}" for part, name in zip(axis, "xyz", strict=True) if abs(part) > 0.1
+    )
+    return Premise(
+        cause=Cause.HAND_EYE,
+        says=f"the target moves in the pictures as if the cameras were turned by about {deg:.0f} deg about their {names}",
+    )
+
+
+def aside(far_m: float, axis: Array) -> Premise:
+    """Return the premise that the cameras are elsewhere on the flange, along an axis (3,) of theirs."""
+    i = int(np.argmax(np.abs(axis)))
+    return Premise(
+        cause=Cause.HAND_EYE,
+        says=f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
+        f"along their {'xyz'[i]}",
+        handicap=2.0,
+    )
+
+
+def mirrored(name: str) -> Premise:
+    """Return the premise that the pictures are mirrored."""
+    return Premise(cause=Cause.RIG, says=f"the target moves in the pictures as if they were mirrored along {name}")
+
+
+def scaled(factor: float) -> Premise:
+    """Return the premise that all that is measured is too short by a factor."""
+    return Premise(
+        cause=Cause.RIG,
+        says=f"the target moves in the pictures as if all lengths were {factor:.3g} times those measured",
+        handicap=10.0,
+    )
+
+
+def deepened(factor: float) -> Premise:
+    """Return the premise that distances from the cameras are too short by a factor."""
+    return Premise(
+        cause=Cause.RIG,
+        says=f"the target moves in the pictures as if its distance were {factor:.3g} times the one measured",
+        handicap=4.0,
+    )
