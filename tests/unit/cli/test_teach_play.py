@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
@@ -270,6 +271,21 @@ def test_a_path_is_taught_while_the_arm_follows(tmp_path: Path) -> None:
     assert (off.mean(axis=0) < np.array([0.2466, 0.4843, 0.3048]) / 3.0).all()  # Pachidis 2005, table 2, a third of it
     assert (off.max(axis=0) < np.array([1.1477, 1.7052, 1.021]) / 3.0).all()
     assert done.n_position_only + done.n_ok <= done.servo.n_frames
+
+
+def test_a_hand_eye_calibration_of_a_camera_mounted_otherwise_stops_a_servo(tmp_path: Path) -> None:
+    cell, turned = tmp_path / "cell", tmp_path / "turned.yaml"
+    simulate("pachidis2005-static", cell, frames=1, room="dark")
+    handeye = yaml.safe_load((cell / "handeye.yaml").read_text())
+    quat = Rotation.from_quat(handeye["T_flange_camera"]["quat_xyzw"]) * Rotation.from_euler("z", 180.0, degrees=True)
+    handeye["T_flange_camera"]["quat_xyzw"] = quat.as_quat().tolist()
+    turned.write_text(yaml.safe_dump(handeye))
+    files = ("--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--handeye", turned)
+    leads = ("--hand", "still", "--seconds", 6, "--yes", "-o", tmp_path / "out")
+    code, done, _ = command("servo", "--robot", "sim:pachidis2005-static", *files, *leads)
+    assert (code, done["state"], done["wrong_premise"]) == (3, "stopped", "hand-eye")
+    assert names_it(done["stopped_by"], "hand-eye", "180 deg about their z")
+    assert done["n_cycles"] < 100  # of 220
 
 
 def test_a_recorder_knows_no_place_before_the_servo_began() -> None:

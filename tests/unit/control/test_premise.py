@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.control.servo.premise import FEWEST, Cause, PremiseWatch
+from armsight.control.servo.premise import FEWEST, PremiseWatch
+from armsight.control.servo.premise_bank import Cause
 
 TARGET_M = np.array([0.03, -0.02, 0.5])
 FRAME_S = 0.033
@@ -51,7 +52,7 @@ def turned(axis: str, deg: float):
         turned("x", 1.0),  # what a calibration by hand-eye may be off
         turned("z", -1.0),
         lambda x: 1.01 * x,
-        lambda x: x + [0.004, -0.004, 0.004],
+        lambda x: x + 0.004 * np.array([1.0, -1.0, 1.0]),
     ],
 )
 def test_what_is_as_believed_is_no_wrong_premise(show, seed):

@@ -284,9 +284,7 @@ class ServoSession:
     def _failed(self) -> ArmsightError | None:
         return None if self._thread is None else self._thread.failed
 
-    def _follow(
-        self, loop: ControlLoop, source: ServoSource, tally: Tally, show: Show, progress: Progress
-    ) -> Timing:
+    def _follow(self, loop: ControlLoop, source: ServoSource, tally: Tally, show: Show, progress: Progress) -> Timing:
         """Run the loop: in this thread where time is simulated, beside the telling where it is real."""
         clock = self._devices.clock
         for_s = math.inf if self._job.seconds_s is None else self._job.seconds_s

@@ -10,7 +10,8 @@ from armsight.control.servo.law import (
     servo_twist,
     stability_gain,
 )
-from armsight.control.servo.servo_source import Mount, ServoSettings, ServoSource, Turning, on_axis
+from armsight.control.servo.servo_source import ServoSource
+from armsight.control.servo.settings import Mount, ServoSettings, Turning, on_axis
 from armsight.control.servo.target_track import TargetMotion, TargetTrack, Tracked
 
 __all__ = [

@@ -14,16 +14,12 @@ honest runs, closed loop or not (Ville 1939).
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from enum import StrEnum
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from armsight.geometry.poses import skew
-from armsight.units import DEG, MM, MS
+from armsight.control.servo.premise_bank import UNMOVED, Premise, bank, late_by
+from armsight.units import DEG
 
 Array = NDArray[np.float64]
 
@@ -41,52 +37,14 @@ BEGIN_S = 1.0
 """The hand's acceleration at the beginning is what its jerk makes in so long."""
 FLOOR_M = 1e-4
 """Standard deviation added to a position: tremor of a hand (0.07 mm), shaking and steps of an arm."""
-HONEST_RAD, HONEST_SCALE, HONEST_M, HONEST_S = 0.6 * DEG, 0.007, 0.005, 0.006
-"""Standard deviations of a good hand-eye calibration, of a rig's scale and of the pictures' times: no wrong premise."""
+HONEST_S = 0.006
+"""Standard deviation of the pictures' times where they are honest."""
 LIKELY = 12.0
 """Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so."""
-TURNS_DEG = (5.0, 10.0, 20.0, 35.0, 60.0, 90.0, 120.0, 150.0)
 STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
 """A camera that moved less in the window tells nothing."""
 LEVER_M = 0.01 / (2.0 * DEG)
 """A turn counts as the way at this lever: 2 degrees as 10 mm."""
-
-
-class Cause(StrEnum):
-    """Whose fault a wrong premise is."""
-
-    HAND_EYE = "hand-eye"
-    RIG = "rig"
-    TARGET = "target"
-    PICTURES = "pictures"
-    ROBOT = "robot"
-
-
-CURES = {
-    Cause.HAND_EYE: "calibrate the hand-eye anew, with the cameras as they are mounted",
-    Cause.RIG: "check that rig.yaml is of these cameras, left and right, and in metres",
-    Cause.TARGET: "check that target.yaml is of this target, and in metres",
-    Cause.PICTURES: "check the cameras, their driver and --latency",
-    Cause.ROBOT: "check that the arm's model is of this robot",
-}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Premise:
-    """What may be so in place of what is believed.
-
-    says: what the target's motion looks like. handicap: by how much more than LIKELY its logarithm of likelihood has to
-    be: honest hands that are followed well look like some premises.
-    """
-
-    cause: Cause
-    says: str
-    handicap: float = 0.0
-
-    @property
-    def text(self) -> str:
-        """What is wrong, and what to look at."""
-        return f"wrong premise ({self.cause}): {self.says}; {CURES[self.cause]}"
 
 
 class PremiseWatch:
@@ -161,23 +119,6 @@ class PremiseWatch:
         return premises[1 + int(np.argmax(likely[1:]))]
 
 
-UNMOVED = Premise(
-    cause=Cause.PICTURES,
-    says="the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",
-    handicap=30.0,
-)
-
-
-def late_by(frames: int, t_s: Array) -> Premise:
-    """Return the premise that pictures are so many frames older than their times t_s (n,)."""
-    late_s = frames * float(t_s[-1] - t_s[0]) / (len(t_s) - 1)
-    return Premise(
-        cause=Cause.PICTURES,
-        says=f"the pictures are older than their times by about {late_s / MS:.0f} ms",
-        handicap=4.0,
-    )
-
-
 def hand_modes(t_s: Array) -> tuple[Array, Array]:
     """Return variances (k,) of the shapes (n, k) of a hand's way at times (n,), the widest first, for a unit of power.
 
@@ -199,7 +140,7 @@ def relative(T: Array) -> tuple[Array, Array]:
 
 
 def placed(T: Array, xyz_m: Array) -> Array:
-    """Return where (..., n, 3) a target seen at xyz_m (n, 3) is, in the axes of the middle one of rigs (..., n, 4, 4)."""
+    """Return where (..., n, 3) a target seen at xyz_m (n, 3) is, in the axes of the middle of rigs (..., n, 4, 4)."""
     R, p = relative(T)
     return np.asarray((R @ xyz_m[:, :, None])[..., 0] + p)
 
@@ -221,24 +162,8 @@ def by_way(parts: Array) -> Array:
     return parts.reshape(len(parts), -1, 3).swapaxes(0, 1)
 
 
-def weights(M: Array, m: Array) -> Array:
-    """Return (39, 3): the way M^-1 (R (M x + m) + p) of a target seen at x is in the products of camera_terms.
-
-    M (3, 3), m (3,): what is seen is x, and in the axes of the rig that is believed it is M x + m. The way is told in the
-    axes of what is seen, where the noise is as claimed.
-    """
-    inverse = np.linalg.inv(M)
-    return np.concatenate(
-        [
-            np.einsum("il,sj->lsji", inverse, M).reshape(27, 3),
-            np.einsum("il,s->lsi", inverse, m).reshape(9, 3),
-            inverse.T,
-        ]
-    )
-
-
 def swept(t_s: Array, T: Array, xyz_m: Array) -> Array:
-    """Return the velocity (n, 3) of a point fixed to the rig at xyz_m (n, 3): what an error of the times makes of it."""
+    """Return the velocity (n, 3) of a point fixed to the rig at xyz_m (n, 3): what an error of time does."""
     R, p = relative(T)
     at = np.einsum("nij,mj->nmi", R, xyz_m) + p[:, None]  # rig n, point m
     k = np.arange(len(t_s))
@@ -260,98 +185,3 @@ def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) ->
     explained = np.square(x @ projector.reshape(-1, x.shape[1]).T).reshape(len(x), len(LEVELS), -1).sum(axis=2)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     return np.asarray((-0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log)).max(axis=1))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bank:
-    """Premises under which what is seen is changed alike in each frame: the one believed first, its weights (39, 3 h),
-    and doubt (39, 3 r): what honest errors of a standard deviation do."""
-
-    premises: tuple[Premise, ...]
-    weights: Array
-    doubt: Array
-
-
-@cache
-def bank() -> Bank:
-    """Return the premises about the cameras."""
-    found: list[tuple[Premise, Array, Array]] = [(Premise(cause=Cause.HAND_EYE, says=""), np.eye(3), np.zeros(3))]
-    directions = [np.array(v) - 1.0 for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
-    for direction in directions:
-        axis = direction / np.linalg.norm(direction)
-        for deg in TURNS_DEG:
-            found.append((turned(deg, axis), Rotation.from_rotvec(deg * DEG * axis).as_matrix(), np.zeros(3)))
-        if tuple(direction) > (0.0, 0.0, 0.0):
-            found.append((turned(180.0, axis), Rotation.from_rotvec(np.pi * axis).as_matrix(), np.zeros(3)))
-        if np.abs(direction).sum() == 1.0:
-            found += [(aside(far_m, axis), np.eye(3), far_m * axis) for far_m in (0.03, 0.1)]
-    for i, name in enumerate("xy"):
-        M = np.eye(3)
-        M[i, i] = -1.0
-        found.append((mirrored(name), M, np.zeros(3)))
-    for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
-        found.append((scaled(factor), factor * np.eye(3), np.zeros(3)))
-        if abs(factor - 1.0) > 0.06:
-            found.append((deepened(factor), np.diag([1.0, 1.0, factor]), np.zeros(3)))
-    premises, M, m = zip(*found, strict=True)
-    return Bank(
-        premises=premises,
-        weights=np.concatenate(list(map(weights, M, m)), axis=1),
-        doubt=np.concatenate(honest_errors(), axis=1),
-    )
-
-
-def honest_errors() -> list[Array]:
-    """Return the weights (39, 3) of small errors of a calibration: by turn, scale and place, a standard deviation each."""
-    believed, still, eps = np.eye(3), np.zeros(3), 1e-6
-    steps = [(HONEST_RAD, skew(axis), still) for axis in np.eye(3)]
-    steps += [(HONEST_SCALE, believed, still)] + [(HONEST_M, np.zeros((3, 3)), axis) for axis in np.eye(3)]
-    return [
-        size * (weights(believed + eps * M, eps * m) - weights(believed - eps * M, -eps * m)) / (2.0 * eps)
-        for size, M, m in steps
-    ]
-
-
-def turned(deg: float, axis: Array) -> Premise:
-    """Return the premise that the cameras are turned about an axis (3,) of theirs."""
-    names = " and ".join(
-        f"{'-' if part < 0.0 else ''}{name}" for part, name in zip(axis, "xyz", strict=True) if abs(part) > 0.1
-    )
-    return Premise(
-        cause=Cause.HAND_EYE,
-        says=f"the target moves in the pictures as if the cameras were turned by about {deg:.0f} deg about their {names}",
-    )
-
-
-def aside(far_m: float, axis: Array) -> Premise:
-    """Return the premise that the cameras are elsewhere on the flange, along an axis (3,) of theirs."""
-    i = int(np.argmax(np.abs(axis)))
-    return Premise(
-        cause=Cause.HAND_EYE,
-        says=f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
-        f"along their {'xyz'[i]}",
-        handicap=2.0,
-    )
-
-
-def mirrored(name: str) -> Premise:
-    """Return the premise that the pictures are mirrored."""
-    return Premise(cause=Cause.RIG, says=f"the target moves in the pictures as if they were mirrored along {name}")
-
-
-def scaled(factor: float) -> Premise:
-    """Return the premise that all that is measured is too short by a factor."""
-    return Premise(
-        cause=Cause.RIG,
-        says=f"the target moves in the pictures as if all lengths were {factor:.3g} times those measured",
-        handicap=10.0,
-    )
-
-
-def deepened(factor: float) -> Premise:
-    """Return the premise that distances from the cameras are too short by a factor."""
-    return Premise(
-        cause=Cause.RIG,
-        says=f"the target moves in the pictures as if its distance were {factor:.3g} times the one measured",
-        handicap=4.0,
-    )

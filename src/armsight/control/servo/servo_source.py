@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +21,24 @@ from armsight.control.servo.law import (
     servo_twist,
     stability_gain,
 )
-from armsight.control.servo.premise import LEVER_M, Cause, Premise, PremiseWatch
+from armsight.control.servo.premise import LEVER_M, PremiseWatch
+from armsight.control.servo.premise_bank import INVERTED, Premise, joint_reversed
+from armsight.control.servo.settings import Mount, ServoSettings, Turning
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
-from armsight.errors import Inconsistent, StaleData
+from armsight.errors import StaleData
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import JointReading, PoseStatus, Target, TargetPose
 from armsight.records.motion import JointHistory
-from armsight.units import DEG, MM, MS
+from armsight.units import MM, MS
 
 Array = NDArray[np.float64]
 
 STALE_S = 0.15
 """A target whose last frame is older is not followed: four frames of a webcam."""
-FIRST_M, FIRST_M_S = 0.01, 0.04
-"""The first centimetre is gone at no more than this speed: nothing has tested the premises. After it the speed may grow
-with the way that was gone without a contradiction: twofold after two centimetres, tenfold after ten."""
+FIRST_M = 0.01
+"""Beyond this way the speed may grow with the way that nothing contradicts: twofold after 20 mm."""
 WHY = {
     TargetState.LOST: "the target is lost",
     TargetState.STALE: "the last frame with the target is too old",
@@ -51,74 +51,12 @@ CONTRADICTED = "the target does not move as the arm's motion has to make it"
 NOT_SEEN, SETTLING = "the target was not seen yet", "the target was seen only just now"
 
 
-class Mount(StrEnum):
-    """Where the cameras are."""
-
-    EYE_IN_HAND = "eye-in-hand"
-    EYE_TO_HAND = "eye-to-hand"
-
-
-class Turning(StrEnum):
-    """How the arm turns after the target: until their axes agree, as they stood when it was first seen, or not."""
-
-    ALIGN = "align"
-    KEEP = "keep"
-    HOLD = "hold"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ServoSettings:
-    """How the target is followed.
-
-    T_parent_camera: the rig's pose in flange (EYE_IN_HAND) or base (EYE_TO_HAND), by hand-eye calibration.
-    T_flange_desired: where the target should be, in flange axes: on the camera's axis, or at a tool's frame. gain_t,
-    gain_r: K_t and K_r in 1/s. turning: how the arm turns; where it KEEPs the rotation first seen, only the position
-    of T_flange_desired counts. arm_lag_s: from a command to the arm's motion, as first assumed. predict: go for where
-    the target will be when the command takes effect, with its velocity fed forward; else the law of MATH 3.3 alone, of
-    the newest frame as it was. resume_m, resume_rad: after a jump the target is followed again by itself where it is so
-    near to where it would have been. chase_m: so far the camera may go while the target, seen away from where it is
-    wanted, stays where it is in the picture: then the picture stands, or the target is fixed to the camera. first_m_s: so
-    fast a camera on the flange goes its first centimetre after a target at most.
-    """
-
-    mount: Mount
-    T_parent_camera: RigidTransform
-    T_flange_desired: RigidTransform
-    gain_t: float
-    gain_r: float
-    arm_lag_s: float = 0.0
-    predict: bool = True
-    turning: Turning = Turning.ALIGN
-    resume_m: float = 0.02
-    resume_rad: float = 3.0 * DEG
-    chase_m: float = 0.01
-    first_m_s: float = FIRST_M_S
-
-    def with_gain(self, gain: float) -> ServoSettings:
-        """Return the same with one gain for position and rotation, in 1/s."""
-        return replace(self, gain_t=gain, gain_r=gain)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seen:
     """The newest pose (4, 4) as it was measured, in flange axes at its exposure; has_rotation: with its rotation."""
 
     T_flange_target: Array
     has_rotation: bool
-
-
-def on_axis(T_flange_frame: RigidTransform, distance_m: float) -> RigidTransform:
-    """Return T_flange_desired of a target that stands on the z axis of a camera or tool, with its axes (MATH 3.2).
-
-    distance_m: from the frame's origin along its z, not negative. Raises Inconsistent for another.
-    """
-    if not (np.isfinite(distance_m) and distance_m >= 0.0):
-        raise Inconsistent(
-            f"a distance of {distance_m:g} m is not before the camera or tool",
-            consequence="The target cannot be there",
-            cure="Give metres, zero or more (--distance)",
-        )
-    return T_flange_frame * RigidTransform.from_translation([0.0, 0.0, distance_m])
 
 
 class ServoSource:
@@ -214,10 +152,6 @@ class ServoSource:
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
         has_rotation = pose.status is PoseStatus.OK
         before = self._track.now
-        if on_flange:
-            sigma = np.full(6, np.inf)
-            sigma[: len(covariance)] = np.sqrt(np.diag(covariance))
-            self._reaction.see(T_base_rig, T_rig_target, sigma)
         if has_rotation:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
@@ -228,17 +162,33 @@ class ServoSource:
                 return
             self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
         now = self._track.now
-        if on_flange and has_rotation and now is not None:
-            if before is None or now.begun_s != before.begun_s:
-                self._premise.begin()
-                self._q_begun = q
-            others = self._elsewhere(q, T_base_flange)
-            self._premise.see(exposed_s, T_base_rig, T_rig_target[:3, 3], np.sqrt(np.diag(covariance)[:3]), others)
+        if on_flange:
+            begun = before is None or now is None or now.begun_s != before.begun_s
+            self._held_against_arm(pose, exposed_s, q, T_base_flange, begun=begun)
         jumps = before is not None and now is not None and now.jumped and not before.jumped
         if jumps and self._before_jump is None:  # a second jump, near where the first led, is none back
             self._before_jump = before
         if not self.settings.predict:
             self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, has_rotation=has_rotation)
+
+    def _held_against_arm(
+        self, pose: TargetPose, exposed_s: float, q: Array, T_base_flange: Array, *, begun: bool
+    ) -> None:
+        """Hold what a camera on the flange sees against what the arm did, at joints q (n,); begun: of a new track."""
+        T_rig_target, covariance = pose.T_parent_target, pose.covariance
+        if T_rig_target is None or covariance is None:
+            return
+        T_base_rig = T_base_flange @ self._T_parent_camera
+        sigma = np.full(6, np.inf)
+        sigma[: len(covariance)] = np.sqrt(np.diag(covariance))
+        self._reaction.see(T_base_rig, T_rig_target, sigma)
+        if pose.status is not PoseStatus.OK:
+            return
+        if begun:
+            self._premise.begin()
+            self._q_begun = q
+        others = self._elsewhere(q, T_base_flange)
+        self._premise.see(exposed_s, T_base_rig, T_rig_target[:3, 3], sigma[:3], others)
 
     def target(self, now_s: float) -> tuple[TargetState, float | None]:
         """Return what is known of the target, and the age in s of the newest frame that shows it."""
@@ -396,19 +346,3 @@ class ServoSource:
     def _flange(self, q: Array) -> Array:
         """Return T_base_flange (4, 4) at joint readings q (n,)."""
         return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)
-
-
-INVERTED = Premise(
-    cause=Cause.HAND_EYE,
-    says="the target moves in the pictures as if the hand-eye calibration were inverted: T_camera_flange in its place",
-    handicap=2.0,
-)
-
-
-def joint_reversed(joint: int) -> Premise:
-    """Return the premise that a joint, from 0, goes the other way than the arm's model has it."""
-    return Premise(
-        cause=Cause.ROBOT,
-        says=f"the target moves in the pictures as if joint {joint + 1} turned the other way than the arm's model has it",
-        handicap=2.0,
-    )

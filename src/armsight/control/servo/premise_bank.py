@@ -1,0 +1,204 @@
+"""The premises that may hold in place of those that a servo believes, and what each makes of the target's way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.geometry.poses import skew
+from armsight.units import DEG, MM, MS
+
+Array = NDArray[np.float64]
+
+HONEST_RAD, HONEST_SCALE, HONEST_M = 0.6 * DEG, 0.007, 0.005
+"""Standard deviations of a good hand-eye calibration and of a rig's scale: no wrong premise."""
+TURNS_DEG = (5.0, 10.0, 20.0, 35.0, 60.0, 90.0, 120.0, 150.0)
+"""Turns of the cameras that are asked for, beside half a turn, about 26 directions."""
+
+
+class Cause(StrEnum):
+    """Whose fault a wrong premise is."""
+
+    HAND_EYE = "hand-eye"
+    RIG = "rig"
+    TARGET = "target"
+    PICTURES = "pictures"
+    ROBOT = "robot"
+
+
+CURES = {
+    Cause.HAND_EYE: "calibrate the hand-eye anew, with the cameras as they are mounted",
+    Cause.RIG: "check that rig.yaml is of these cameras, left and right, and in metres",
+    Cause.TARGET: "check that target.yaml is of this target, and in metres",
+    Cause.PICTURES: "check the cameras, their driver and --latency",
+    Cause.ROBOT: "check that the arm's model is of this robot",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Premise:
+    """What may be so in place of what is believed.
+
+    says: what the target's motion looks like. handicap: by how much more than LIKELY its logarithm of likelihood has to
+    be: honest hands that are followed well look like some premises.
+    """
+
+    cause: Cause
+    says: str
+    handicap: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """What is wrong, and what to look at."""
+        return f"wrong premise ({self.cause}): {self.says}; {CURES[self.cause]}"
+
+
+UNMOVED = Premise(
+    cause=Cause.PICTURES,
+    says="the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",
+    handicap=30.0,
+)
+
+
+def late_by(frames: int, t_s: Array) -> Premise:
+    """Return the premise that pictures are so many frames older than their times t_s (n,)."""
+    late_s = frames * float(t_s[-1] - t_s[0]) / (len(t_s) - 1)
+    return Premise(
+        cause=Cause.PICTURES,
+        says=f"the pictures are older than their times by about {late_s / MS:.0f} ms",
+        handicap=4.0,
+    )
+
+
+INVERTED = Premise(
+    cause=Cause.HAND_EYE,
+    says="the target moves in the pictures as if the hand-eye calibration were inverted: T_camera_flange in its place",
+    handicap=2.0,
+)
+
+
+def joint_reversed(joint: int) -> Premise:
+    """Return the premise that a joint, from 0, goes the other way than the arm's model has it."""
+    return Premise(
+        cause=Cause.ROBOT,
+        says=f"the target moves in the pictures as if joint {joint + 1} turned the other way than the model has it",
+        handicap=2.0,
+    )
+
+
+def weights(M: Array, m: Array) -> Array:
+    """Return (39, 3): the way M^-1 (R (M x + m) + p) of a target seen at x is in the products of camera_terms.
+
+    M (3, 3), m (3,): what is seen is x, and in the axes of the rig that is believed it is M x + m. The way is told in
+    the axes of what is seen, where the noise is as claimed.
+    """
+    inverse = np.linalg.inv(M)
+    return np.concatenate(
+        [
+            np.einsum("il,sj->lsji", inverse, M).reshape(27, 3),
+            np.einsum("il,s->lsi", inverse, m).reshape(9, 3),
+            inverse.T,
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bank:
+    """Premises under which what is seen is changed alike in each frame: the one believed first, its weights (39, 3 h),
+    and doubt (39, 3 r): what honest errors of a standard deviation do."""
+
+    premises: tuple[Premise, ...]
+    weights: Array
+    doubt: Array
+
+
+@cache
+def bank() -> Bank:
+    """Return the premises about the cameras."""
+    found: list[tuple[Premise, Array, Array]] = [(Premise(cause=Cause.HAND_EYE, says=""), np.eye(3), np.zeros(3))]
+    directions = [np.array(v) - 1.0 for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
+    for direction in directions:
+        axis = direction / np.linalg.norm(direction)
+        half = (180.0,) if tuple(direction) > (0.0, 0.0, 0.0) else ()
+        found += [
+            (turned(deg, axis), Rotation.from_rotvec(deg * DEG * axis).as_matrix(), np.zeros(3))
+            for deg in TURNS_DEG + half
+        ]
+        if np.abs(direction).sum() == 1.0:
+            found += [(aside(far_m, axis), np.eye(3), far_m * axis) for far_m in (0.03, 0.1)]
+    for i, name in enumerate("xy"):
+        M = np.eye(3)
+        M[i, i] = -1.0
+        found.append((mirrored(name), M, np.zeros(3)))
+    for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
+        found.append((scaled(factor), factor * np.eye(3), np.zeros(3)))
+        if abs(factor - 1.0) > 0.06:
+            found.append((deepened(factor), np.diag([1.0, 1.0, factor]), np.zeros(3)))
+    premises, maps, shifts = zip(*found, strict=True)
+    return Bank(
+        premises=premises,
+        weights=np.concatenate(list(map(weights, maps, shifts)), axis=1),
+        doubt=np.concatenate(honest_errors(), axis=1),
+    )
+
+
+def honest_errors() -> list[Array]:
+    """Return the weights (39, 3) of small errors of a calibration: by turn, scale, place, a standard deviation each."""
+    believed, still, eps = np.eye(3), np.zeros(3), 1e-6
+    steps = [(HONEST_RAD, skew(axis), still) for axis in np.eye(3)]
+    steps += [(HONEST_SCALE, believed, still)] + [(HONEST_M, np.zeros((3, 3)), axis) for axis in np.eye(3)]
+    return [
+        size * (weights(believed + eps * M, eps * m) - weights(believed - eps * M, -eps * m)) / (2.0 * eps)
+        for size, M, m in steps
+    ]
+
+
+def turned(deg: float, axis: Array) -> Premise:
+    """Return the premise that the cameras are turned about an axis (3,) of theirs."""
+    names = " and ".join(
+        f"{'-' if part < 0.0 else ''}{name}" for part, name in zip(axis, "xyz", strict=True) if abs(part) > 0.1
+    )
+    return Premise(
+        cause=Cause.HAND_EYE,
+        says="the target moves in the pictures as if the cameras were turned by about "
+        f"{deg:.0f} deg about their {names}",
+    )
+
+
+def aside(far_m: float, axis: Array) -> Premise:
+    """Return the premise that the cameras are elsewhere on the flange, along an axis (3,) of theirs."""
+    i = int(np.argmax(np.abs(axis)))
+    return Premise(
+        cause=Cause.HAND_EYE,
+        says=f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
+        f"along their {'xyz'[i]}",
+        handicap=2.0,
+    )
+
+
+def mirrored(name: str) -> Premise:
+    """Return the premise that the pictures are mirrored."""
+    return Premise(cause=Cause.RIG, says=f"the target moves in the pictures as if they were mirrored along {name}")
+
+
+def scaled(factor: float) -> Premise:
+    """Return the premise that all that is measured is too short by a factor."""
+    return Premise(
+        cause=Cause.RIG,
+        says=f"the target moves in the pictures as if all lengths were {factor:.3g} times those measured",
+        handicap=10.0,
+    )
+
+
+def deepened(factor: float) -> Premise:
+    """Return the premise that distances from the cameras are too short by a factor."""
+    return Premise(
+        cause=Cause.RIG,
+        says=f"the target moves in the pictures as if its distance were {factor:.3g} times the one measured",
+        handicap=4.0,
+    )
