@@ -20,7 +20,6 @@ from armsight.app.calibrate.zoom import fix_camera, fix_rig
 from armsight.app.convert import (
     load_camera,
     load_rig,
-    load_tum,
 )
 from armsight.app.tables import convert_table
 from armsight.control.guard import Limits
@@ -137,7 +136,7 @@ def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
     require_kind("table", table, TableFormat)
     file = as_path(path)
     if file.suffix.lower() in TUM_SUFFIXES and table is OURS:
-        return PoseTrack(poses=tuple(load_tum(file)))
+        return PoseTrack(poses=store.read_tum(file))
     return PoseTrack(poses=store.read_poses(file, format_=table))
 
 

@@ -6,14 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
 from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Doc
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
-from armsight.records import PoseStatus, TargetPose
 from armsight.records.output import Output, output
 from armsight.store import (
     read_camera,
@@ -183,19 +180,10 @@ def convert_poses(source: Path, out: Path) -> ConvertOutput:
             cure="One name must end in .csv, the other in .tum or .txt",
         )
     if to_tum:
-        return _done("poses.csv", "tum", [out], rows=write_tum(out, read_poses(source)))
-    poses = load_tum(source)
+        return _done("poses.csv", "tum", [out], rows=write_tum(out, read_poses(source, measured=False)))
+    poses = read_tum(source)
     write_poses(out, poses)
     return _done("tum", "poses.csv", [out], rows=len(poses))
-
-
-def load_tum(source: Path) -> list[TargetPose]:
-    """Return the poses of a TUM file, which tells no uncertainty. Raises BadFile."""
-    track = read_tum(source)
-    return [
-        TargetPose(t_s=float(t_s), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=np.zeros((6, 6)))
-        for t_s, T in zip(track.t_s, track.pose.as_matrix(), strict=True)
-    ]
 
 
 def _done(source: str, target: str, files: Sequence[Path], *, rows: int | None = None, note: str = "") -> ConvertOutput:

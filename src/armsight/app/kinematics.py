@@ -178,7 +178,7 @@ def write_joints_of_poses(
     solution get one row with empty joint values; the reason is its status, and in words in the result.
     """
     model = load_arm(arm)
-    targets = read_poses(poses, parent="world", format_=format_, timed=False)
+    targets = read_poses(poses, parent="world", format_=format_, timed=False, measured=False)
     starts = _starts(model, near, len(targets))
     aim = task_of(model, task)
     here = start_values(model, None)
@@ -236,7 +236,7 @@ def write_joint_path(
 ) -> PathOutput:
     """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
     model = load_arm(arm)
-    targets = read_poses(poses, parent="world", format_=format_, stream=True)
+    targets = read_poses(poses, parent="world", format_=format_, stream=True, measured=False)
     blind = [k for k, target in enumerate(targets) if target.status is not PoseStatus.OK]
     if blind:
         raise Inconsistent(

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from armsight.store.tracks import MovingPosesWriter as MovingPosesWriter
     from armsight.store.tracks import PointsWriter as PointsWriter
     from armsight.store.tracks import PosesWriter as PosesWriter
-    from armsight.store.tracks import PoseTrack as PoseTrack
     from armsight.store.tracks import SpotsWriter as SpotsWriter
     from armsight.store.tracks import read_joints as read_joints
     from armsight.store.tracks import read_poses as read_poses
@@ -85,7 +84,6 @@ _PLACES = {
     "MovingPosesWriter": "tracks",
     "PointsWriter": "tracks",
     "PosesWriter": "tracks",
-    "PoseTrack": "tracks",
     "SpotsWriter": "tracks",
     "read_joints": "tracks",
     "read_poses": "tracks",

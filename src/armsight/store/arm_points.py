@@ -25,6 +25,7 @@ from armsight.store.covariances import (
     has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.lost import without_lost, without_rare_rotations
 from armsight.store.tables import Table, parse_table
 from armsight.store.verify_files import KNOWN
 
@@ -51,9 +52,10 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         POSITION,
         optional=(*own, *further),
         text=("point", *further),
-        blank=("t_s", *POSITION_COVARIANCE, *further),
+        blank=("t_s", "q", *POSITION, *QUATERNION, *POSITION_COVARIANCE, *further),
         series="q",
     )
+    table = without_lost(without_rare_rotations(table, format_.notify), format_.notify)
     readings = table.series("q")
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")

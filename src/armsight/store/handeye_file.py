@@ -41,6 +41,7 @@ from armsight.store.covariances import (
     has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
+from armsight.store.lost import without_lost
 from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.tables import Table, cells, parse_table
 
@@ -117,13 +118,17 @@ def read_pairs(path: Path, format_: TableFormat = OURS) -> PosePairs:
     Raises BadFile that names line and column, Inconsistent where units contradict the numbers, NotEnoughData.
     """
     data = standard_bytes(path, "pairs", format_)
-    table = parse_table(data, str(path), PAIR_COLUMNS, optional=CAMERA_COVARIANCE, blank=CAMERA_COVARIANCE)
+    file = parse_table(
+        data, str(path), PAIR_COLUMNS, optional=CAMERA_COVARIANCE, blank=(*PAIR_COLUMNS, *CAMERA_COVARIANCE)
+    )
+    table = without_lost(file, format_.notify)
+    row = {line: k for k, line in enumerate(file.lines, 1)}
     for who in ("base_flange", "camera_target"):
         names = [f"{who}_{name}" for name in POSITION]
         check_positions(table.stacked(names), names, str(path), format_)
     robot, camera = (_poses(table, f"{who}_") for who in ("base_flange", "camera_target"))
     covariance, note = _camera_covariance(table, path)
-    pairs = PosePairs.of(robot, camera, [f"row {i + 1}" for i in range(len(table))], covariance)
+    pairs = PosePairs.of(robot, camera, [f"row {row[line]}" for line in table.lines], covariance)
     return replace(pairs, unweighed=note)
 
 
@@ -168,11 +173,13 @@ def read_robot_poses(
     that names line and column, Inconsistent where units contradict the numbers or the counts differ.
     """
     data = standard_bytes(path, "robot_poses", format_)
-    table = parse_table(data, str(path), CELLS, optional=("file",), text=("file",))
+    file = parse_table(data, str(path), CELLS, optional=("file",), text=("file",), blank=CELLS)
+    table = without_lost(file, format_.notify)
     check_positions(table.stacked(POSITION), POSITION, str(path), format_)
     poses = _poses(table, "")
     if "file" not in table.text:
-        return dict(zip(_in_order(path, len(poses), images, format_), poses, strict=True))
+        ordered = dict(zip(file.lines, _in_order(path, len(file), images, format_), strict=True))
+        return dict(zip([ordered[line] for line in table.lines], poses, strict=True))
     files = [Path(name).name for name in table.text["file"]]
     for row, name in enumerate(files):
         if not name or name in files[:row]:

@@ -12,6 +12,7 @@ from armsight.errors import BadFile
 from armsight.store.atomic import write_text
 from armsight.store.covariances import POSITION
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.lost import without_lost
 from armsight.store.tables import cells, parse_table
 
 STD = "std_px"
@@ -25,7 +26,16 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     Raises BadFile that names line and column.
     """
     data = standard_bytes(path, "sweep", format_)
-    table = parse_table(data, str(path), ["joint"], optional=(*POSITION, *PIXELS, STD), series="q")
+    table = parse_table(
+        data,
+        str(path),
+        ["joint"],
+        optional=(*POSITION, *PIXELS, STD),
+        blank=("q", *POSITION, *PIXELS),
+        series="q",
+    )
+    seen = [PIXELS] if all(name in table.numbers for name in PIXELS) else []
+    table = without_lost(table, format_.notify, groups=seen)
     readings = table.series("q")
     check_joint_values(table.stacked(readings), str(path), format_)
     pixels = [name for name in PIXELS if name in table.numbers]

@@ -8,7 +8,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,11 @@ MAX_BYTES = 1_000_000_000
 """A quarter of an hour of poses at 1 kHz has 0.9 GB."""
 
 Array = NDArray[np.float64]
+
+NO_NUMBER = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "missing", "-", "--", "---"))
+"""What programs write where they have no number, in small letters."""
+UNREAL = 1e20
+"""Trackers write such numbers for none: NDI's BAD_FLOAT is -3.7e28."""
 
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 """What spreadsheets take for the beginning of a formula, marked or not."""
@@ -45,6 +50,20 @@ class Table:
     def stacked(self, names: Sequence[str]) -> Array:
         """Return the columns of numbers as (n, len(names))."""
         return np.stack([self.numbers[name] for name in names], axis=1) if names else np.empty((len(self), 0))
+
+    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Table:
+        """Return the table of some of its rows, counted from 0."""
+        kept = np.asarray(rows, dtype=np.intp)
+        return Table(
+            where=self.where,
+            numbers={name: column[kept] for name, column in self.numbers.items()},
+            text={name: tuple(column[row] for row in kept) for name, column in self.text.items()},
+            lines=tuple(self.lines[row] for row in kept),
+        )
+
+    def without_columns(self, names: Collection[str]) -> Table:
+        """Return the table without some of its columns of numbers."""
+        return replace(self, numbers={name: column for name, column in self.numbers.items() if name not in names})
 
     def location(self, row: int) -> str:
         """Return 'file, line 7' for a row counted from 0."""
@@ -100,8 +119,8 @@ def parse_table(
     """Return the table in CSV bytes: UTF-8 with or without mark, any line ends, columns in any order.
 
     required, optional: names of columns. text: those of them that hold words. blank: columns of numbers whose cells
-    may be empty. series: a prefix whose numbered columns (q1, q2, ...) are taken as well. Raises BadFile that names
-    file, row and column, NotEnoughData where need_rows and there is none.
+    may be empty. series: a prefix whose numbered columns (q1, q2, ...) are taken as well; in blank it stands for all of
+    these. Raises BadFile that names file, row and column, NotEnoughData where need_rows and there is none.
     """
     rows, lines = _rows(data, where)
     header = [name.strip() for name in rows[0]] if rows else []
@@ -122,7 +141,8 @@ def parse_table(
         if name in text:
             words[name] = tuple(bare(cell.strip()) for cell in cells)
         else:
-            numbers[name] = number_column(cells, name, lines, where, name in blank)
+            may_be_blank = name in blank or (series in blank and _in_series(name, series))
+            numbers[name] = number_column(cells, name, lines, where, may_be_blank)
     return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
 
 
@@ -181,8 +201,7 @@ def _check_header(
         raise BadFile(f"{where}: the column {twice[0][:40]!r} stands twice", consequence="The file is not used")
     known = [*required, *optional]
     for name in header:
-        numbered = series and name.startswith(series) and name[len(series) :].isdecimal()
-        if name not in known and not numbered:
+        if name not in known and not _in_series(name, series):
             close = difflib.get_close_matches(name, known, n=1)
             also = f", {series}1, {series}2, ..." if series else ""
             raise BadFile(
@@ -190,6 +209,11 @@ def _check_header(
                 consequence="The file is not used",
                 cure=f"Valid columns: {', '.join(known)}{also}",
             )
+
+
+def _in_series(name: str, prefix: str) -> bool:
+    """Whether a column is one of prefix1, prefix2, ...; none is where there is no prefix."""
+    return bool(prefix) and name.startswith(prefix) and name[len(prefix) :].isdecimal()
 
 
 def _header_cure(header: list[str], required: Sequence[str]) -> str:
@@ -230,12 +254,7 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
         )
     if again.any():
         notify(f"{table.where}: {int(again.sum())} of {len(table)} rows repeat the row before them and are left out")
-    return Table(
-        where=table.where,
-        numbers={name: column[kept] for name, column in table.numbers.items()},
-        text={name: tuple(column[row] for row in kept) for name, column in table.text.items()},
-        lines=tuple(table.lines[row] for row in kept),
-    )
+    return table.take(kept)
 
 
 def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
@@ -244,17 +263,19 @@ def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
-    """Return the numbers (n,) in a column's cells, NaN for those that may be and are blank; BadFile for others."""
+    """Return the numbers (n,) in a column's cells; BadFile for what is none.
+
+    may_be_blank: cells that say that there is no number (empty, nan, MISSING, ...) are NaN.
+    """
     values = np.empty(len(cells))
     for i, cell in enumerate(cells):
         try:
             value = float(cell)
         except ValueError:
-            if may_be_blank and not cell.strip():
-                values[i] = np.nan
-                continue
-            raise _bad_cell(cell, name, lines[i], where) from None
-        if not math.isfinite(value) or "_" in cell:
+            value = math.nan
+            if not may_be_blank or cell.strip().lower() not in NO_NUMBER:
+                raise _bad_cell(cell, name, lines[i], where) from None
+        if "_" in cell or math.isinf(value) or (value != value and not may_be_blank):
             raise _bad_cell(cell, name, lines[i], where)
         values[i] = value
     return values
@@ -267,6 +288,16 @@ def _bad_cell(cell: str, name: str, line: int, where: str) -> BadFile:
         consequence="The file is not used",
         cure="Correct the cell, or remove the row",
     )
+
+
+def known(values: Array) -> NDArray[np.bool_]:
+    """Return which numbers are any, and none that a tracker writes for none."""
+    return np.asarray(np.abs(values) < UNREAL)  # NaN is not
+
+
+def zeros(values: Array) -> NDArray[np.bool_]:
+    """Return which rows (n,) of numbers (n, k), k at least 1, are zero throughout."""
+    return np.asarray((values == 0.0).all(axis=1) & bool(values.shape[1]))
 
 
 def number(value: float) -> str:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock
@@ -33,6 +31,7 @@ from armsight.store.covariances import (
     pose_covariances,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.lost import lost_rows, lost_words, without_lost
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, word
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
@@ -40,14 +39,6 @@ POINT_COLUMNS = ("t_s", "spot", "x_m", "y_m", "z_m", "sx_m", "sy_m", "sz_m")
 LATEST_S = 1e11
 """No time of a frame is later: clocks of today count 1.8e9 s since 1970, which are 1.8e12 ms and 1.8e18 ns."""
 SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PoseTrack:
-    """Poses without uncertainty: t_s (n,), pose a stack of n."""
-
-    t_s: NDArray[np.float64]
-    pose: RigidTransform
 
 
 class _Writer:
@@ -181,26 +172,39 @@ def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
 
 
 def read_poses(
-    path: Path, *, parent: str = "rig", format_: TableFormat = OURS, timed: bool = True, stream: bool = False
+    path: Path,
+    *,
+    parent: str = "rig",
+    format_: TableFormat = OURS,
+    timed: bool = True,
+    stream: bool = False,
+    measured: bool = True,
 ) -> tuple[TargetPose, ...]:
     """Return the poses in a poses.csv, or in a file that can be understood as one, in the frame parent.
 
-    timed: times are needed; else rows without them are counted. stream: times must increase; rows that repeat the row
-    before, stamp and all, are left out. See parse_poses and interpret.
+    timed: times are needed; else rows without them are counted. See parse_poses and interpret.
     """
     data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
-    return parse_poses(data, str(path), parent=parent, notify=format_.notify if stream else None)
+    return parse_poses(data, str(path), parent=parent, notify=format_.notify, stream=stream, measured=measured)
 
 
 def parse_poses(
-    data: bytes, where: str, *, parent: str = "rig", notify: Callable[[str], None] | None = None
+    data: bytes,
+    where: str,
+    *,
+    parent: str = "rig",
+    notify: Callable[[str], None] = OURS.notify,
+    stream: bool = False,
+    measured: bool = True,
 ) -> tuple[TargetPose, ...]:
     """Return the poses in the bytes of a poses.csv, in the frame parent.
 
     The covariances come back whole; diagonal in files of standard deviations only (has_correlations tells), zero where
     the standard deviations' cells or columns are empty. The columns from sx_m on may be missing (status is then ok). A
     position_only row has the mean of its lights in lights_...; in files of earlier versions, which lack these columns,
-    in x_m to z_m. tell: given where the rows are a stream, see in_time. Raises BadFile, naming file, line and column.
+    in x_m to z_m. Rows in which nothing was measured (lost_rows) come back as lost; measured: False for poses that are
+    asked for. stream: times must increase; rows that repeat the row before, stamp and all, and lost ones of what was
+    measured are left out. Raises BadFile, naming file, line and column.
     """
     table = parse_table(
         data,
@@ -210,8 +214,13 @@ def parse_poses(
         text=("status", "spots"),
         blank=(*POSE_COLUMNS[1:14], *POSE_EXTRAS),
     )
-    table = table if notify is None else in_time(table, notify)
-    statuses = [_status(table, row) for row in range(len(table))]
+    if stream and measured:
+        table = without_lost(table, notify)
+    table = in_time(table, notify) if stream else table
+    lost = {} if stream and measured else lost_rows(table, measured=measured)
+    if lost:
+        notify(f"{where}: {lost_words(lost, table)}")
+    statuses = [PoseStatus.LOST if row in lost else _status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
     of_lights = {row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, LIGHTS)}
     xyz = np.array([_full(table, row, LIGHTS if row in of_lights else POSITION) for row in seen]).reshape(-1, 3)
@@ -294,19 +303,27 @@ def _full(table: Table, row: int, names: Sequence[str]) -> Array:
     return values
 
 
-def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True) -> Motion:
+def read_tum(path: Path) -> tuple[TargetPose, ...]:
+    """Return the poses in a TUM file (t x y z qx qy qz qw), as they stand there; see read_poses."""
+    columns = TableFormat(columns="t_s,xyz_m,quat_xyzw", as_stated=True)
+    return read_poses(path, parent="world", format_=columns, measured=False)
+
+
+def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True, measured: bool = False) -> Motion:
     """Return the joint values in a joints.csv (t_s, q1, ..., qn; rad, m), or a file that can be understood as one.
 
-    timed: times are needed; else rows without them are counted. Raises BadFile that names line and column,
+    timed: times are needed; else rows without them are counted. measured: it is the log of an arm, whose lost rows
+    (lost_rows) are left out; where it is asked for, every row counts. Raises BadFile that names line and column,
     Inconsistent for degrees where radians are meant.
     """
     data = standard_bytes(path, "joints" if timed else "untimed-joints", format_)
-    return parse_joints(data, str(path), format_)
+    return parse_joints(data, str(path), format_, measured=measured)
 
 
-def parse_joints(data: bytes, where: str, format_: TableFormat = OURS) -> Motion:
+def parse_joints(data: bytes, where: str, format_: TableFormat = OURS, *, measured: bool = False) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
-    table = in_time(parse_table(data, where, ("t_s", "q1"), series="q"), format_.notify)
+    table = parse_table(data, where, ("t_s", "q1"), series="q", blank=("q",) if measured else ())
+    table = in_time(without_lost(table, format_.notify) if measured else table, format_.notify)
     check_joint_values(table.stacked(table.series("q")), where, format_)
     with named(where):
         return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))
@@ -354,38 +371,3 @@ def write_tum(path: Path, poses: Iterable[TargetPose]) -> int:
             rows.append(" ".join(number(value) for value in (pose.t_s, *xyz, *quat)))
     write_text(path, "\n".join(["# t_s x_m y_m z_m qx qy qz qw", *rows]) + "\n")
     return len(rows)
-
-
-def read_tum(path: Path) -> PoseTrack:
-    """Return the track in a TUM file; BadFile that names the line."""
-    return parse_tum(read_bytes(path, limit=MAX_BYTES), str(path))
-
-
-def parse_tum(data: bytes, where: str) -> PoseTrack:
-    """Return the track in the bytes of a TUM file; see read_tum."""
-    try:
-        lines = data.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise BadFile(f"{where}: byte {error.start} is not UTF-8 text", consequence="It cannot be read") from error
-    rows, locations = [], []
-    for i, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        location = f"{where}, line {i}"
-        parts = line.replace(",", " ").split()
-        try:
-            values = [float(part) for part in parts]
-        except ValueError:
-            values = []
-        if len(values) != 8 or not np.isfinite(values).all():
-            raise BadFile(
-                f"{location}: not eight finite numbers t x y z qx qy qz qw",
-                consequence="The file is not used",
-                cure="Correct the line or remove it",
-            )
-        rows.append(values)
-        locations.append(location)
-    if not rows:
-        raise BadFile(f"{where}: holds no pose", consequence="There is nothing to do", cure="Check the file")
-    table = np.array(rows)
-    return PoseTrack(t_s=table[:, 0], pose=_stack(table[:, 1:4], table[:, 4:], locations))

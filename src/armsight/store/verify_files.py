@@ -7,6 +7,7 @@ named; all others keep their number.
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
-from armsight.store.atomic import read_bytes
 from armsight.store.covariances import (
     COVARIANCE,
     DEVIATIONS,
@@ -34,8 +34,8 @@ from armsight.store.covariances import (
     has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
-from armsight.store.tables import MAX_BYTES, Table, parse_table
-from armsight.store.tracks import parse_tum
+from armsight.store.lost import lost_rows, lost_words, without_rare_rotations
+from armsight.store.tables import Table, parse_table
 from armsight.verify import Measured, Repeats, Reported
 
 Array = NDArray[np.float64]
@@ -70,12 +70,14 @@ class MeasuredFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Rows:
-    """A table read, the numbers of its rows (m,) from 1 in the file, and the rows torn."""
+    """A table read, the numbers of its rows (m,) from 1 in the file, the rows torn, and by their place those lost."""
 
     table: Table
     row: Index
     torn: tuple[tuple[int, str], ...]
+    lost: Mapping[int, str]
     unused: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -83,9 +85,10 @@ class _Rows:
         return len(self.row) + len(self.torn)
 
     def columns(self, names: tuple[str, ...]) -> Array:
-        """Return columns of all rows (n, k) of the file, NaN where one is torn."""
+        """Return columns of all rows (n, k) of the file, NaN where one is torn or lost."""
         out = np.full((self.n, len(names)), np.nan)
         out[self.row - 1] = self.table.stacked(names)
+        out[self.row[list(self.lost)] - 1] = np.nan
         return out
 
     def words(self, name: str) -> tuple[str, ...]:
@@ -125,53 +128,16 @@ def read_measured(path: Path, format_: TableFormat = OURS) -> MeasuredFile:
 
     Raises BadFile that names line and column, NotEnoughData without a row.
     """
-    data = _data(path, "measured", format_)
-    if _is_tum(data):
-        track = parse_tum(data, str(path))
-        measured = Measured(
-            xyz_m=np.asarray(track.pose.translation), rotation=track.pose.rotation.as_matrix(), t_s=track.t_s
-        )
-        none = ("",) * len(measured)
-        repeats = Repeats(pose=none, visit=none, run=none, path=none, approach=none)
-        return MeasuredFile(
-            measured=measured, reported=None, pose=None, repeats=repeats, rejected=(), notes=(), n=len(measured)
-        )
-    rows = _parse(data, str(path), POSITION)
-    return _measured(rows)
+    return _measured(_parse(standard_bytes(path, "measured", format_), str(path), POSITION, rotations=False))
 
 
-def _data(path: Path, role: str, format_: TableFormat) -> bytes:
-    """Return the bytes of a table of ours: as they are for TUM and for tables of ours, torn rows included."""
-    if path.is_file() and not format_.stated and path.suffix.lower() != ".mat":
-        data = read_bytes(path, limit=MAX_BYTES)
-        if _is_tum(data):
-            return data
-    return standard_bytes(path, role, format_)
+def _parse(
+    data: bytes, where: str, required: tuple[str, ...], *, measured: bool = True, rotations: bool = True
+) -> _Rows:
+    """Return the table of a file, torn rows left out and counted, lost ones named.
 
-
-def _is_tum(data: bytes) -> bool:
-    """Whether the first line that is no remark is eight numbers, and no remark names columns in another order."""
-    for line in data.decode("utf-8-sig", errors="replace").splitlines():
-        if line.lstrip().startswith("#"):
-            words = line.lstrip("# ").replace(",", " ").split()
-            if len(words) == 8 and words[-1].lower()[-1:] != "w":
-                return False
-        elif line.strip():
-            parts = line.replace(",", " ").split()
-            return len(parts) == 8 and all(_is_number(part) for part in parts)
-    return False
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
-    """Return the table of a file, torn rows left out and counted."""
+    rotations: the table is of no use without them; else they are left out where most rows have none.
+    """
     lines = data.splitlines(keepends=True)
     torn = [i for i, line in enumerate(lines, start=1) if NUL in line]
     if 1 in torn:
@@ -187,7 +153,7 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
         required,
         optional=(*NUMBERS, *WORDS, *unused),
         text=(*WORDS, *unused),
-        blank=tuple(name for name in NUMBERS if name != "t_s"),
+        blank=("q", *(name for name in NUMBERS if name != "t_s")),
         series="q",
         need_rows=False,
     )
@@ -195,11 +161,15 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
         raise NotEnoughData(f"{where}: no row below the header that can be read", consequence="There is nothing to do")
     row_of_line = {line: k + 1 for k, line in enumerate(sorted({*table.lines, *torn}))}
     row = np.array([row_of_line[line] for line in table.lines], dtype=np.intp)
+    notes: list[str] = []
+    table = table if rotations else without_rare_rotations(table, notes.append)
     return _Rows(
         table=table,
         row=row,
         torn=tuple((row_of_line[line], f"line {line} holds NUL bytes") for line in torn),
+        lost=lost_rows(table, measured=measured),
         unused=unused,
+        notes=tuple(notes),
     )
 
 
@@ -215,7 +185,7 @@ def _measured(rows: _Rows) -> MeasuredFile:
     table = rows.table
     turned = rows.has(QUATERNION) and not np.isnan(table.stacked(QUATERNION)).all()
     quat = table.stacked(QUATERNION) if turned else None
-    index, rejected, lost = _usable(rows, table.stacked(POSITION), quat)
+    index, rejected, lost = _usable(rows, quat)
     if not len(index):
         raise NotEnoughData(
             f"{table.where}: no row has a position that can be used", consequence="There is nothing to do"
@@ -228,7 +198,7 @@ def _measured(rows: _Rows) -> MeasuredFile:
         row=rows.row[index],
         point=_labels(table, index),
     )
-    notes = [f"{lost} rows are lost (no pose) and not compared"] if lost else []
+    notes = [*rows.notes, *([lost_words(lost, table)] if lost else [])]
     if measured.covariance is not None and not has_correlations(table.numbers):
         notes.append(f"the file {UNCORRELATED}")
     notes += [f"columns not used: {', '.join(rows.unused)[:200]}"] if rows.unused else []
@@ -243,21 +213,19 @@ def _measured(rows: _Rows) -> MeasuredFile:
     )
 
 
-def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tuple[int, str]], int]:
-    """Return the places of the rows that can be used, those left out with the reason, and how many are lost."""
+def _usable(rows: _Rows, quat: Array | None) -> tuple[Index, list[tuple[int, str]], dict[int, str]]:
+    """Return the places of the rows that can be used, those left out with the reason, and those lost."""
     table = rows.table
     status = table.text.get("status", (PoseStatus.OK.value,) * len(table))
-    good, rejected, lost = [], [], 0
+    good, rejected, lost = [], [], dict[int, str]()
     for i in range(len(table)):
         row = int(rows.row[i])
         if status[i] == PoseStatus.DOUBTFUL.value:
             rejected.append((row, "doubtful: it, or its run, does not fit what its measurement claims"))
         elif status[i] == PoseStatus.POSITION_ONLY.value:
             rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
-        elif status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
-            lost += 1
-        elif np.isnan(xyz[i]).any() or (quat is not None and np.isnan(quat[i]).any()):
-            rejected.append((row, f"cells are empty in line {table.lines[i]}"))
+        elif status[i] == PoseStatus.LOST.value or i in rows.lost:
+            lost[i] = rows.lost.get(i, "of status lost")
         elif quat is not None and abs(np.linalg.norm(quat[i]) - 1.0) > QUAT_NORM_TOLERANCE:
             rejected.append((row, f"its quaternion has length {np.linalg.norm(quat[i]):.4g}, not 1"))
         else:
@@ -334,7 +302,9 @@ def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
 
     Raises BadFile that names line and column.
     """
-    rows = _parse(_data(path, "reported", format_), str(path), ("q1",))
+    rows = _parse(standard_bytes(path, "reported", format_), str(path), ("q1",))
+    if rows.lost:
+        format_.notify(f"{path.name}: {lost_words(rows.lost, rows.table)}")
     q = rows.columns(rows.table.series("q"))
     check_joint_values(q, str(path), format_)
     return Reported(q=q, t_s=_stamps(rows))
@@ -345,11 +315,7 @@ def read_commanded(path: Path, format_: TableFormat = OURS) -> CommandedFile:
 
     Raises BadFile that names line and column.
     """
-    data = _data(path, "measured", format_)
-    if _is_tum(data):
-        track = parse_tum(data, str(path))
-        return CommandedFile(reported=Reported(T=track.pose.as_matrix(), t_s=track.t_s), turned=True)
-    rows = _parse(data, str(path), POSITION)
+    rows = _parse(standard_bytes(path, "measured", format_), str(path), POSITION, measured=False)
     turned = rows.has(QUATERNION)
     T = np.tile(np.eye(4), (rows.n, 1, 1))
     T[:, :3, 3] = rows.columns(POSITION)

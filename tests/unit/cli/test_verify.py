@@ -138,7 +138,7 @@ def test_torn_rows_are_left_out_and_the_others_keep_their_numbers(tmp_path: Path
     assert found.measured.rows.tolist() == [1, 3] and found.n == 5
     assert names_it(dict(found.rejected)[2], "line 3", "NUL")
     assert "position only" in dict(found.rejected)[5]
-    assert any(names_it(note, "1 rows", "lost") for note in found.notes)
+    assert any(names_it(note, "1 of 4 rows", "lost", "line 5") for note in found.notes)
     path.write_bytes(b"q1,q2\n1,2\n\x00\x00\n3,4\n")
     q = read_reported_joints(path).q
     assert q is not None and np.isnan(q[1]).all() and q[2].tolist() == [3.0, 4.0]

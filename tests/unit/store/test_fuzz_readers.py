@@ -14,7 +14,7 @@ from armsight.store.foreign.kalibr import kalibr_rig
 from armsight.store.foreign.opencv import opencv_camera, opencv_rig
 from armsight.store.foreign.ros import ros_camera, ros_rig
 from armsight.store.spots_csv import parse_spot_track
-from armsight.store.tracks import parse_joints, parse_poses, parse_times, parse_tum
+from armsight.store.tracks import parse_joints, parse_poses, parse_times
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
 from refusals import refuses
@@ -31,7 +31,7 @@ def read(reader, *args):
     return None
 
 
-TABLES = (parse_poses, parse_joints, parse_times, parse_tum, parse_spot_track)
+TABLES = (parse_poses, parse_joints, parse_times, parse_spot_track)
 MAPPINGS = {
     "rig": store.rig_from_mapping,
     "target": store.target_from_mapping,

@@ -142,7 +142,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
     write_text(out.with_suffix(".report.html"), identify_report(result, sweeps, rig))
     px = [_centroids(folder / side, read_sweep_joints(joints)[0]) for side in ("left", "right")]
     T = T_world_rig.as_matrix()
-    poses = read_poses(folder / "truth_world.csv", parent="world")
+    poses = read_poses(folder / "truth_world.csv", parent="world", measured=False)
     return _Run(
         rig=rig,
         T_world_rig=T,

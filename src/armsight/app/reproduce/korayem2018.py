@@ -123,7 +123,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
     T_world_rig = read_world(job.world).T_parent_rig.as_matrix() if job.world else np.eye(4)
     seen = spots_by_frame(out / "spots.csv", times_s)
     method = _by_paper(folder, seen, len(times_s), read_rig(job.rig), read_target(job.target))
-    truth = [pose.T_parent_target for pose in read_poses(folder / "truth_world.csv", parent="world")]
+    truth = [pose.T_parent_target for pose in read_poses(folder / "truth_world.csv", parent="world", measured=False)]
     true = np.array([T for T in truth if T is not None])
     placed = {i: T_world_rig @ T for i, T in method.items()}
     tracks = joined(times_s, placed, measured_poses(out / "poses.csv"), true)

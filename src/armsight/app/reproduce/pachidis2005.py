@@ -163,7 +163,7 @@ def _record(stage: Stage, name: str) -> _Recorded:
     measured = measured_poses(out / "poses.csv")
     motion = read_joints(folder / "joints.csv")
     q = motion.q[np.abs(motion.t_s[None] - times_s[:, None]).argmin(axis=1)]
-    truth = [pose.T_parent_target for pose in read_poses(folder / "truth_world.csv", parent="world")]
+    truth = [pose.T_parent_target for pose in read_poses(folder / "truth_world.csv", parent="world", measured=False)]
     true = np.array([T for T in truth if T is not None])
     placed = []
     for name_of_arm in ("arm_true", "arm"):

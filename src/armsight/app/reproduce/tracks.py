@@ -51,7 +51,7 @@ def measured_poses(path: Path) -> dict[int, Array]:
     """Return the full poses (4, 4) of a poses.csv by their row from 0."""
     return {
         i: pose.T_parent_target
-        for i, pose in enumerate(read_poses(path, parent="world"))
+        for i, pose in enumerate(read_poses(path, parent="world", measured=False))
         if pose.status is PoseStatus.OK and pose.T_parent_target is not None
     }
 

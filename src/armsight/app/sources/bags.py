@@ -79,4 +79,6 @@ def joint_states(text: str, *, origin_of: str | None = None) -> JointStates:
 
 def read_motion(path: Path, *, origin_of: str | None = None) -> Motion:
     """Return the joint values of a joints.csv or of bag:FILE:/topic, in the order they have there."""
-    return joint_states(str(path), origin_of=origin_of).motion if is_bag(str(path)) else read_joints(path)
+    return (
+        joint_states(str(path), origin_of=origin_of).motion if is_bag(str(path)) else read_joints(path, measured=True)
+    )

@@ -23,8 +23,10 @@ from armsight.store.interpret.plausibility import (
 )
 from armsight.store.interpret.rotations import EulerOrder
 from armsight.store.interpret.table_format import UNITS, TableFormat
+from armsight.store.tables import zeros
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 ORTHOGONAL = 2e-3
 """Largest entry of R R^T - 1: matrices with three decimals stay below it."""
@@ -147,35 +149,42 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{stem if stem and tail in ('m', 'mm', 'cm', 'rad', 'deg') else name}_{unit}"
 
 
-def rotations(found: Found) -> tuple[Rotation, Array | None] | None:
-    """Return the rotations (n) and, of a matrix with a translation, the positions (n, 3) in m; None without columns.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turned:
+    """Rotations (n), which of them are known (n,), the others stand at the identity, and the positions (n, 3) in m of
+    matrices that have them."""
 
-    Rows with empty cells come back as no rotation. Raises Inconsistent, Ambiguous, BadFile.
-    """
+    rotation: Rotation
+    known: Mask
+    xyz_m: Array | None = None
+
+
+def rotations(found: Found) -> Turned | None:
+    """Return the rotations, None without columns of them. Raises Inconsistent, Ambiguous, BadFile."""
     if found.format.euler:
         euler = _euler(found)
         if euler is not None:
-            return euler, None
+            return euler
     quaternion = found.complete_columns("quaternion", "xyzw")
     if quaternion is not None:
-        return _quaternions(found, quaternion), None
+        return _quaternions(found, quaternion)
     if "cell" in found.kinds and len(found.kinds["cell"]) >= 9:
         return _matrices(found)
     for kind, keys in (("rotvec", "xyz"), ("tcp", "345")):
         columns = found.complete_columns(kind, keys)
         if columns is not None:
-            return _rotvecs(found, columns), None
-    turned = _euler(found)
-    return None if turned is None else (turned, None)
+            return _rotvecs(found, columns)
+    return _euler(found)
 
 
-def _filled(values: Array, instead: Array | float) -> Array:
-    """Return rows (n, k) with those that have an empty cell replaced."""
-    return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, instead)
+def _known(values: Array) -> Mask:
+    return np.asarray(np.isfinite(values).all(axis=1))
 
 
-def _quaternions(found: Found, columns: Sequence[Column]) -> Rotation:
-    quat = _filled(np.stack([column.values for column in columns], axis=1), np.array([0.0, 0.0, 0.0, 1.0]))
+def _quaternions(found: Found, columns: Sequence[Column]) -> Turned:
+    values = np.stack([column.values for column in columns], axis=1)
+    known = _known(values) & ~zeros(values)
+    quat = np.where(known[:, None], values, (0.0, 0.0, 0.0, 1.0))
     norm = np.linalg.norm(quat, axis=1)
     far = np.flatnonzero(np.abs(norm - 1.0) > QUAT_NORM_TOLERANCE)
     if far.size:
@@ -185,13 +194,14 @@ def _quaternions(found: Found, columns: Sequence[Column]) -> Rotation:
             consequence="It does not say a rotation",
             cure="Check which columns are the quaternion, and their precision",
         )
-    return Rotation.from_quat(quat)
+    return Turned(rotation=Rotation.from_quat(quat), known=known)
 
 
-def _rotvecs(found: Found, columns: Sequence[Column]) -> Rotation:
+def _rotvecs(found: Found, columns: Sequence[Column]) -> Turned:
     documented = columns[0].meaning.kind == "tcp"  # in rad by its documentation, whatever else is open
     vectors = angles_rad(found, columns, 1.0 if documented else found.format.angle_rad, "the poses")
-    vectors = _filled(vectors, 0.0)
+    known = _known(vectors)
+    vectors = np.where(known[:, None], vectors, 0.0)
     longest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
     if longest > 2.0 * np.pi and not found.format.as_stated:
         raise Inconsistent(
@@ -202,10 +212,10 @@ def _rotvecs(found: Found, columns: Sequence[Column]) -> Rotation:
         )
     if longest > HALF_TURN_SLACK * np.pi:
         found.notes.append(f"rotation vectors are up to {np.degrees(longest):.0f} degrees long: more than half a turn")
-    return Rotation.from_rotvec(vectors)
+    return Turned(rotation=Rotation.from_rotvec(vectors), known=known)
 
 
-def _euler(found: Found) -> Rotation | None:
+def _euler(found: Found) -> Turned | None:
     """Return the rotations of Euler angles, None without columns of them. Raises Ambiguous without an order."""
     columns = found.complete_columns("sequence", "123")
     about: Sequence[str] = ("", "", "")
@@ -225,11 +235,12 @@ def _euler(found: Found) -> Rotation | None:
             cure="Give --euler with the order (xyz-fixed, zyx, zyz ...), --robot-format with the maker, or name the "
             "columns rotvec_x, ... for a rotation vector",
         )
-    angles = _filled(angles_rad(found, columns, found.format.angle_rad, "the poses"), 0.0)
-    angles = angles[:, list(order.sequence(about))]
+    angles = angles_rad(found, columns, found.format.angle_rad, "the poses")[:, list(order.sequence(about))]
+    known = _known(angles)
+    angles = np.where(known[:, None], angles, 0.0)
     _check_middle(found, angles, order, names)
     found.notes.append(f"{', '.join(names)}: Euler angles {order}")
-    return order.rotation(angles)
+    return Turned(rotation=order.rotation(angles), known=known)
 
 
 def _roll_pitch_yaw(found: Found, names: Sequence[str]) -> EulerOrder | None:
@@ -257,12 +268,13 @@ def _check_middle(found: Found, angles: Array, order: EulerOrder, names: Sequenc
         )
 
 
-def _matrices(found: Found) -> tuple[Rotation, Array | None]:
+def _matrices(found: Found) -> Turned:
     """Return rotations and maybe positions of the cells of matrices."""
     cells = {key.replace("_", ""): column for key, column in found.kinds["cell"].items()}
     M, translated = _grid(found, cells)  # (n, 4, 4)
-    M = np.where(np.isfinite(M).all(axis=(1, 2), keepdims=True), M, np.eye(4))
-    R = M[:, :3, :3]
+    turns = M[:, :3, :3].reshape(-1, 9)
+    known = _known(M.reshape(-1, 16)) & ~zeros(turns)  # a lost frame may be all zeros
+    R = np.where(known[:, None, None], M[:, :3, :3], np.eye(3))
     skewed = np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL)
     far = skewed | np.asarray(np.linalg.det(R) < 0.0)
     if far.any():
@@ -278,7 +290,7 @@ def _matrices(found: Found) -> tuple[Rotation, Array | None]:
         named = Meaning(name="T", kind="position", key="", scale=scales[0] if scales else None)
         columns = [Column(meaning=named, values=M[:, k, 3]) for k in range(3)]
         xyz = lengths_m(found, columns, found.format.length_m)
-    return Rotation.from_matrix(R), xyz
+    return Turned(rotation=Rotation.from_matrix(R), known=known, xyz_m=xyz)
 
 
 def _grid(found: Found, cells: Mapping[str, Column]) -> tuple[Array, bool]:
@@ -328,14 +340,18 @@ def _flat(found: Found, values: Array) -> Array:
     return M if by_rows else M.transpose(0, 2, 1)
 
 
-def pose_of(found: Found, inverse: bool) -> tuple[Array | None, Rotation | None]:
-    """Return positions (n, 3) in m and rotations (n), either None where there are no columns; inverted where asked."""
+def pose_of(found: Found, inverse: bool) -> tuple[Array | None, Array | None]:
+    """Return positions (n, 3) in m and quaternions (n, 4), inverted where asked.
+
+    Either is None where there are no columns, and NaN in rows that have none.
+    """
     turned = rotations(found)
-    xyz = turned[1] if turned is not None and turned[1] is not None else position_m(found)
-    rotation = None if turned is None else turned[0]
-    if inverse and xyz is not None and rotation is not None:
-        T = RigidTransform.from_components(_filled(xyz, 0.0), rotation).inv()
-        empty = ~np.isfinite(xyz).all(axis=1)
-        xyz, rotation = np.array(T.translation), T.rotation
-        xyz[empty] = np.nan
-    return xyz, rotation
+    xyz = turned.xyz_m if turned is not None and turned.xyz_m is not None else position_m(found)
+    if turned is None:
+        return xyz, None
+    rotation, known = turned.rotation, turned.known
+    if inverse and xyz is not None:
+        there = known & _known(xyz) & ~(zeros(xyz) & (rotation.magnitude() == 0.0))  # zeros say nothing, as they stood
+        T = RigidTransform.from_components(np.where(there[:, None], xyz, 0.0), rotation).inv()
+        xyz, rotation, known = np.where(there[:, None], T.translation, np.nan), T.rotation, there
+    return xyz, np.where(known[:, None], rotation.as_quat(canonical=True), np.nan)

@@ -16,7 +16,7 @@ from armsight.store.interpret.names import Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import PAIR_FRAMES, Role
 from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
-from armsight.store.tables import bare, number, number_column, word
+from armsight.store.tables import bare, known, number, number_column, word
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:
         out.foreign |= names[k] != ours
     kept = [k for k, name in enumerate(names) if name in role.extras and k not in words.values()]
     chosen = _without_doubles(raw.where, meanings)
-    numbers = {k: _numbers(raw, names, k, role) for k in chosen}
+    numbers = {k: _numbers(raw, names[k], k, found.kind) for k, found in chosen.items()}
     found = {
         frame: Found(
             where=raw.where,
@@ -106,7 +106,7 @@ def _names(raw: RawTable, role: Role, format_: TableFormat) -> tuple[str, ...]:
         return _joint_state_names(raw)
     maker = format_.maker
     timed = role.time != "no"
-    if role.frames == ("",) and role.joints == "no":
+    if role.frames == ("",) and role.joints != "wanted":
         if timed and count == 8:
             return ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
         if count in (12, 16):
@@ -195,9 +195,10 @@ def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> dict[int, M
     return {k: meanings[k] for k in sorted(out.values())}
 
 
-def _numbers(raw: RawTable, names: Sequence[str], k: int, role: Role) -> Array:
-    blank = bool(role.extras) or role.keeps_unknown
-    return number_column(raw.columns[k], names[k], raw.lines, raw.where, blank)
+def _numbers(raw: RawTable, name: str, k: int, kind: str) -> Array:
+    """Return a column's numbers, NaN where a cell says that there is none; a time is always needed."""
+    values = number_column(raw.columns[k], name, raw.lines, raw.where, kind != "t")
+    return np.where(known(values), values, np.nan)
 
 
 def _kinds(chosen: Mapping[int, Meaning], numbers: Mapping[int, Array], frame: str) -> dict[str, dict[str, Column]]:
@@ -287,14 +288,11 @@ def _pose(out: Standard, found: Mapping[str, Found], frame: str, role: Role, cho
         inverse = {mine.format.on_hand is False}
     if len(inverse) > 1:
         raise Ambiguous(f"{out.where}: of {frame} some columns are named the other way round")
-    xyz, rotation = pose_of(mine, inverse == {True})
+    xyz, quat = pose_of(mine, inverse == {True})
     lead = f"{frame}_" if frame else ""
     if inverse == {True}:
         out.notes.append(f"the columns of {frame} are of the inverse pose, and were inverted")
     if xyz is not None:
         out.columns |= {f"{lead}{name}": xyz[:, k] for k, name in enumerate(POSITION)}
-    if rotation is not None:
-        quat = np.asarray(rotation.as_quat(canonical=True), float)
-        if xyz is not None:
-            quat[np.isnan(xyz).any(axis=1)] = np.nan
+    if quat is not None:
         out.columns |= {f"{lead}{name}": quat[:, k] for k, name in enumerate(QUATERNION)}
