@@ -20,7 +20,7 @@ from armsight.testing.clocks import GatedClock
 from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
 from armsight_sim.robot import RobotFault, SimRobot
 
-BEAT_S = 0.1
+BEAT_S = 0.05
 QUARTER = np.pi / 2
 SIX = ((0.04, -1, 0.44), (0.25, 0, 0.0), (0.12, 0, 0.0), (0.09, 1, 0.0), (0.0, -1, 0.0), (0.0, 0, 0.15))
 HOME = [0.1, -1.2, 2.0, -0.8, -1.3, 0.4]
@@ -82,5 +82,7 @@ class TestRemoteRobot(RobotContract):
             advance=advance,
             lose_link=robot.cut,
             freeze=lambda: sim.fault(RobotFault.FROZEN),
+            stand_still=clock.advance,
+            true_joints=lambda: sim.true_joints(clock.now_s()),
             tolerance=1e-4,
         )

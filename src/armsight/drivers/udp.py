@@ -191,17 +191,20 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _run(self) -> None:
         control_first()
         while not self._closing:
-            packets = self._received()
-            if not packets and self._silent():
+            packets = self._received(self.cycle_s)
+            if self._stood_still():
+                packets = []  # of the past, as is what lies in the socket, which has dropped what came after it
+                self._received(0.0)
+            if not packets and self._fallen_silent():
                 self._lose(self._why_silent())
             newest = {sender: i for i, (_, sender) in enumerate(packets)}
             for i, (data, sender) in enumerate(packets):
                 self._take(data, sender, newest=newest[sender] == i)
 
-    def _received(self) -> list[tuple[bytes, Sender]]:
-        """Return the packets that are there; wait for one as long as a cycle lasts."""
+    def _received(self, wait_s: float) -> list[tuple[bytes, Sender]]:
+        """Return the packets that are there; wait for one for so long."""
         packets: list[tuple[bytes, Sender]] = []
-        self._socket.settimeout(self.cycle_s)
+        self._socket.settimeout(wait_s)
         with contextlib.suppress(OSError):  # none within the time, no more, or a datagram's error report
             while True:
                 packets.append(self._socket.recvfrom(LARGEST_PACKET))
@@ -236,12 +239,12 @@ class UdpRobot(CyclicRobot, Generic[State]):
         if last is not None and not self._possible(state.q, last.q, cycles):
             self.counts.refused += 1
             return
-        if last is not None and self._clock.now_s() - self._heard_s > NEW_SESSION_CYCLES * self.cycle_s:
-            self._check_session(state)
+        self._last = state
+        if last is not None:
+            self._check_session(state, last)
         taken = last is None or self._taken(state)
         self.counts.missed += cycles - 1
         self._behind = 0
-        self._last = state
         self._hear(state)
         self._heard(state.q, self._clock.now_s())
         self.counts.heard += 1
@@ -261,8 +264,9 @@ class UdpRobot(CyclicRobot, Generic[State]):
         """Tell whether the link may begin with this state."""
         return True
 
-    def _check_session(self, state: State) -> None:
-        """Lose the link where a state, after a silence, may be of a session that has begun since."""
+    @abstractmethod
+    def _check_session(self, state: State, last: State) -> None:
+        """Begin anew, or lose the link, where a state may be of a session that has begun since the last one."""
 
     def _not_opened(self, nobody: str) -> DeviceFailed:
         """Return the error of a link on which no controller has spoken, which nobody tells, or none that may begin."""

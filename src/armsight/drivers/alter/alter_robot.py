@@ -205,6 +205,10 @@ class AlterRobot(CyclicRobot):
         while not self._closing:
             try:
                 data = self._line.read(self._line.in_waiting or 1)
+                if self._stood_still():  # what has come is of the past, and a full line has dropped what followed it
+                    while waiting := self._line.in_waiting:
+                        self._line.read(waiting)
+                    data = self._splitter.clear()
             except (serial.SerialException, OSError, TypeError):
                 self._lose("its serial port is gone")
                 return
@@ -212,7 +216,7 @@ class AlterRobot(CyclicRobot):
             self.counts.garbage_bytes = self._splitter.garbage_bytes
             for state in states:
                 self._take(state, newest=state is states[-1])
-            if self._silent():
+            if self._fallen_silent():
                 self._lose("its controller has fallen silent")
 
     def _take(self, state: StateFrame, *, newest: bool) -> None:
@@ -226,7 +230,10 @@ class AlterRobot(CyclicRobot):
             self.counts.refused += 1
             return
         cycles = 1 if self._last is None else (state.sequence - self._last.sequence) % SEQUENCES
+        unheard_s = 0.0 if self._last is None else self._unheard_s()
         self._hear(state)
+        if unheard_s > self._times.silent_s:
+            self._check_session(state)
         if newest and not self._lost:
             self._tick(cycles, taken=self._answered in (None, state.taken))
             self._answered = None
@@ -259,7 +266,7 @@ class AlterRobot(CyclicRobot):
     def _follows(self, state: StateFrame, last: StateFrame) -> bool:
         """Tell whether a state is newer than the last; several that are not mean a controller that started anew."""
         ahead = (state.sequence - last.sequence) % SEQUENCES
-        if 0 < ahead <= MOST_MISSED:
+        if 0 < ahead <= MOST_MISSED + round(self._unheard_s() / self.cycle_s):
             self._behind = 0
             self.counts.missed += ahead - 1
             return True
@@ -270,6 +277,15 @@ class AlterRobot(CyclicRobot):
             if self._behind >= RESTART_FRAMES:
                 self._lose("its controller, or path control on it, has started anew (the numbering went back)")
         return False
+
+    def _check_session(self, state: StateFrame) -> None:
+        """Begin anew where the controller had no answer for as long as it waits: it has ended path control by then.
+
+        A whole way that is still in force would be taken back by one from here: that session goes on.
+        """
+        if not state.corrected:
+            self._begin_anew("path control on its controller has started anew meanwhile", state.q)
+            self._nominal = state.T_base_flange
 
     def _reachable_since(self, state: StateFrame) -> bool:
         """Tell whether the arm can be where a state has it, after the last."""

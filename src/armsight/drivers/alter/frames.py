@@ -57,6 +57,11 @@ class FrameSplitter:
         self._rest = b""
         self.garbage_bytes = 0
 
+    def clear(self) -> bytes:
+        """Forget what has come of a frame; return that nothing has."""
+        self._rest = b""
+        return self._rest
+
     def feed(self, data: bytes) -> list[StateFrame]:
         """Return the frames that data completes, in their order."""
         self._rest += data

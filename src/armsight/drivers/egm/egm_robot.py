@@ -62,6 +62,11 @@ class EgmRobot(UdpRobot[ControllerPacket]):
     def _cycles_between(self, last: ControllerPacket, state: ControllerPacket) -> int:
         return state.sequence - last.sequence
 
+    def _check_session(self, state: ControllerPacket, last: ControllerPacket) -> None:
+        """Begin anew where the controller had no answer for its CommTimeout: it has ended the guidance by then."""
+        if self._unheard_s() > self._times.silent_s:
+            self._begin_anew("EGM on its controller has started anew meanwhile", state.q)
+
     def _taken(self, state: ControllerPacket) -> bool:
         taken = self._given.taken(state.T_planned if self.takes_poses else state.q_planned)
         self.counts.late += not taken

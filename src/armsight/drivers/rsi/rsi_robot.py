@@ -16,7 +16,7 @@ from armsight.clock import Clock
 from armsight.drivers.goals import between
 from armsight.drivers.link_settings import Positive
 from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correction, parse, read_tags
-from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, UdpSettings
+from armsight.drivers.udp import NEW_SESSION_CYCLES, RESTART_PACKETS, Sender, UdpRobot, UdpSettings
 from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
 
@@ -112,7 +112,7 @@ class RsiRobot(UdpRobot[RobMessage]):
         if gap < self.settings.late_limit:
             self._refusal = f"{self.name} is in the middle of an RSI session that was left"
             return False
-        if message.q_set is not None and float(np.abs(message.q - message.q_set).max()) > CORRECTED_RAD:
+        if _uncorrected(message) is False:
             self._refusal = f"{self.name} stands away from its set point, under another program's correction"
             return False
         self._start_q, self._start_pose = message.q, message.T_base_flange
@@ -123,17 +123,24 @@ class RsiRobot(UdpRobot[RobMessage]):
         late = self._late_since(state)
         return late is None or late < 1
 
-    def _check_session(self, state: RobMessage) -> None:
-        """Lose a link whose session may be new: a session of before has counted all cycles since as late.
+    def _check_session(self, state: RobMessage, last: RobMessage) -> None:
+        """Begin anew where a state is of another session: one of before has counted all cycles since as late.
 
-        In a new one the correction of before would pull the arm. Where none is in force, that is where it begins.
+        There the correction of before would pull the arm, and no correction would where it is in force still: where it
+        cannot be told, the link is lost, and nothing is sent.
         """
         late = self._late_since(state)
-        if late is not None and late >= 0:
+        restarted = state.n_late is not None and last.n_late is not None and state.n_late < last.n_late
+        if not restarted and (
+            self._unheard_s() <= NEW_SESSION_CYCLES * self.cycle_s or (late is not None and late >= 0)
+        ):
             return
-        if self._corrects():
-            self._lose("RSI on its controller may have started anew meanwhile")
+        why = "RSI on its controller has started anew"
+        if self._corrects() and not (state.n_late is not None and _uncorrected(state) is True):
+            self._lose(f"{why}, or may have")
             return
+        if restarted or self._corrects():
+            self._stop_moved(why)
         self._start_q, self._start_pose = state.q, state.T_base_flange
         self._rebase(state.q)
 
@@ -179,3 +186,8 @@ class RsiRobot(UdpRobot[RobMessage]):
 
     def _answered(self, state: RobMessage) -> None:
         self._answered_ipoc, self._late_when_answered = state.ipoc, state.n_late
+
+
+def _uncorrected(message: RobMessage) -> bool | None:
+    """Tell whether the joints are at their set point, so that no correction is in force; None where it is not told."""
+    return None if message.q_set is None else float(np.abs(message.q - message.q_set).max()) <= CORRECTED_RAD

@@ -136,9 +136,10 @@ class RtdeRobot(CyclicRobot):
         while not self._closing and not self._lost:
             try:
                 state = self._worker.receive(self.cycle_s)
+                self._stood_still()  # the program on the controller, kept going by ur-rtde's process, has held the goal
                 if state is not None:
                     self._take(state)
-                elif self._silent():
+                elif self._fallen_silent():
                     raise DeviceLost("its controller has fallen silent")
             except (DeviceLost, Inconsistent) as error:
                 self._lose(error.cause)
