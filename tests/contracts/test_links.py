@@ -41,7 +41,7 @@ class TestContract(RobotContract):
 RULES = {
     "a stand-still is found": (CyclicRobot, "_stood_still", lambda robot: robot._clock.now_s() < 0.0),
     "what moved is stopped": (CyclicRobot, "_stop_moved", lambda robot, why: None),
-    "what was asked is dropped": (CyclicRobot, "_hold", lambda robot: None),
+    "what was asked is dropped": (RsiRobot, "_hold", lambda robot: None),
     "another session of egm begins anew": (EgmRobot, "_check_session", lambda *_: None),
     "another session of rsi begins anew": (RsiRobot, "_check_session", lambda *_: None),
     "another session of alter begins anew": (AlterRobot, "_check_session", lambda *_: None),
