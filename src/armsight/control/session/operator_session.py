@@ -146,7 +146,8 @@ class OperatorSession:
                 raise
         now_s = self._host.now_s()
         stale = now_s - seen_s > FRESH_S
-        self._again = enable and (self._again or stale)
+        lapsed = self._authority.lapsed(self._host.status()) if enable and self._held else ""
+        self._again = enable and (self._again or stale or bool(lapsed))
         self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
         if not self._held:
             self._let_line("")  # first, so that nothing that comes there brings it back
@@ -156,6 +157,8 @@ class OperatorSession:
         if stale and enable:
             raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
         self._follow(push if self._held else None)
+        if lapsed:
+            raise DeviceFailed(lapsed, consequence="The robot is held", cure=LET_GO)
         if self._again:  # said at every beat: who holds on has to know why nothing moves
             raise DeviceFailed("the enable was held on", consequence="The robot is held", cure=LET_GO)
 
