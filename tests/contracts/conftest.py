@@ -128,7 +128,9 @@ class Pair:
     def _wait(self, before: int, heard: int) -> None:
         """Wait until the driver has taken what the twin sent, and an answer has come where it gave one."""
         asked = self.sends()
-        for _ in range(20_000 if asked else 0):
+        for _ in range(20_000):
+            if not asked and self.robot._turns.turn_s == self.clock.now_s():
+                return  # else time that passed while its thread waited would be a stand-still
             if self._takes > before or self.robot.state is RobotState.LOST:
                 select.select([self.twin.link], [], [], 0.5 if self.answered(heard) else 0.0)
                 return

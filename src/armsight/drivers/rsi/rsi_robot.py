@@ -80,6 +80,7 @@ class RsiRobot(UdpRobot[RobMessage]):
 
     def _begin(self) -> None:
         self._refusal = ""
+        self._set_point_tells = False  # that joints are away from their set point by the correction in force
         self._first_late: int | None = None
         self._late_when_answered: int | None = None
 
@@ -124,22 +125,25 @@ class RsiRobot(UdpRobot[RobMessage]):
         return late is None or late < 1
 
     def _check_session(self, state: RobMessage, last: RobMessage) -> None:
-        """Begin anew where a state is of another session: one of before has counted all cycles since as late.
+        """Begin anew where a state is of another session.
 
-        There the correction of before would pull the arm, and no correction would where it is in force still: where it
-        cannot be told, the link is lost, and nothing is sent.
+        A session that goes on has counted all cycles since as late, and the joints are away from their set point by
+        the correction. In a new one the correction of before would pull the arm, and none would where it is in force
+        still: where it cannot be told, the link is lost, and nothing is sent.
         """
-        late = self._late_since(state)
+        corrects = self._corrects()
+        gone = corrects and self._set_point_tells and _uncorrected(state) is True
         restarted = state.n_late is not None and last.n_late is not None and state.n_late < last.n_late
-        if not restarted and (
-            self._unheard_s() <= NEW_SESSION_CYCLES * self.cycle_s or (late is not None and late >= 0)
-        ):
-            return
+        if not restarted:
+            late = self._late_since(state)
+            counted = late is not None and late >= 0
+            if self._unheard_s() <= NEW_SESSION_CYCLES * self.cycle_s or (counted and not gone):
+                return
         why = "RSI on its controller has started anew"
-        if self._corrects() and not (state.n_late is not None and _uncorrected(state) is True):
+        if corrects and not gone:
             self._lose(f"{why}, or may have")
             return
-        if restarted or self._corrects():
+        if restarted or gone:
             self._stop_moved(why)
         self._start_q, self._start_pose = state.q, state.T_base_flange
         self._rebase(state.q)
@@ -164,6 +168,7 @@ class RsiRobot(UdpRobot[RobMessage]):
         if state.n_late is not None:
             self._first_late = state.n_late if self._first_late is None else self._first_late
             self.counts.late = max(0, state.n_late - self._first_late)
+        self._set_point_tells |= self._corrects() and _uncorrected(state) is False
 
     def _hear_old(self, state: RobMessage, newest: RobMessage, sender: Sender) -> None:
         """Answer the same once more as before, for a controller that waits.
