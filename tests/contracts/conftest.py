@@ -20,14 +20,26 @@ from armsight.drivers.alter import AlterRobot
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.udp import UdpRobot
+from armsight.testing import WrongController
+from armsight.testing.wrong_controllers import prove
 from armsight_sim.twins.alter import AlterController
-from armsight_sim.twins.base import small_arm, twin_drive, twin_home
+from armsight_sim.twins.base import RIGHT, Wrong, small_arm, twin_drive, twin_home
 from armsight_sim.twins.egm import EgmController
 from armsight_sim.twins.rsi import RsiController
 
 CYCLE_S = 0.004
 EXACT = {"bind": "127.0.0.1", "stale_s": 3.5 * CYCLE_S, "silent_s": 9.0 * CYCLE_S}
 """No time of the machine counts here, so that the limits may be tight."""
+
+
+WRONG = {
+    WrongController.RELATIVE: Wrong(adds=True),
+    WrongController.REVERSED: Wrong(reversed=(1,)),
+    WrongController.EXCHANGED: Wrong(exchanged=(0, 2)),
+    WrongController.SCALE: Wrong(scale=1.1),
+    WrongController.RADIANS: Wrong(scale=57.3),
+    WrongController.GEAR: Wrong(gear=(2, 2.0)),
+}
 
 
 def _free_port() -> int:
@@ -43,10 +55,13 @@ class Pair:
     robot: Any
     twin: Any
 
-    def __init__(self, **more: Any) -> None:
+    def __init__(self, fault: WrongController | None = None, **more: Any) -> None:
+        """fault: what is wrong with the controller."""
+        self.twin_cycle_s = self.cycle_s * (fault.cycles if fault else 1.0)
         self.clock = ManualClock(100.0)
         self.arm, self.home = small_arm(), twin_home(small_arm())
         self.join(**more)
+        self.twin.wrong = WRONG.get(fault, RIGHT)
         self._takes, self._newest, self._drained = 0, None, True
         self._take, self.robot._take = self.robot._take, self._counted
         self.lock = threading.Lock()
@@ -61,6 +76,12 @@ class Pair:
     def restart(self) -> None:
         """Start the controller anew."""
         self.twin.reboot()
+
+    def prove(self) -> None:
+        """Let the link be proven; the arm then stands where it stood."""
+        if self.robot.state is RobotState.READY:
+            prove(self.robot, self.advance)
+        self.advance(self.cycle_s)
 
     def newest(self) -> Any:
         """Return what the twin sent last, as the driver takes it."""
@@ -81,13 +102,16 @@ class Pair:
         while not self._done.wait(0.001):
             with self.lock:
                 if self.robot.state is RobotState.CLOSED:
+                    self.clock.advance(self.twin_cycle_s)
                     self.twin.cycle()
                     self._drained = False
+                    if not getattr(self.robot, "_closing", True):  # it opens, and answers
+                        select.select([self.twin.link], [], [], 0.02)
 
     def advance(self, time_s: float) -> None:
-        for _ in range(round(time_s / self.cycle_s)):
+        for _ in range(max(1, round(time_s / self.twin_cycle_s)) if time_s else 0):
             with self.lock:
-                self.clock.advance(self.cycle_s)
+                self.clock.advance(self.twin_cycle_s)
                 if self.robot.state is RobotState.CLOSED:
                     self.twin.cycle()
                     continue
@@ -151,7 +175,7 @@ class EgmPair(UdpPair):
         self.twin.restart()
 
     def controller(self, port: int, home: NDArray[np.float64]) -> EgmController:
-        drive, own = twin_drive(self.arm, CYCLE_S), "127.0.0.1"
+        drive, own = twin_drive(self.arm, self.twin_cycle_s), "127.0.0.1"
         return EgmController(("127.0.0.1", port), arm=self.arm, drive=drive, home=home, clock=self.clock, own=own)
 
     def stand(self, by: float) -> None:
@@ -165,7 +189,9 @@ class RsiPair(UdpPair):
     driver = RsiRobot
 
     def controller(self, port: int, home: NDArray[np.float64]) -> RsiController:
-        return RsiController(("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, CYCLE_S), home=home)
+        return RsiController(
+            ("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, self.twin_cycle_s), home=home
+        )
 
     def stand(self, by: float) -> None:
         twin = self.twin
@@ -198,7 +224,7 @@ class AlterPair(Pair):
     cycle_s = 0.028
 
     def join(self, *, cumulative: bool = True, tool: bool = False, longer: float | None = 0.0, **more: Any) -> None:
-        drive = twin_drive(self.arm, self.cycle_s)
+        drive = twin_drive(self.arm, self.twin_cycle_s)
         self.twin = AlterController(arm=self.arm, drive=drive, home=self.home, cumulative=cumulative, tool=tool)
         model = None if longer is None else Model(longer)
         chosen = {"arm": model, "cumulative": cumulative, "axes": "tool" if tool else "world", **more}

@@ -12,14 +12,14 @@ import pytest
 
 from armsight.drivers import RobotState
 from armsight.errors import DeviceLost
-from armsight.testing import RobotCase, RobotContract
+from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from refusals import refuses
 
 
 class TestContract(RobotContract):
     @pytest.fixture(autouse=True)
     def _of(self, make_link: Any) -> None:
-        self._make = make_link
+        self._make, self._wrong = make_link, None
 
     def make(self) -> RobotCase:
         pair = self._make()
@@ -31,11 +31,17 @@ class TestContract(RobotContract):
             tolerance=1e-4,
         )
 
+    def make_wrong(self, fault: WrongController) -> WrongCase | str:
+        if self._wrong is not None:
+            self._wrong.close()
+        pair = self._wrong = self._make(fault=fault)
+        return WrongCase(robot=pair.robot, advance=pair.advance, joints=lambda: pair.twin.q)
+
 
 def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:
-        pair.advance(pair.cycle_s)
+        pair.prove()
         sent = robot.step_joints(np.full(6, 0.002))
         pair.advance(100 * pair.cycle_s)
         assert np.abs(pair.twin.q - sent.q).max() < 2e-5
@@ -45,7 +51,7 @@ def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) ->
 def test_stop_holds_within_one_cycle_and_drops_what_was_asked(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:
-        pair.advance(pair.cycle_s)
+        pair.prove()
         for _ in range(20):
             sent = robot.step_joints(np.full(6, 1.0))
             pair.advance(pair.cycle_s)
@@ -59,7 +65,7 @@ def test_stop_holds_within_one_cycle_and_drops_what_was_asked(make_link: Any) ->
 def test_a_controller_that_starts_anew_is_lost_and_can_be_opened_again(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:
-        pair.advance(25 * pair.cycle_s)
+        pair.prove()
         robot.step_joints(np.full(6, 0.001))
         pair.advance(25 * pair.cycle_s)
         pair.restart()

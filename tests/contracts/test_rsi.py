@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight.clock import ManualClock
-from armsight.drivers import RobotState
+from armsight.drivers import PROVING, RobotState
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.rsi.messages import parse, read_tags
 from armsight.errors import BadFile, DataRefused, DeviceFailed, UsageError
@@ -52,7 +52,7 @@ def test_after_closing_it_is_opened_only_where_the_corrections_begin_anew(make_r
     """A session that was left for a while is left to end; then it opens where the arm stands, and nothing moves."""
     pair = make_rsi()
     with pair.robot as robot:
-        pair.advance(CYCLE_S)
+        pair.prove()
         for _ in range(30):
             robot.step_joints(np.full(6, 0.004))
             pair.advance(CYCLE_S)
@@ -132,26 +132,26 @@ def test_the_open_simulator_is_understood(free_port: int) -> None:
         simulator.connect(("127.0.0.1", port))
         opened = threading.Thread(target=robot.__enter__)
         opened.start()
-        answers: list[bytes] = []
         simulator.settimeout(0.02)
+        answers: list[bytes] = []
 
         def asked() -> bool:
             with contextlib.suppress(OSError):  # refused at once while nobody listens yet
-                simulator.send(message(0, q))
+                simulator.send(message(4 * len(answers), q))
                 answers.append(simulator.recv(1024))
-            return bool(answers)
+            return len(answers) > 12
 
         until(asked)
         opened.join()
         answer = answers[0]
         assert answer.startswith(b'<Sen Type="ImFree"><AK A1="0.000000"')
         assert answer.endswith(b"<IPOC>0</IPOC></Sen>")
-        robot.step_joints(np.full(6, 0.001))
+        assert PROVING in robot.step_joints(np.full(6, 0.001)).limited
         simulator.settimeout(2.0)
-        simulator.send(message(4, q))
-        assert b'A1="0.057296"' in simulator.recv(1024)
-        simulator.send(message(4, q))
-        assert simulator.recv(1024).endswith(b"<IPOC>4</IPOC></Sen>")
+        simulator.send(message(100, q))
+        assert b'A1="0.001000"' in simulator.recv(1024)
+        simulator.send(message(100, q))
+        assert simulator.recv(1024).endswith(b"<IPOC>100</IPOC></Sen>")
         until(lambda: robot.counts.repeated == 1)
         robot.__exit__(None, None, None)
 

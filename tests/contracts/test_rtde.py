@@ -16,9 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from tests.contracts.conftest import WRONG
+from tests.truth.emulated_links import World, link_of
 
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.run_motion import run_motion
+from armsight.clock import ManualClock
 from armsight.control.play.joint_motion import JointMotionSource
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
@@ -29,7 +32,8 @@ from armsight.kinematics import Arm, Joint
 from armsight.records import Motion
 from armsight.store.arm_file import write_arm
 from armsight.store.tracks import read_joints, write_joints
-from armsight.testing import RobotCase, RobotContract
+from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
+from armsight_sim.twins.base import RIGHT
 from refusals import refuses
 
 pytest.importorskip("rtde_control")
@@ -172,6 +176,16 @@ class TestRtde(RobotContract):
             until(lambda: robot._stamp_s >= end_s or robot.state is RobotState.LOST)
 
         return RobotCase(robot=robot, advance=advance, lose_link=cut, tolerance=1e-3)
+
+    def make_wrong(self, fault: WrongController) -> WrongCase:
+        """Without ur-rtde, which can be behind none of this but asks for the cycle that it is set to."""
+        link = link_of("rtde", ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles))
+
+        def advance(time_s: float) -> None:
+            for _ in range(max(1, round(time_s / link.twin_cycle_s))):
+                link.cycle()
+
+        return WrongCase(robot=link.robot, advance=advance, joints=lambda: link.twin.q)
 
 
 for name, contract in vars(RobotContract).items():
