@@ -23,7 +23,7 @@ from armsight.drivers.udp import UdpRobot
 from armsight.testing import WrongController
 from armsight.testing.wrong_controllers import prove
 from armsight_sim.twins.alter import AlterController
-from armsight_sim.twins.base import RIGHT, Wrong, small_arm, twin_drive, twin_home
+from armsight_sim.twins.base import Wrong, small_arm, twin_drive, twin_home
 from armsight_sim.twins.egm import EgmController
 from armsight_sim.twins.rsi import RsiController
 
@@ -51,17 +51,15 @@ def _free_port() -> int:
 class Pair:
     """A driver and its twin on a real link, one cycle after the other, by a clock that moves only when told."""
 
+    kind: str
     cycle_s = CYCLE_S
     robot: Any
     twin: Any
 
-    def __init__(self, fault: WrongController | None = None, **more: Any) -> None:
-        """fault: what is wrong with the controller."""
-        self.twin_cycle_s = self.cycle_s * (fault.cycles if fault else 1.0)
+    def __init__(self, **more: Any) -> None:
         self.clock = ManualClock(100.0)
         self.arm, self.home = small_arm(), twin_home(small_arm())
         self.join(**more)
-        self.twin.wrong = WRONG.get(fault, RIGHT)
         self._takes, self._newest, self._drained = 0, None, True
         self._take, self.robot._take = self.robot._take, self._counted
         self.lock = threading.Lock()
@@ -102,16 +100,16 @@ class Pair:
         while not self._done.wait(0.001):
             with self.lock:
                 if self.robot.state is RobotState.CLOSED:
-                    self.clock.advance(self.twin_cycle_s)
+                    self.clock.advance(self.cycle_s)
                     self.twin.cycle()
                     self._drained = False
                     if not getattr(self.robot, "_closing", True):  # it opens, and answers
                         select.select([self.twin.link], [], [], 0.02)
 
     def advance(self, time_s: float) -> None:
-        for _ in range(max(1, round(time_s / self.twin_cycle_s)) if time_s else 0):
+        for _ in range(round(time_s / self.cycle_s)):
             with self.lock:
-                self.clock.advance(self.twin_cycle_s)
+                self.clock.advance(self.cycle_s)
                 if self.robot.state is RobotState.CLOSED:
                     self.twin.cycle()
                     continue
@@ -169,13 +167,13 @@ class UdpPair(Pair):
 
 
 class EgmPair(UdpPair):
-    driver = EgmRobot
+    kind, driver = "egm", EgmRobot
 
     def restart(self) -> None:
         self.twin.restart()
 
     def controller(self, port: int, home: NDArray[np.float64]) -> EgmController:
-        drive, own = twin_drive(self.arm, self.twin_cycle_s), "127.0.0.1"
+        drive, own = twin_drive(self.arm, self.cycle_s), "127.0.0.1"
         return EgmController(("127.0.0.1", port), arm=self.arm, drive=drive, home=home, clock=self.clock, own=own)
 
     def stand(self, by: float) -> None:
@@ -186,12 +184,10 @@ class EgmPair(UdpPair):
 
 
 class RsiPair(UdpPair):
-    driver = RsiRobot
+    kind, driver = "rsi", RsiRobot
 
     def controller(self, port: int, home: NDArray[np.float64]) -> RsiController:
-        return RsiController(
-            ("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, self.twin_cycle_s), home=home
-        )
+        return RsiController(("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, self.cycle_s), home=home)
 
     def stand(self, by: float) -> None:
         twin = self.twin
@@ -221,10 +217,10 @@ class Model:
 class AlterPair(Pair):
     """... on a pseudo terminal; longer: of Model, None for an application without the arm's geometry."""
 
-    cycle_s = 0.028
+    kind, cycle_s = "alter", 0.028
 
     def join(self, *, cumulative: bool = True, tool: bool = False, longer: float | None = 0.0, **more: Any) -> None:
-        drive = twin_drive(self.arm, self.twin_cycle_s)
+        drive = twin_drive(self.arm, self.cycle_s)
         self.twin = AlterController(arm=self.arm, drive=drive, home=self.home, cumulative=cumulative, tool=tool)
         model = None if longer is None else Model(longer)
         chosen = {"arm": model, "cumulative": cumulative, "axes": "tool" if tool else "world", **more}

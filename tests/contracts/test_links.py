@@ -9,17 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.contracts.conftest import WRONG
+from tests.truth.emulated_links import World, link_of
 
+from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceLost
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
+from armsight_sim.twins.base import RIGHT
 from refusals import refuses
 
 
 class TestContract(RobotContract):
     @pytest.fixture(autouse=True)
     def _of(self, make_link: Any) -> None:
-        self._make, self._wrong = make_link, None
+        self._make = make_link
 
     def make(self) -> RobotCase:
         pair = self._make()
@@ -32,10 +36,9 @@ class TestContract(RobotContract):
         )
 
     def make_wrong(self, fault: WrongController) -> WrongCase | str:
-        if self._wrong is not None:
-            self._wrong.close()
-        pair = self._wrong = self._make(fault=fault)
-        return WrongCase(robot=pair.robot, advance=pair.advance, joints=lambda: pair.twin.q)
+        kind = self._make().kind
+        link = link_of(kind, ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles))
+        return link.wrong_case()
 
 
 def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) -> None:

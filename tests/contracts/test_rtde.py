@@ -179,13 +179,8 @@ class TestRtde(RobotContract):
 
     def make_wrong(self, fault: WrongController) -> WrongCase:
         """Without ur-rtde, which can be behind none of this but asks for the cycle that it is set to."""
-        link = link_of("rtde", ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles))
-
-        def advance(time_s: float) -> None:
-            for _ in range(max(1, round(time_s / link.twin_cycle_s))):
-                link.cycle()
-
-        return WrongCase(robot=link.robot, advance=advance, joints=lambda: link.twin.q)
+        world = World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles)
+        return link_of("rtde", ManualClock(100.0), world).wrong_case()
 
 
 for name, contract in vars(RobotContract).items():

@@ -18,6 +18,7 @@ from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import ControllerState
 from armsight.drivers.rtde.worker import GOAL, STATE
+from armsight.testing import WrongCase
 from armsight_sim.arms import Drive
 from armsight_sim.twins.alter import AlterController
 from armsight_sim.twins.base import LAG_S, RIGHT, Wrong, small_arm, twin_drive, twin_home
@@ -143,6 +144,15 @@ class Link:
         self.twin.cycle()
         for data in self.hear(self.spoken(), together=True, between=lambda: None):
             self.answer(data)
+
+    def wrong_case(self) -> WrongCase:
+        """Return it as the contract takes a wrong controller."""
+
+        def advance(time_s: float) -> None:
+            for _ in range(max(1, round(time_s / self.twin_cycle_s))):
+                self.cycle()
+
+        return WrongCase(robot=self.robot, advance=advance, joints=lambda: self.twin.q)
 
     def open_up(self) -> None:
         """Let cycles pass until the driver has heard enough; what it says against being opened then counts."""

@@ -218,6 +218,7 @@ class ControlLoop:
             now_s=now_s,
             enabled=self._enabled(),
             robot=robot_state,
+            robot_why=getattr(self._robot, "why", ""),
             late_s=late_s,
             stop=self._stop_why,
             target=target,

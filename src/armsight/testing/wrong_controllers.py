@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -21,7 +22,8 @@ LONGEST_S = 3.0
 MOST_RAD = 0.14 * DEG
 """No joint of a wrong controller moves farther: the probe's 0.04 degrees and a tenth."""
 
-SETTLE_CYCLES = 100
+SETTLE_S = 0.2
+"""So long it is watched after it was found."""
 
 
 class WrongController(StrEnum):
@@ -73,15 +75,16 @@ def check_wrong(fault: WrongController, case: WrongCase) -> None:
         return max(largest, float(np.abs(case.joints() - start).max()))
 
     step = 0.1 * robot.cycle_s * np.where(np.arange(robot.n_joints) % 2, -0.7, 1.0)
-    try:
-        with robot:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(robot)
             for _ in range(round(LONGEST_S / robot.cycle_s)):
                 largest = pass_cycle()
                 robot.step_joints(step)
-    except DeviceFailed as error:
-        said = str(error)
-    for _ in range(SETTLE_CYCLES):
-        largest = pass_cycle()
+        except DeviceFailed as error:
+            said = str(error)
+        for _ in range(round(SETTLE_S / robot.cycle_s)):
+            largest = pass_cycle()
     check(bool(said), f"a controller with {fault} is found out")
     named = CAUSES.get(fault, "cycle_s")
     check(re.search(named, said) is not None, f"a controller with {fault} is told as that, not as: {said}")
