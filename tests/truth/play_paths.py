@@ -7,6 +7,7 @@ benchmarks/play_paths.py runs hundreds of paths.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -28,7 +29,7 @@ from armsight.records import JointReading, TaughtPath
 
 Array = NDArray[np.float64]
 ARMS = ("puma761", "ur10", "irb120", "korayem6r", "stanford-rrp")
-CYCLES_S = (0.004, 0.008, 0.012)
+CYCLES_S = (0.004, 0.008, 0.012, 0.02)
 FINE_M = 2e-5
 """Between the places at which the judge draws a path with a weave."""
 
@@ -175,7 +176,8 @@ def run(case: Case, planner: Callable[..., PathPlan] = plan_path) -> Ran:
     loop = ControlLoop(robot, Guard(case.arm, case.limits, case.cycle_s), source, clock, enabled=lambda: True)
     loop.run(for_s=20.0 * plan.time_s + 20.0, until=until)
     ran.finished = source.progress.stage == "finished"
-    judge(case, ran, plan, np.array(sent), np.array(stages))
+    if "path" in stages:
+        judge(case, ran, plan, np.array(sent), np.array(stages))
     return ran
 
 
@@ -187,7 +189,7 @@ def judge(case: Case, ran: Ran, plan: PathPlan, q: Array, stage: NDArray) -> Non
     if case.steady:
         ran.time = took_s * case.override(0) / plan.time_s
     rows = case.path.T_world_tip
-    line, s = drawn(case)
+    line, _ = drawn(case)
     p, R = p[stage == "path"], R[stage == "path"]
     off, at = to_polyline(p, line)
     ran.off_m = float(off.max())
@@ -195,7 +197,7 @@ def judge(case: Case, ran: Ran, plan: PathPlan, q: Array, stage: NDArray) -> Non
         max(0.0, (cKDTree(p).query(line)[0] - 0.51 * np.linalg.norm(np.diff(p, axis=0), axis=1).max()).max())
     )
     if not case.settings.keep_rotation:
-        ran.off_rad = turned(p[::5], R[::5], rows, ran.told_m + 1e-4) - plan.rounded_rad
+        ran.off_rad = turned(p[::5], R[::5], rows, ran.told_m + 0.5 * case.settings.blend_m) - plan.rounded_rad
     asked = np.where(np.isfinite(case.path.speed_m_s), case.path.speed_m_s, case.settings.speed_m_s)
     if case.weave is not None:
         _, at = to_polyline(p, rows[:, :3, 3])
@@ -219,10 +221,13 @@ def drawn(case: Case) -> tuple[Array, Array]:
     if case.weave is None:
         return xyz, s
     amplitude, wavelength = case.weave
-    at = np.arange(0.0, s[-1], FINE_M)
+    at = np.linspace(0.0, s[-1], int(s[-1] / FINE_M))
     places = np.stack([np.interp(at, s, xyz[:, k]) for k in range(3)], axis=1)
     tangent = np.gradient(np.stack([np.interp(at, s, xyz[:, k]) for k in range(3)], axis=1), at, axis=0)
-    z = np.stack([np.interp(at, s, T[:, k, 2]) for k in range(3)], axis=1)
+    if case.settings.keep_rotation:
+        z = np.broadcast_to(tips(case.arm, case.q[None])[1][0, :, 2], places.shape)
+    else:
+        z = np.stack([np.interp(at, s, T[:, k, 2]) for k in range(3)], axis=1)
     across = np.cross(z, tangent)
     across /= np.linalg.norm(across, axis=1)[:, None]
     return places + amplitude * np.sin(2.0 * np.pi * at / wavelength)[:, None] * across, at
@@ -231,7 +236,7 @@ def drawn(case: Case) -> tuple[Array, Array]:
 def turned(p: Array, R: Array, rows: Array, near_m: float) -> float:
     """Return how far rotations (n, 3, 3) at places (n, 3) are at most from those of a path's rows near there."""
     places, turns = [], []
-    for a, b in zip(rows[:-1], rows[1:], strict=True):
+    for a, b in itertools.pairwise(rows):
         turn = (Rotation.from_matrix(b[:3, :3]) * Rotation.from_matrix(a[:3, :3]).inv()).as_rotvec()
         far = np.linalg.norm(b[:3, 3] - a[:3, 3])
         share = np.linspace(0.0, 1.0, 2 + int(max(far / 5e-5, np.linalg.norm(turn) / 2e-3)))
@@ -274,13 +279,13 @@ def cases(seed: int, kind: str | None = None, arm_name: str | None = None) -> Ca
     )
     speeds = np.full(len(T), np.nan)
     if rng.random() < 0.3:
-        speeds = np.repeat(rng.uniform(0.005, 0.08, -(-len(T) // 8)), 8)[: len(T)]
+        speeds = np.repeat(rng.uniform(0.02, 0.08, -(-len(T) // 8)), 8)[: len(T)]
     path = TaughtPath.of_poses(RigidTransform.from_matrix(T), parent="base", speed_m_s=speeds)
     weave = None
     if kind in ("weave", "woven arc"):
         weave = (float(rng.uniform(0.0005, 0.003)), float(rng.uniform(0.004, 0.012)))
     settings = PlaySettings(
-        speed_m_s=float(np.exp(rng.uniform(np.log(0.004), np.log(0.09)))),
+        speed_m_s=float(np.exp(rng.uniform(np.log(0.02), np.log(0.09)))),
         blend_m=float(rng.uniform(0.001, 0.006)),
         weave=Weave() if weave is None else Weave.parse(f"sine:{weave[0]}:{weave[1]}"),
         approach_speed_m_s=0.08,
@@ -298,7 +303,19 @@ def cases(seed: int, kind: str | None = None, arm_name: str | None = None) -> Ca
         )
     )
     override, pauses, steady = how(rng)
-    return Case(arm, q, path, settings, limits, float(rng.choice(CYCLES_S)), override, pauses, steady, kind, weave)
+    return Case(
+        arm,
+        q,
+        path,
+        settings,
+        limits,
+        float(rng.choice(CYCLES_S, p=(0.05, 0.15, 0.3, 0.5))),
+        override,
+        pauses,
+        steady,
+        kind,
+        weave,
+    )
 
 
 def stand(arm, rng: np.random.Generator) -> Array:
@@ -309,13 +326,13 @@ def stand(arm, rng: np.random.Generator) -> Array:
         low, high = np.array([-2.0, 0.6, 0.4]), np.array([2.0, 1.2, 0.8])
     while True:
         q = low + (high - low) * rng.uniform(0.3, 0.7, arm.n)
-        if arm.n == 3 or singularity_distance(arm, arm.values(q)) > 0.12:
+        if arm.n == 3 or singularity_distance(arm, arm.values(q)) > 0.2:
             return q
 
 
 def how(rng: np.random.Generator) -> tuple[Callable[[int], float], dict[int, bool], bool]:
     """Return the override of each cycle, when it is paused and goes on, and whether both stay as they are."""
-    mode, seed, base = rng.integers(4), int(rng.integers(1 << 30)), float(rng.uniform(0.2, 1.0))
+    mode, seed, base = rng.integers(4), int(rng.integers(1 << 30)), float(rng.uniform(0.4, 1.0))
     if mode == 0:
         return (lambda _: 1.0), {}, True
     if mode == 1:
@@ -323,14 +340,14 @@ def how(rng: np.random.Generator) -> tuple[Callable[[int], float], dict[int, boo
     pauses = {}
     at = 0
     for _ in range(rng.integers(0, 6)):
-        at += int(rng.integers(5, 1500))
+        at += int(rng.integers(5, 400))
         pauses[at] = True
-        at += int(rng.integers(1, 200))
+        at += int(rng.integers(1, 60))
         pauses[at] = False
     if mode == 2:
-        shares = np.random.default_rng(seed).uniform(0.05, 1.0, 4096)  # another one in every cycle
+        shares = np.random.default_rng(seed).uniform(0.1, 1.0, 4096)  # another one in every cycle
         return (lambda k: float(shares[k % 4096])), pauses, False
-    steps = np.random.default_rng(seed).choice([0.01, 0.1, 0.5, 1.0], 4096)
+    steps = np.random.default_rng(seed).choice([0.2, 0.5, 1.0], 4096)
     return (lambda k: float(steps[(k // 97) % 4096])), pauses, False
 
 
@@ -339,17 +356,17 @@ def still(xyz: Array) -> tuple[Array, list[Rotation]]:
 
 
 def line(rng: np.random.Generator) -> tuple[Array, list[Rotation]]:
-    return still(np.outer(np.linspace(0.0, 1.0, rng.integers(2, 20)), [rng.uniform(0.02, 0.15), 0.0, 0.0]))
+    return still(np.outer(np.linspace(0.0, 1.0, rng.integers(2, 20)), [rng.uniform(0.02, 0.08), 0.0, 0.0]))
 
 
 def polyline(rng: np.random.Generator) -> tuple[Array, list[Rotation]]:
-    steps = rng.normal(size=(rng.integers(2, 8), 3))
+    steps = rng.normal(size=(rng.integers(2, 6), 3))
     steps *= (rng.uniform(0.012, 0.03, len(steps)) / np.linalg.norm(steps, axis=1))[:, None]
     return still(np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
 
 
 def arc(rng: np.random.Generator, step_m: float = 1e-3) -> tuple[Array, list[Rotation]]:
-    radius, angle = rng.uniform(0.015, 0.06), rng.uniform(0.5, 2.0 * np.pi)
+    radius, angle = rng.uniform(0.01, 0.03), rng.uniform(0.5, 2.0 * np.pi)
     at = np.linspace(0.0, angle, 1 + int(np.ceil(radius * angle / step_m)))
     return still(radius * np.stack([np.sin(at), 1.0 - np.cos(at), 0.0 * at], axis=1))
 
@@ -372,7 +389,7 @@ def turning(outline: Callable) -> Callable:
 
 
 def in_place(rng: np.random.Generator) -> tuple[Array, list[Rotation]]:
-    before, after = rng.uniform(0.01, 0.05, 2)
+    before, after = rng.uniform(0.01, 0.03, 2)
     total, count = rng.uniform(0.5, 2.0 * np.pi), int(rng.integers(8, 30))
     xyz = np.array([[0.0, 0.0, 0.0], *[[before, 0.0, 0.0]] * (count + 1), [before, after, 0.0]])
     turns = [0.0, *np.linspace(0.0, total, count + 1), total]

@@ -20,8 +20,8 @@ AT_REST = 1e-6
 NEAR_M = 1e-6
 """From within this of its path an arm goes on along it as it is."""
 BEHIND_M = 1e-5
-"""An arm further from the set point than this has not followed: the path stands until it is NEAR_M and rests, so that no
-corner is cut. Set points that the guard need not limit are met to 0.1 um."""
+"""An arm further from the set point than this has not followed: the path stands until it is NEAR_M and rests, so that
+no corner is cut. Set points that the guard need not limit are met to 0.1 um."""
 REJOIN_M = 0.02
 """An arm further from the path than this is not brought back to it by itself."""
 REJOIN_SPEED_M_S = 0.01
@@ -182,7 +182,9 @@ class PathSource:
         if back.length_m > REJOIN_M:
             return f"the tip is {back.length_m / MM:.0f} mm from the path: begin it anew"
         self._rejoin = back if back.length_m > NEAR_M else None
-        self._clock = (self._kept_s, 0.0, 0.0) if self._rejoin is None else (0.0, self._override, 0.0)
+        # a way begins from rest by itself, in the midst of one its time gathers speed
+        at_s = self._kept_s if self._rejoin is None else 0.0
+        self._clock = (at_s, 0.0 if at_s > 0.0 or self._paused else self._override, 0.0)
         self._stood, self._sent = False, None
         return ""
 

@@ -30,6 +30,8 @@ LEG_STEP_M = 1e-3
 LEG_SAMPLES = 33
 CHECK_M = 1e-3
 """Between two poses that are checked for the arm; also half a millimetre and less where a weave is narrow."""
+REST_M, REST_SHARE = 1e-4, 1.05
+"""What a path keeps from walls, and of singularities, beyond what the guard does: ways to rest lead off the path."""
 NEWTON_STEPS = 5
 MET = 1e-9
 """m or rad: joint readings that put the tip so near a sample are its readings."""
@@ -76,9 +78,9 @@ class PathPlan:
 
     approach: the way from where the tip stood to the start, in straight parts. track: the path with its weave.
     s_m (n,), seam_m (n, 3), tip_m (n, 3): samples of the length, of the path without and with weave. speed_m_s (n,):
-    along the seam, as planned. welds: lengths at which a weld is switched on or off. rounded_m, rounded_rad: how far rounding
-    moves and turns the path at most. slowest: the place of the least planned speed, in words. turns: where the tool
-    turns though the tip hardly moves, and turned_rad how far it turns from what was asked at most, of an arm that
+    along the seam, as planned. welds: lengths at which a weld is switched on or off. rounded_m, rounded_rad: how far
+    rounding moves and turns the path at most. slowest: the place of the least planned speed, in words. turns: where the
+    tool turns though the tip hardly moves, and turned_rad how far it turns from what was asked at most, of an arm that
     cannot turn it at will. fastest_m_s, fastest: the largest speed that tip or flange reach anywhere, the way to the
     path included, and which of them where.
     """
@@ -258,9 +260,10 @@ def _turned(arm: Arm, shape: Shape, samples: Samples, *, keeps: bool) -> float:
 
     Raises Inconsistent where the path's own rotation is not met.
     """
-    off = Rotation.from_matrix(samples.T[:, :3, :3]) * Rotation.from_matrix(shape.T[:, :3, :3]).inv()
-    worst = int(np.argmax(off.magnitude()))
-    turned = float(off.magnitude()[worst])
+    R = Rotation.from_matrix(samples.T[:, :3, :3]) * Rotation.from_matrix(shape.T[:, :3, :3]).inv()
+    off = np.asarray(R.magnitude())
+    worst = int(np.argmax(off))
+    turned = float(off[worst])
     if turned > TURNS_RAD and not keeps:
         raise Inconsistent(
             f"{arm.name} has {arm.n} joints and cannot turn its tool as the path asks: it would be off by "
@@ -283,7 +286,8 @@ def _checked(
     rows = [_rows(way) for way in ways]
     joined = np.concatenate([way.T[at] for way, at in zip(ways, rows, strict=True)])
     path = TaughtPath.of_poses(RigidTransform.from_matrix(joined), parent="base")
-    check = check_path(path, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
+    kept = replace(limits, margin_m=limits.margin_m + REST_M, singularity=REST_SHARE * limits.singularity)
+    check = check_path(path, arm, kept, speed_m_s=limits.speed_m_s, start=stand, taught=False)
     ends = np.cumsum([len(at) for at in rows])
     for issue in check.issues:
         if issue.trouble in SLOWED:

@@ -27,6 +27,8 @@ PER_WAVE = 40
 """Least samples of a wave of a weave."""
 BLEND_SHARE = 0.5
 """Of a path, over which its corners may be rounded."""
+MOST_PIECES, LEAST_M2 = 100, 1e-30
+"""Straight pieces to either side that a sample's distance from the path is taken from; (1 fm)^2: keeps it finite."""
 LEAST_MEAN = 0.9
 """Of the mean of quaternions over a corner: below it they differ by more than 100 degrees, and the mean is none."""
 TURN_TOLD_RAD = 45.0 * DEG
@@ -63,12 +65,11 @@ def shaped(path: TaughtPath, blend_m: float, weave: Weave, speed_m_s: float) -> 
     at_rows = np.concatenate([[0.0], np.cumsum(np.maximum(way, TURN_M * turn))])
     u = _sampled(at_rows, blend_m, weave)
     drawn = _drawn(path, at_rows, u)
-    smooth = _smoothed(drawn, max(3, 2 * round(blend_m / u[1] / 6.0) + 1))
+    width = max(3, 2 * round(blend_m / u[1] / 6.0) + 1)
+    smooth = _smoothed(drawn, width)
     T = np.tile(np.eye(4), (len(u), 1, 1))
     T[:, :3, 3], s = smooth[:, :3], smooth[:, 7]
     T[:, :3, :3] = _mean_rotation(smooth[:, 3:7], s).as_matrix()
-    at = np.stack([np.interp(at_rows, u, smooth[:, k]) for k in range(3)], axis=1)
-    moved = np.concatenate([smooth[:, :3] - drawn[:, :3], at - path.xyz_m])
     turned = Rotation.from_matrix(T[:, :3, :3]) * Rotation.from_quat(drawn[:, 3:7]).inv()
     row = np.clip(np.searchsorted(at_rows, u + 1e-12, side="right") - 1, 0, len(at_rows) - 2)
     own = path.speed_m_s[row]
@@ -78,7 +79,7 @@ def shaped(path: TaughtPath, blend_m: float, weave: Weave, speed_m_s: float) -> 
         s_m=s,
         seam_m=T[:, :3, 3],
         wanted_m_s=np.where(np.isfinite(own), own, speed_m_s),
-        rounded_m=float(np.linalg.norm(moved, axis=1).max()),
+        rounded_m=_apart(path.xyz_m, at_rows, smooth[:, :3], drawn[:, :3], u[1], 3 * width),
         rounded_rad=float(turned.magnitude().max()),
         turns=_turns(path, way, turn),
     )
@@ -141,6 +142,28 @@ def _smoothed(rows: Array, width: int) -> Array:
     for _ in range(3):
         long = uniform_filter1d(long, width, axis=0, mode="nearest")
     return np.asarray(long[pad : pad + len(rows)])
+
+
+def _apart(rows: Array, at_rows: Array, smooth: Array, drawn: Array, step_m: float, reach: int) -> float:
+    """Return how far, at most, the smooth path (n, 3) is from the drawn one, and the rows (m, 3) from the smooth one.
+
+    reach: samples before and behind among which the nearest straight piece is looked for.
+    """
+    n, found = len(drawn), 0.0
+    for points, at, line in (
+        (smooth, np.arange(n), drawn),
+        (rows, np.rint(at_rows / step_m).astype(np.intp), smooth),
+    ):
+        least = np.full(len(points), np.inf)
+        stride = max(1, reach // MOST_PIECES)
+        for k in range(-reach, reach, stride):
+            a = line[np.clip(at + k, 0, n - 1)]
+            d = line[np.clip(at + k + stride, 0, n - 1)] - a
+            share = np.sum((points - a) * d, axis=1) / np.maximum(np.sum(d * d, axis=1), LEAST_M2)
+            gap = points - a - np.clip(share, 0.0, 1.0)[:, None] * d
+            least = np.minimum(least, np.sum(gap * gap, axis=1))
+        found = max(found, float(np.sqrt(least.max())))
+    return found
 
 
 def _mean_rotation(quaternions: Array, s: Array) -> Rotation:
