@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from armsight.app.requests.motion import RobotJob, RobotSettings, RsiConfig
 from armsight.app.requests.plant import PLANT, PlantFlags
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, SRC
 from armsight.cli.command import app, command
@@ -48,9 +49,8 @@ def serve(
     tls_key: Key = None,
     arm: Annotated[str | None, Doc(f"{KNOWN_ARM}; a simulated robot brings its own."), AN_ARM] = None,
     limits: Annotated[Path | None, Doc("limits.yaml: what the guard keeps. [default: its own]")] = None,
-    rsi_config: Annotated[
-        Path | None, Doc("Of rsi: the RSI Ethernet configuration, for its own tags."), Flag(metavar="FILE.xml")
-    ] = None,
+    robot_settings: RobotSettings = None,
+    rsi_config: RsiConfig = None,
     log: Annotated[
         Path | None,
         Doc("Recording of commands, events and readings. [default: a new file here]"),
@@ -92,7 +92,8 @@ def serve(
     at = {"bind": bind, "port": port, "stop_port": stop_port}
     options = ServeOptions(**at, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key, plant=told)  # type: ignore[arg-type]
     if console is not None:
-        _with_pages(face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log})
+        job = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
+        _with_pages(face, job, console, options, {"arm": arm, "limits": limits, "log": log})
         return
     kept = log or default_log()
 
@@ -105,19 +106,18 @@ def serve(
         face.say("This is no safety function: the emergency stop stands beside it.")
 
     serve_robot(
-        robot,
+        RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config),
         arm,
         options,
         kept,
         limits=limits,
-        rsi_config=rsi_config,
         terminal=Terminal(ready=ready, tell=face.say, cancelled=face.progress("starting").cancelled),
     )
 
 
 def _with_pages(
     face: CommandUI,
-    robot: str,
+    robot: RobotJob,
     folder: Path,
     options: ServeOptions,
     own: dict[str, object],
@@ -159,6 +159,8 @@ def console(
         Doc("The robot to move: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT."),
         Flag(metavar="DRIVER:DEVICE"),
     ] = None,
+    robot_settings: RobotSettings = None,
+    rsi_config: RsiConfig = None,
     folder: Annotated[Path, Doc("Where cell.yaml and all results are kept."), Flag(metavar="FOLDER")] = Path("cell"),
     left: Annotated[
         str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
@@ -195,7 +197,8 @@ def console(
         if robot is None:
             _without_robot(face, folder, changed, options, page)
         else:
-            serve_cell(face, robot, folder, changed, options, page)
+            job = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
+            serve_cell(face, job, folder, changed, options, page)
 
 
 @contextlib.contextmanager
@@ -234,7 +237,7 @@ def _without_robot(
 
 def serve_cell(
     face: CommandUI,
-    robot: str,
+    job: RobotJob,
     folder: Path,
     changed: dict[str, Any],
     options: ServeOptions,
@@ -253,14 +256,14 @@ def serve_cell(
     from armsight.server.auth import Authenticator
     from armsight.server.serving import serve_pages, told_to_plant
 
-    cancelled = face.progress("opening").cancelled
+    robot, cancelled = job.robot, face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
         stack.enter_context(one_console(folder))
         if not changed:
             prepare_simulated(robot, folder)
         face.say(f"{robot} is being opened")
         page.step(texts.OPENING["robot"].format(robot=robot))
-        cell = stack.enter_context(open_robot_cell(robot, folder))
+        cell = stack.enter_context(open_robot_cell(job, folder))
         if cancelled():
             raise Cancelled("stopped before the page was served")
         cell.service.pump()

@@ -16,7 +16,7 @@ from armsight.app.play.target_monitor import TargetMonitor, Watcher
 from armsight.app.requests.motion import PlayJob
 from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.servo.run_servo import LAG_CYCLES
@@ -329,16 +329,16 @@ def run_play(
         raise UsageError(
             f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
-    monitor = TargetMonitor(job, devices) if job.watched else None
-    watcher: Watcher | None = monitor
     model, path = given_arm(job.arm), None
+    monitor = TargetMonitor(job, devices, model) if job.watched else None
+    watcher: Watcher | None = monitor
     if monitor is not None:
         robot, clock = monitor.devices.robot, monitor.devices.clock
     elif opened is not None:
         robot, clock, watcher, path = opened
     else:
         clock = SystemClock()
-        robot = open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=None))
+        robot = robot_of(job, clock, model)
     guard = guard_for(robot, model, job.limits, share=job.speed)
     if arm_of(robot, model) is None:
         raise UsageError(
