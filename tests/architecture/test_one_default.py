@@ -202,7 +202,7 @@ def test_a_default_that_drifts_and_a_bound_that_is_left_out_are_found(
         test_no_default_and_no_bound_has_two_values(flags_page)
     monkeypatch.undo()
     monkeypatch.setitem(vars(armsight.teach), "requests", ())
-    with pytest.raises(AssertionError, match=r"teach --every must be at least 1.*None"):
+    with pytest.raises(AssertionError, match=r"teach --every.*None"):
         test_no_default_and_no_bound_has_two_values(flags_page)
 
 

@@ -85,7 +85,11 @@ def _within(bounds: Bounds, name: str, value: object) -> None:
     """Raise UsageError for a number, or one of several, that is not within."""
     for one in value if isinstance(value, list | tuple) else (value,):
         if isinstance(one, int | float) and not bounds.holds(one):
-            raise UsageError(f"{name} is {one:g}, which must be {bounds}", consequence="It cannot be used")
+            raise UsageError(
+                f"{name} is {one:g}, which must be {bounds}",
+                consequence="It cannot be used",
+                cure=f"Give a number that is {bounds}",
+            )
 
 
 def _written(arguments: Mapping[str, object]) -> list[Path]:
@@ -146,6 +150,7 @@ SIMPLE: Mapping[str, Check] = {
     "str": _kind(str),
     "Progress": _progress,
     "Confirm": _confirm,
+    "Settings": _kind(Mapping),
     "TableFormat": _kind(TableFormat),
     "CameraSettings": _kind(CameraSettings),
     "PairSettings": _kind(CameraSettings, tuple),

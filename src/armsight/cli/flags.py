@@ -64,6 +64,7 @@ class OneFlag:
                 raise UsageError(
                     f"{self.written} is {number / self.unit:g}, which must be {self.bounds.per(self.unit)}",
                     consequence="Nothing was done",
+                    cure=f"Give a number that is {self.bounds.per(self.unit)}",
                 )
         return {self.name: made}
 

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from armsight.server.web_server import ServeOptions
 
 Bind: TypeAlias = Annotated[str, Doc("Address to listen at; any but this machine's needs TLS and tokens.")]
+StopPort: TypeAlias = Annotated[
+    int | None,
+    Doc("Port of the line for stops; 0 takes a free one. [default: the next one]"),
+    Bounds(least=0, most=65535),
+]
 Tokens: TypeAlias = Annotated[Path | None, Doc("tokens.yaml: who may watch, acknowledge alarms, and drive.")]
 Certificate: TypeAlias = Annotated[Path | None, Doc("The server's certificate, PEM.")]
 Key: TypeAlias = Annotated[Path | None, Doc("The certificate's key, PEM.")]
@@ -39,11 +44,7 @@ def serve(
     ] = None,
     bind: Bind = "127.0.0.1",
     port: Annotated[int, Doc("Port to listen at; 0 takes a free one."), Bounds(least=0, most=65535)] = 8765,
-    stop_port: Annotated[
-        int | None,
-        Doc("Port of the line for stops; 0 takes a free one. [default: the next one]"),
-        Bounds(least=0, most=65535),
-    ] = None,
+    stop_port: StopPort = None,
     tokens: Tokens = None,
     tls_cert: Certificate = None,
     tls_key: Key = None,
@@ -173,9 +174,7 @@ def console(
     play_again: Annotated[bool, Doc("Files begin anew at their end.")] = False,
     bind: Bind = "127.0.0.1",
     port: Annotated[int, Doc("Of the web page."), Bounds(least=1, most=65535)] = 8080,
-    stop_port: Annotated[
-        int | None, Doc("Of the line for stops. [default: the next one]"), Bounds(least=0, most=65535)
-    ] = None,
+    stop_port: StopPort = None,
     tokens: Tokens = None,
     tls_cert: Certificate = None,
     tls_key: Key = None,
@@ -194,11 +193,24 @@ def console(
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
-        if robot is None:
+        job = _of_robot(robot, robot_settings, rsi_config)
+        if job is None:
             _without_robot(face, folder, changed, options, page)
         else:
-            job = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
             serve_cell(face, job, folder, changed, options, page)
+
+
+def _of_robot(robot: str | None, settings: RobotSettings, rsi_config: Path | None) -> RobotJob | None:
+    """Return the robot, None where none is named. Raises UsageError for settings of none."""
+    if robot is not None:
+        return RobotJob(robot=robot, robot_settings=settings, rsi_config=rsi_config)
+    if settings is not None or rsi_config is not None:
+        raise UsageError(
+            "--robot-set and --rsi-config are of a robot, and none is named",
+            consequence="Nothing is served",
+            cure="Give --robot DRIVER:DEVICE",
+        )
+    return None
 
 
 @contextlib.contextmanager
