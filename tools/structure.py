@@ -51,6 +51,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/verify.py:verify": FLAGS,
     },
     "dictionaries": {
+        "app/requests/motion.py": DRIVERS,
         "app/robot/hosting.py": DRIVERS,
         "app/robot/opening.py": DRIVERS,
         "app/robot/recorder.py": "a log of orders of every kind, each with its own values",

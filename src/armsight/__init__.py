@@ -133,6 +133,7 @@ if TYPE_CHECKING:
     from armsight.errors import Inconsistent as Inconsistent
     from armsight.errors import NotConverged as NotConverged
     from armsight.errors import NotEnoughData as NotEnoughData
+    from armsight.errors import RecordingFailed as RecordingFailed
     from armsight.errors import StaleData as StaleData
     from armsight.errors import Undetermined as Undetermined
     from armsight.errors import UsageError as UsageError
@@ -292,6 +293,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "Inconsistent",
         "NotConverged",
         "NotEnoughData",
+        "RecordingFailed",
         "StaleData",
         "Undetermined",
         "UsageError",

@@ -14,6 +14,7 @@ ArmsightError                     exit code 1
 ├── DeviceFailed                  exit code 4   camera, link, disk or robot
 │   ├── DeviceNotFound            no such camera or robot
 │   ├── DeviceLost                it was there and is gone
+│   ├── RecordingFailed           exit code 5   all went on, and the disk took no more of its recording
 │   └── StaleData                 it answers, with old data
 └── Cancelled                     exit code 130 the person stopped it
 """
@@ -197,6 +198,12 @@ class DeviceNotFound(DeviceFailed):
 
 class DeviceLost(DeviceFailed):
     """It was there and is gone."""
+
+
+class RecordingFailed(DeviceFailed):
+    """All went on, and the disk took no more of its recording: what was done is not to be read there."""
+
+    exit_code = 5
 
 
 class StaleData(DeviceFailed):

@@ -16,6 +16,11 @@ from importlib import import_module
 from types import EllipsisType, NoneType, UnionType
 from typing import Annotated, Any, Protocol, Union, get_args, get_origin, get_type_hints
 
+from armsight.units import DEG
+
+DIGITS = 12
+"""Of a number in the person's unit: it is held in SI, and 0.02 m is not quite 20 mm."""
+
 
 @dataclass(frozen=True, slots=True)
 class Doc:
@@ -33,11 +38,22 @@ class Doc:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """A number above `above`, from `least` to `most`; of a tuple: the fewest entries in a file that has it."""
+    """A number above `above`, from `least` to `most`, in SI; of a tuple: the fewest entries in a file that has it."""
 
     above: float | None = None
     least: float | None = None
     most: float | None = None
+
+    def __str__(self) -> str:
+        """In words, as what follows "must be"."""
+        lower = "" if self.least is None else f"at least {self.least:g}"
+        lower = lower if self.above is None else f"above {self.above:g}"
+        return " and ".join(part for part in (lower, "" if self.most is None else f"at most {self.most:g}") if part)
+
+    def per(self, unit: float) -> Bounds:
+        """Return the same bounds of the number in a unit, one of which is so many in SI."""
+        ends = (self.above, self.least, self.most)
+        return Bounds(*(None if end is None else round(end / unit, DIGITS) for end in ends))
 
     def holds(self, value: float) -> bool:
         """Tell whether a number is finite and within."""
@@ -56,7 +72,8 @@ class Flag:
     names: the flag as it is written, such as '-o --out'; '' makes it of the field's name. positional: an argument
     without a flag. quantity: 'm', 'm/s' or 'rad or m', which may be written with units (200mm). unit: what one of the
     number is in SI, of flags such as --plate-mm. default: shown and taken where the flag is not given; ...: the field's
-    own, not shown where it is None or empty. read: makes the field's value of what was given. panel: of the help.
+    own, not shown where it is None or empty. repeated: it may be given several times; read then takes a list. read:
+    makes the field's value of what was given. panel: of the help.
     """
 
     names: str = ""
@@ -65,8 +82,25 @@ class Flag:
     quantity: str = ""
     unit: float | None = None
     default: Any | EllipsisType = ...
+    repeated: bool = False
     read: Callable[[Any], Any] | None = None
     panel: str | None = None
+
+    def written(self, name: str) -> str:
+        """Return how the flag of a field of this name is written; of -o --out the short one, as messages have it.
+
+        Where `names` gives no name it is the field's with the person's unit: none of a quantity, whose unit may be
+        written behind the number, none of seconds, hertz and kelvin, and mm or deg of what is given in those.
+        """
+        if self.names:
+            return self.names.split()[0].split("/")[0]
+        if self.unit is not None:
+            name = name.removesuffix("_m").removesuffix("_rad") + ("_deg" if self.unit == DEG else "_mm")
+        elif self.quantity:
+            name = name.removesuffix("_m_s").removesuffix("_m")
+        elif not name.endswith("_m_s"):
+            name = name.removesuffix("_s").removesuffix("_hz").removesuffix("_k")
+        return "--" + name.replace("_", "-")
 
 
 class FlagGroup(Protocol):
@@ -85,11 +119,15 @@ class Flags:
 
 
 class _Known(dict[str, Any]):
-    """The names of a module; one that only type checkers import is anything: loading it would take a second."""
+    """The names of the modules of a function or class and its bases, which may stand in other ones.
 
-    def __init__(self, module: str) -> None:
+    One that only type checkers import is anything: loading it would take a second.
+    """
+
+    def __init__(self, of: Any) -> None:
         super().__init__()
-        self._names = vars(sys.modules[module])
+        modules = {one.__module__ for one in getattr(of, "__mro__", (of,))}
+        self._names = {name for module in modules for name in vars(sys.modules[module])}
 
     def __missing__(self, name: str) -> Any:
         if name in self._names or hasattr(builtins, name):
@@ -121,7 +159,7 @@ def loaded_names(package: str, places: Mapping[str, str]) -> Callable[[str], Any
 
 def known_hints(of: Any) -> dict[str, Any]:
     """Return the annotations of a function or class, with what stands beside them."""
-    return get_type_hints(of, localns=_Known(of.__module__), include_extras=True)
+    return get_type_hints(of, localns=_Known(of), include_extras=True)
 
 
 def marks(hint: Any, kind: Any) -> list[Any]:
@@ -130,6 +168,11 @@ def marks(hint: Any, kind: Any) -> list[Any]:
     if get_origin(hint) is not Annotated:
         return [one for part in inner for one in marks(part, kind)]
     return [one for one in inner[1:] if isinstance(one, kind)] + marks(inner[0], kind)
+
+
+def bounds_of(hint: Any) -> Bounds | None:
+    """Return what is said beside a number, the outermost, of what it may be; None where nothing is."""
+    return next(iter(marks(hint, Bounds)), None)
 
 
 def bare(hint: Any) -> tuple[Any, ...]:

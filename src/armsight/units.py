@@ -38,7 +38,7 @@ def read_value(text: str) -> tuple[float, str]:
     return float(match[1]) * WRITTEN.get(match[2], 1.0), match[2]
 
 
-def read_quantity(text: str, quantity: str, least: float | None = None) -> float:
+def read_quantity(text: str, quantity: str) -> float:
     """Return a quantity of UNITS_OF in SI, SI where no unit is written behind it.
 
     Raises ValueError, with the ways to write it: also for a number that another unit was meant by.
@@ -52,6 +52,4 @@ def read_quantity(text: str, quantity: str, least: float | None = None) -> float
         raise ValueError(f"{text!r} is not in {' or '.join(units)}")
     if not unit and abs(value) > MOST[quantity]:
         raise ValueError(f"{text} {quantity} cannot be meant: write {' or '.join(text + unit for unit in units)}")
-    if not value >= (-math.inf if least is None else least):
-        raise ValueError(f"{text} is less than {least:g} {quantity}")
     return value

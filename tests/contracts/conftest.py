@@ -20,15 +20,27 @@ from armsight.drivers.alter import AlterRobot
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.udp import UdpRobot
+from armsight.testing import WrongController
 from armsight.testing.clocks import HaltingClock
+from armsight.testing.wrong_controllers import prove
 from armsight_sim.twins.alter import AlterController
-from armsight_sim.twins.base import small_arm, twin_drive, twin_home
+from armsight_sim.twins.base import Wrong, small_arm, twin_drive, twin_home
 from armsight_sim.twins.egm import EgmController
 from armsight_sim.twins.rsi import RsiController
 
 CYCLE_S = 0.004
 EXACT = {"bind": "127.0.0.1", "stale_s": 3.5 * CYCLE_S, "silent_s": 9.0 * CYCLE_S}
 """No time of the machine counts here, so that the limits may be tight."""
+
+
+WRONG = {
+    WrongController.RELATIVE: Wrong(adds=True),
+    WrongController.REVERSED: Wrong(reversed=(1,)),
+    WrongController.EXCHANGED: Wrong(exchanged=(0, 2)),
+    WrongController.SCALE: Wrong(scale=1.1),
+    WrongController.RADIANS: Wrong(scale=57.3),
+    WrongController.GEAR: Wrong(gear=(2, 2.0)),
+}
 
 
 def _free_port() -> int:
@@ -44,6 +56,7 @@ BY_HAND_S = 1.2
 class Pair:
     """A driver and its twin on a real link, one cycle after the other, by a clock that moves only when told."""
 
+    kind: str
     cycle_s = CYCLE_S
     robot: Any
     twin: Any
@@ -68,6 +81,12 @@ class Pair:
         """Start the controller anew."""
         self.twin.reboot()
 
+    def prove(self) -> None:
+        """Let the link be proven; the arm then stands where it stood."""
+        if self.robot.state is RobotState.READY:
+            prove(self.robot, self.advance)
+        self.advance(self.cycle_s)
+
     def newest(self) -> Any:
         """Return what the twin sent last, as the driver takes it."""
         return self.twin._last_packet
@@ -87,8 +106,11 @@ class Pair:
         while not self._done.wait(0.001):
             with self.lock:
                 if self.robot.state is RobotState.CLOSED:
+                    self.clock.advance(self.cycle_s)
                     self.twin.cycle()
                     self._drained = False
+                    if not getattr(self.robot, "_closing", True):  # it opens, and answers
+                        select.select([self.twin.link], [], [], 0.02)
 
     def advance(self, time_s: float) -> None:
         for _ in range(round(time_s / self.cycle_s)):
@@ -164,13 +186,13 @@ class UdpPair(Pair):
 
 
 class EgmPair(UdpPair):
-    driver = EgmRobot
+    kind, driver = "egm", EgmRobot
 
     def restart(self) -> None:
         self.twin.restart()
 
     def controller(self, port: int, home: NDArray[np.float64]) -> EgmController:
-        drive, own = twin_drive(self.arm, CYCLE_S), "127.0.0.1"
+        drive, own = twin_drive(self.arm, self.cycle_s), "127.0.0.1"
         return EgmController(("127.0.0.1", port), arm=self.arm, drive=drive, home=home, clock=self.clock, own=own)
 
     def stand(self, by: float) -> None:
@@ -181,10 +203,10 @@ class EgmPair(UdpPair):
 
 
 class RsiPair(UdpPair):
-    driver = RsiRobot
+    kind, driver = "rsi", RsiRobot
 
     def controller(self, port: int, home: NDArray[np.float64]) -> RsiController:
-        return RsiController(("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, CYCLE_S), home=home)
+        return RsiController(("127.0.0.1", port), arm=self.arm, drive=twin_drive(self.arm, self.cycle_s), home=home)
 
     def stand(self, by: float) -> None:
         twin = self.twin
@@ -214,7 +236,7 @@ class Model:
 class AlterPair(Pair):
     """... on a pseudo terminal; longer: of Model, None for an application without the arm's geometry."""
 
-    cycle_s = 0.028
+    kind, cycle_s = "alter", 0.028
 
     def join(self, *, cumulative: bool = True, tool: bool = False, longer: float | None = 0.0, **more: Any) -> None:
         drive = twin_drive(self.arm, self.cycle_s)

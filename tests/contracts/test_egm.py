@@ -35,7 +35,7 @@ def test_nothing_moves_by_opening_and_holding(make_egm: Any) -> None:
 def test_the_lag_of_an_arm_that_is_held_up_limits_a_goal(make_egm: Any) -> None:
     pair = make_egm()
     with pair.robot as robot:
-        pair.advance(CYCLE_S)
+        pair.prove()
         pair.twin.fault("blocked")
         for _ in range(400):
             sent = robot.step_joints(np.full(6, -1.0))

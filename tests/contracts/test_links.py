@@ -9,14 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.contracts.conftest import WRONG
+from tests.truth.emulated_links import World, link_of
 
+from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.drivers.alter import AlterRobot
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.errors import DeviceLost
-from armsight.testing import RobotCase, RobotContract
+from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
+from armsight_sim.twins.base import RIGHT
 from refusals import refuses
 
 
@@ -36,6 +40,11 @@ class TestContract(RobotContract):
             true_joints=lambda: pair.twin.q,
             tolerance=1e-4,
         )
+
+    def make_wrong(self, fault: WrongController) -> WrongCase | str:
+        kind = self._make().kind
+        link = link_of(kind, ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles))
+        return link.wrong_case()
 
 
 RULES = {
@@ -67,7 +76,7 @@ def test_a_rule_of_stand_stills_that_is_taken_out_is_missed(
 def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:
-        pair.advance(pair.cycle_s)
+        pair.prove()
         sent = robot.step_joints(np.full(6, 0.002))
         pair.advance(100 * pair.cycle_s)
         assert np.abs(pair.twin.q - sent.q).max() < 2e-5
@@ -77,7 +86,7 @@ def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) ->
 def test_stop_holds_within_one_cycle_and_drops_what_was_asked(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:
-        pair.advance(pair.cycle_s)
+        pair.prove()
         for _ in range(20):
             sent = robot.step_joints(np.full(6, 1.0))
             pair.advance(pair.cycle_s)
@@ -91,7 +100,7 @@ def test_stop_holds_within_one_cycle_and_drops_what_was_asked(make_link: Any) ->
 def test_a_controller_that_starts_anew_is_lost_and_can_be_opened_again(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:
-        pair.advance(25 * pair.cycle_s)
+        pair.prove()
         robot.step_joints(np.full(6, 0.001))
         pair.advance(25 * pair.cycle_s)
         pair.restart()

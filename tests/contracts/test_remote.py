@@ -15,7 +15,7 @@ from armsight.drivers.remote import RemoteRobot
 from armsight.errors import ArmsightError
 from armsight.server.serving import background
 from armsight.store.arm_file import arm_from_mapping
-from armsight.testing import RobotCase, RobotContract
+from armsight.testing import RobotCase, RobotContract, WrongController
 from armsight.testing.clocks import GatedClock, HaltingClock
 from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
 from armsight_sim.robot import RobotFault, SimRobot
@@ -69,6 +69,9 @@ class TestRemoteRobot(RobotContract):
     def _servers(self) -> Iterator[None]:
         with ExitStack() as self.stack:
             yield
+
+    def make_wrong(self, fault: WrongController) -> str:
+        return "the server's own driver proves its controller"
 
     def make(self) -> RobotCase:
         robot, sim, clock = self.stack.enter_context(served())

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.clock import ManualClock
 from armsight.drivers import Pace, RobotState, Sent
 from armsight.records import JointReading
-from armsight.testing import RobotCase, RobotContract, contract_tests
+from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController, contract_tests
 from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
 from armsight_sim.robot import RobotFault, SimRobot
 
@@ -72,12 +72,21 @@ def case(robot: SimRobot, clock: ManualClock) -> RobotCase:
     )
 
 
-class TestSimulatedSixAxes(RobotContract):
+def wrong_case(robot: SimRobot, clock: ManualClock) -> WrongCase:
+    return WrongCase(robot=robot, advance=clock.advance, joints=lambda: robot.true_joints(clock.now_s()))
+
+
+class Simulated(RobotContract):
+    def make_wrong(self, fault: WrongController) -> str:
+        return "a simulated robot is its own controller"
+
+
+class TestSimulatedSixAxes(Simulated):
     def make(self) -> RobotCase:
         return case(*make_robot())
 
 
-class TestSimulatedSlide(RobotContract):
+class TestSimulatedSlide(Simulated):
     def make(self) -> RobotCase:
         return case(*make_robot(arm=two_and_a_slide, cycle_s=0.008))
 
@@ -155,6 +164,10 @@ class DoesNotMove(SimRobot):
         return super()._send(self._servo.goal, limited)
 
 
+class NeverProves(SimRobot):
+    """Goes along with any controller."""
+
+
 class HasNoName(SimRobot):
     def __init__(self, *args: object, **more: object) -> None:
         super().__init__(*args, **more)  # type: ignore[arg-type]
@@ -195,6 +208,7 @@ FAULTS: dict[type[SimRobot], str] = {
     AlwaysTheSameNumber: "test_readings_carry_time_number_and_source",
     NoSource: "test_readings_carry_time_number_and_source",
     DoesNotMove: "test_it_goes_where_it_says_it_was_sent",
+    NeverProves: "test_no_motion_on_a_wrong_premise",
     HasNoName: "test_it_says_what_it_is",
     RunsOnWhenClosed: "test_closing_stops_it",
     JumpsToItsPose: "test_poses_are_approached_and_reported",
@@ -205,6 +219,7 @@ FAULTS: dict[type[SimRobot], str] = {
 def test_a_planted_fault_is_found(kind: type[SimRobot]) -> None:
     contract = RobotContract()
     contract.make = lambda: case(*make_robot(kind))  # type: ignore[method-assign]
+    contract.make_wrong = lambda fault: wrong_case(*make_robot(kind))  # type: ignore[method-assign]
     with pytest.raises((AssertionError, Exception)) as caught:
         getattr(contract, FAULTS[kind])()
     assert caught.type is AssertionError or kind is StopRaisesWhenClosed, f"found by accident: {caught.value!r}"

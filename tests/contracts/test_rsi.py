@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight.clock import ManualClock
-from armsight.drivers import RobotState
+from armsight.drivers import PROVING, RobotState
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.rsi.messages import parse, read_tags
 from armsight.errors import BadFile, DataRefused, DeviceFailed, UsageError
@@ -52,7 +52,7 @@ def test_after_closing_it_is_opened_only_where_the_corrections_begin_anew(make_r
     """A session that was left for a while is left to end; then it opens where the arm stands, and nothing moves."""
     pair = make_rsi()
     with pair.robot as robot:
-        pair.advance(CYCLE_S)
+        pair.prove()
         for _ in range(30):
             robot.step_joints(np.full(6, 0.004))
             pair.advance(CYCLE_S)
@@ -84,7 +84,7 @@ def test_a_session_that_begins_in_the_middle_of_a_motion_is_not_the_one_that_was
     if not rule:  # taken out, the old correction is asked for in the new session
         monkeypatch.setattr(RsiRobot, "_check_session", lambda *_: None)
     with pair.robot as robot:
-        pair.advance(CYCLE_S)
+        pair.prove()
         for _ in range(40):
             robot.step_joints(np.full(6, 0.002))
             pair.advance(CYCLE_S)
@@ -99,6 +99,7 @@ def test_a_session_that_begins_in_the_middle_of_a_motion_is_not_the_one_that_was
         pair.advance(0.4)
         assert np.abs(pair.twin.q - there).max() < 2e-5
         robot.reset()
+        pair.prove()
         sent = robot.step_joints(np.full(6, 0.002))
         pair.advance(0.4)
         assert np.abs(sent.q - there).max() < 0.0021
@@ -162,26 +163,26 @@ def test_the_open_simulator_is_understood(free_port: int) -> None:
         simulator.connect(("127.0.0.1", port))
         opened = threading.Thread(target=robot.__enter__)
         opened.start()
-        answers: list[bytes] = []
         simulator.settimeout(0.02)
+        answers: list[bytes] = []
 
         def asked() -> bool:
             with contextlib.suppress(OSError):  # refused at once while nobody listens yet
-                simulator.send(message(0, q))
+                simulator.send(message(4 * len(answers), q))
                 answers.append(simulator.recv(1024))
-            return bool(answers)
+            return len(answers) > 12
 
         until(asked)
         opened.join()
         answer = answers[0]
         assert answer.startswith(b'<Sen Type="ImFree"><AK A1="0.000000"')
         assert answer.endswith(b"<IPOC>0</IPOC></Sen>")
-        robot.step_joints(np.full(6, 0.001))
+        assert PROVING in robot.step_joints(np.full(6, 0.001)).limited
         simulator.settimeout(2.0)
-        simulator.send(message(4, q))
-        assert b'A1="0.057296"' in simulator.recv(1024)
-        simulator.send(message(4, q))
-        assert simulator.recv(1024).endswith(b"<IPOC>4</IPOC></Sen>")
+        simulator.send(message(100, q))
+        assert b'A1="0.001000"' in simulator.recv(1024)
+        simulator.send(message(100, q))
+        assert simulator.recv(1024).endswith(b"<IPOC>100</IPOC></Sen>")
         until(lambda: robot.counts.repeated == 1)
         robot.__exit__(None, None, None)
 

@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from tests.contracts.conftest import WRONG
+from tests.truth.emulated_links import World, link_of
 
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.run_motion import run_motion
-from armsight.clock import SystemClock
+from armsight.clock import ManualClock, SystemClock
 from armsight.control.play.joint_motion import JointMotionSource
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
@@ -30,8 +32,9 @@ from armsight.kinematics import Arm, Joint
 from armsight.records import Motion
 from armsight.store.arm_file import write_arm
 from armsight.store.tracks import read_joints, write_joints
-from armsight.testing import RobotCase, RobotContract
+from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight.testing.clocks import HaltingClock
+from armsight_sim.twins.base import RIGHT
 from refusals import refuses
 
 pytest.importorskip("rtde_control")
@@ -189,6 +192,11 @@ class TestRtde(RobotContract):
             true_joints=lambda: self.twin.order("where"),
             tolerance=1e-3,
         )
+
+    def make_wrong(self, fault: WrongController) -> WrongCase:
+        """Without ur-rtde, which can be behind none of this but asks for the cycle that it is set to."""
+        world = World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles)
+        return link_of("rtde", ManualClock(100.0), world).wrong_case()
 
 
 for name, contract in vars(RobotContract).items():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.drivers import RobotState
+from armsight.drivers import PROVING, RobotState
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, StaleData, UsageError
@@ -27,7 +27,7 @@ def test_the_range_of_the_arm_limits_a_goal(make_pair: Any) -> None:
     home = twin_home(small_arm())
     pair = make_pair(upper_rad=(home + 0.003).tolist(), lower_rad=[-3.0] * 6)
     with pair.robot as robot:
-        pair.advance(CYCLE_S)
+        pair.prove()
         robot.step_joints(np.full(6, 0.002))
         pair.advance(CYCLE_S)
         sent = robot.step_joints(np.full(6, 0.002))
@@ -107,8 +107,9 @@ def test_poses_are_followed_in_pose_guidance(make_pair: Any) -> None:
     with pair.robot as robot:
         pair.advance(CYCLE_S)
         first = robot.move_pose(goal)
-        assert first.limited
-        pair.advance(CYCLE_S)
+        assert PROVING in first.limited
+        while PROVING in robot.move_pose(goal).limited:
+            pair.advance(CYCLE_S)
         for _ in range(60):
             last = robot.move_pose(goal)
             pair.advance(CYCLE_S)

@@ -18,14 +18,18 @@ from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import ControllerState
 from armsight.drivers.rtde.worker import GOAL, STATE
+from armsight.testing import WrongCase
+from armsight_sim.arms import Drive
 from armsight_sim.twins.alter import AlterController
-from armsight_sim.twins.base import small_arm, twin_drive, twin_home
+from armsight_sim.twins.base import LAG_S, RIGHT, Wrong, small_arm, twin_drive, twin_home
 from armsight_sim.twins.egm import EgmController
 from armsight_sim.twins.rsi import RsiController
 from armsight_sim.twins.ur_controller import UrController
 
 Array = NDArray[np.float64]
 HOME = twin_home(small_arm())
+OPENING = 80
+"""Cycles after which a driver that is not open will never be."""
 
 
 @dataclass(slots=True)
@@ -98,6 +102,22 @@ class TwinSocket(Socket):
         return self.inbox.pop(0)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class World:
+    """What a controller is like: what is wrong with it, its cycle as a multiple of what is set, drives and readings."""
+
+    wrong: Wrong = RIGHT
+    cycles: float = 1.0
+    lag_s: float = LAG_S
+    noise: float = 0.0
+    home: Array = field(default_factory=lambda: HOME)
+
+    def drive(self, cycle_s: float) -> tuple[float, Drive]:
+        """Return the controller's cycle in s, and its motors."""
+        own_s = cycle_s * self.cycles
+        return own_s, twin_drive(small_arm(), own_s, lag_s=self.lag_s, noise=self.noise)
+
+
 class Model:
     """The emulated controller's arm, as the driver of a serial link takes it."""
 
@@ -108,40 +128,83 @@ class Model:
         return small_arm().reach(T_base_flange.as_matrix(), near)
 
 
-class UdpLink:
+class Link:
+    """What all have in common: until the driver is open, cycle by cycle on its own."""
+
+    cycle_s: float
+    robot: Any
+    twin: Any
+    clock: ManualClock
+
+    twin_cycle_s: float
+
+    def cycle(self) -> None:
+        """Let one of the controller's cycles pass, with a line that loses nothing."""
+        self.clock.advance(self.twin_cycle_s)
+        self.twin.cycle()
+        for data in self.hear(self.spoken(), together=True, between=lambda: None):
+            self.answer(data)
+
+    def wrong_case(self) -> WrongCase:
+        """Return it as the contract takes a wrong controller."""
+
+        def advance(time_s: float) -> None:
+            for _ in range(max(1, round(time_s / self.twin_cycle_s))):
+                self.cycle()
+
+        return WrongCase(robot=self.robot, advance=advance, joints=lambda: self.twin.q)
+
+    def open_up(self) -> None:
+        """Let cycles pass until the driver has heard enough; what it says against being opened then counts."""
+        for _ in range(OPENING):
+            self.cycle()
+            if self.robot._first.is_set():
+                return
+        self.robot._first.set()
+
+    def spoken(self) -> list[bytes]:
+        """Return what the controller has sent."""
+        raise NotImplementedError
+
+    def answer(self, data: bytes) -> None:
+        """Bring an answer to the controller."""
+        raise NotImplementedError
+
+    def hear(self, packets: list[bytes], *, together: bool, between: Callable[[], None]) -> list[bytes]:
+        """Bring packets to the driver, at once or one by one; return its answers."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Close what the operating system keeps."""
+
+
+class UdpLink(Link):
     """EGM or RSI without sockets and threads."""
 
-    def __init__(self, kind: str, clock: ManualClock, **settings: object) -> None:
+    def __init__(self, kind: str, clock: ManualClock, world: World, **settings: object) -> None:
         there = ("127.0.0.1", 49000)
-        self.cycle_s = 0.004
-        drive = twin_drive(small_arm(), self.cycle_s)
+        self.clock, self.cycle_s = clock, 0.004
+        self.twin_cycle_s, drive = world.drive(self.cycle_s)
         if kind == "egm":
-            self.twin: Any = EgmController(there, arm=small_arm(), drive=drive, home=HOME, clock=clock)
-            self.robot: Any = EgmRobot("49000", settings=settings, clock=clock)
+            self.twin = EgmController(there, arm=small_arm(), drive=drive, home=world.home, clock=clock)
+            self.robot = EgmRobot("49000", settings=settings, clock=clock)
         else:
-            self.twin = RsiController(there, arm=small_arm(), drive=drive, home=HOME)
+            self.twin = RsiController(there, arm=small_arm(), drive=drive, home=world.home)
             self.robot = RsiRobot("49000", settings=settings, clock=clock)
+        self.twin.wrong = world.wrong
         self.twin.close()
         self.far = self.twin._socket = TwinSocket(there)
         self.near = Socket()
         self.robot._bind = lambda: self.near
-        self.robot._run = self._begin
-
-    def _begin(self) -> None:
-        self.twin.cycle()
-        self.hear(self.spoken(), together=True, between=lambda: None)
-        self.far.inbox += self.near.drained()
+        self.robot._run = self.open_up
 
     def spoken(self) -> list[bytes]:
-        """Return what the controller has sent."""
         return self.far.drained()
 
     def answer(self, data: bytes) -> None:
-        """Bring an answer to the controller."""
         self.far.inbox.append(data)
 
     def hear(self, packets: list[bytes], *, together: bool, between: Callable[[], None]) -> list[bytes]:
-        """Bring packets to the driver, at once or one by one; return its answers."""
         for i, data in enumerate(packets):
             self.robot._take(data, ("127.0.0.1", 50000), newest=not together or i == len(packets) - 1)
             if not together:
@@ -149,25 +212,27 @@ class UdpLink:
         return self.near.drained()
 
 
-class AlterLink:
-    """A serial line without a driver's thread."""
+class AlterLink(Link):
+    """A serial line without threads: its own end is read where the driver's thread would."""
 
-    def __init__(self, clock: ManualClock, **settings: object) -> None:
-        self.cycle_s = 0.028
-        drive = twin_drive(small_arm(), self.cycle_s)
-        self.twin = AlterController(arm=small_arm(), drive=drive, home=HOME)
+    def __init__(self, clock: ManualClock, world: World, *, geometry: bool = True, **settings: Any) -> None:
+        self.clock, self.cycle_s = clock, 0.028
+        self.twin_cycle_s, drive = world.drive(self.cycle_s)
+        self.twin = AlterController(
+            arm=small_arm(), drive=drive, home=world.home, cumulative=settings.get("cumulative", True)
+        )
+        self.twin.wrong = world.wrong
         os.set_blocking(self.twin._slave, False)
-        self.robot: Any = AlterRobot("line", settings={"arm": Model(), **settings}, clock=clock)
+        model = {"arm": Model()} if geometry else {}
+        self.robot = AlterRobot("line", settings={**model, **settings}, clock=clock)
         self.near = Socket()
         self.robot._open_line = lambda: self.near
-        self.robot._run = self._begin
+        self.robot._run = self.open_up
         self._frames: list[Any] = []
         self._splitter = FrameSplitter()
 
-    def _begin(self) -> None:
-        self.twin.cycle()
-        for data in self.hear(self.spoken(), together=True, between=lambda: None):
-            self.answer(data)
+    def close(self) -> None:
+        self.twin.close()
 
     def spoken(self) -> list[bytes]:
         try:
@@ -206,14 +271,16 @@ end
 """
 
 
-class RtdeLink:
+class RtdeLink(Link):
     """RTDE without ur-rtde, its process and sockets: the newest goal that has come is the one of a servoj."""
 
-    def __init__(self, clock: ManualClock, **settings: object) -> None:
-        self.cycle_s = 0.002
-        self.twin = UrController(arm=small_arm(), drive=twin_drive(small_arm(), self.cycle_s), home=HOME)
-        self.twin.play(PROGRAM)
-        self.robot: Any = RtdeRobot("127.0.0.1", settings=settings, clock=clock)
+    def __init__(self, clock: ManualClock, world: World, **settings: object) -> None:
+        self.clock, self.cycle_s = clock, 0.002
+        self.twin_cycle_s, drive = world.drive(self.cycle_s)
+        self.twin = UrController(arm=small_arm(), drive=drive, home=world.home)
+        self.twin.play(PROGRAM.replace("0.002", repr(self.twin_cycle_s)))
+        self.twin.wrong = world.wrong
+        self.robot = RtdeRobot("127.0.0.1", settings=settings, clock=clock)
         self.robot._start, self.robot._finish = self._begin, lambda: None
         self.near = self.robot._worker = self
         self._out: list[bytes] = []
@@ -224,6 +291,9 @@ class RtdeLink:
         self.robot._stamp_s = state.stamp_s
         self.robot._hear_first(state)
         self.robot._given.start()
+        self.open_up()
+        if self.robot._controller_clock.wrong:
+            raise self.robot._not_timed()
 
     def send(self, q: list[float]) -> None:
         self._out.append(GOAL.pack(*q))
@@ -250,8 +320,11 @@ def _state(data: bytes) -> ControllerState:
     return ControllerState(stamp_s=stamp_s, q=tuple(q[:6]), q_planned=tuple(q[6:]), runtime=runtime, safety=safety)
 
 
-def link_of(kind: str, clock: ManualClock) -> Any:
-    """Return a link of a kind (alter, egm, rsi, rtde)."""
+def link_of(kind: str, clock: ManualClock, world: World | None = None, **more: Any) -> Any:
+    """Return a link of a kind (alter, egm, rsi, rtde) to a controller of a world, a right one where none is given."""
+    world = world or World()
     if kind == "alter":
-        return AlterLink(clock, speed_m_s=1.5, speed_rad_s=6.0)
-    return RtdeLink(clock, silent_s=1.0) if kind == "rtde" else UdpLink(kind, clock, silent_s=1.0)
+        return AlterLink(clock, world, **{"speed_m_s": 1.5, "speed_rad_s": 6.0, **more})
+    if kind == "rtde":
+        return RtdeLink(clock, world, **{"silent_s": 1.0, **more})
+    return UdpLink(kind, clock, world, **{"silent_s": 1.0, **more})

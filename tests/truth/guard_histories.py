@@ -84,7 +84,7 @@ def world(rng: np.random.Generator) -> tuple[object, Limits, Array]:
     space = Box(lower_m=p.min(axis=0) - walls[0] - out[1], upper_m=p.max(axis=0) + walls[1] + out[0])
     centre = p[0] + rng.uniform(-0.3, 0.3, 3)
     box = Box(lower_m=centre - rng.uniform(0.02, 0.2, 3), upper_m=centre + rng.uniform(0.02, 0.2, 3), name="box")
-    return arm, Limits(joints=joints, workspace=space, forbidden=(box,), jump_m=1.0, jump_rad=3.0), q
+    return arm, Limits(joints=joints, workspace=space, forbidden=(box,), jump_m=0.5, jump_rad=1.0), q
 
 
 def wanted(rng: np.random.Generator, guard: Guard, arm) -> SetPoint:

@@ -18,6 +18,7 @@ from armsight.clock import ManualClock
 from armsight.control import CycleState, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits
 from armsight.control.loop import ControlLoop
+from armsight.drivers.proof import ProofState
 from armsight.kinematics import Arm, Joint
 from armsight_sim.twins.base import small_arm
 from armsight_sim.twins.egm import EgmController
@@ -30,6 +31,9 @@ WINDOW = 3
 SPEED_TOLERANCE = 0.02
 PLACE_TOLERANCE = 2e-4
 """rad and m by which an arm may pass a range or a wall: twenty encoder steps, and what a controller rounds."""
+
+LONGEST = 2000
+"""Cycles after which a history ends, proven or not; those until the link is proven come on top of those asked for."""
 
 SPEEDS = np.array([0.5, 0.5, 0.5, 0.6, 0.6, 0.4])
 REACH = 0.35
@@ -129,17 +133,15 @@ def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str
     loop = ControlLoop(
         link.robot, Guard(ARM, limits, link.cycle_s), Restless(rng), clock, enabled=lambda: True, by_pose=False
     )
-    if fault == "pace":
-        loop._paced = None
-    if fault == "confirm":
-        tick = link.robot._tick
-        link.robot._tick = lambda cycles, *, taken: tick(cycles, taken=True)
+    _take_away(fault, loop, link.robot)
     q, goals, stalled = [], [], 0
     patience, loop_module.PATIENCE = loop_module.PATIENCE, 0.0
     try:
         with link.robot:
             loop._begin()
-            for cycle in range(cycles):
+            proven_at = cycle = 0
+            while cycle < proven_at + cycles and cycle < LONGEST:
+                proven_at = proven_at if link.robot._proof.state is ProofState.PASSED else cycle + 1
                 clock.advance(link.cycle_s)
                 goals.append(_controller_cycle(link, down.due(cycle)))
                 q.append(link.twin.q)
@@ -153,12 +155,23 @@ def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str
                 if loop.status is not None and loop.status.guard is GuardState.STOPPED:
                     found.stopped += 1
                     break
+                cycle += 1
     finally:
         loop_module.PATIENCE = patience
         if kind == "alter":
             link.twin.close()
     found.lost += up.lost + down.lost
     judge((np.array(q), np.array(goals)), limits, link.cycle_s, found)
+
+
+def _take_away(fault: str, loop: ControlLoop, robot: Any) -> None:
+    """Take a rule away."""
+    if fault == "pace":
+        loop._paced = None
+    if fault == "confirm":
+        tick = robot._tick
+        # not before the link is proven: the probe would find that out
+        robot._tick = lambda cycles, *, taken: tick(cycles, taken=taken or robot._proof.state is ProofState.PASSED)
 
 
 def _controller_cycle(link: Any, answers: list[bytes]) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from armsight import errors
+from armsight.app.robot.recorder import require_recorded
 from armsight.drivers import OpenCvCamera
 from armsight.drivers.images import decode_image
 from armsight.fitting.problem import Evaluation, Problem
@@ -164,6 +165,14 @@ MESSAGES: dict[type[errors.ArmsightError], tuple[Callable[[], object], Sequence[
             "camera:3 stopped sending after 1 frames.",
             "No frame can be measured from here on; what was measured until then is kept.",
             "Check the plug and the cable, and start again.",
+        ),
+    ),
+    errors.RecordingFailed: (
+        lambda: require_recorded("serve.mcap: cannot be written (No space left on device)"),
+        (
+            "the recording ended before the robot's session: serve.mcap: cannot be written (No space left on device).",
+            "What was done after that is not kept; what was written until then can be read.",
+            "Make room, or name another disk (--log), before the next session.",
         ),
     ),
     errors.StaleData: (

@@ -30,13 +30,14 @@ class Drive:
     """How the joints follow their commands.
 
     cycle_s: between two commands that the controller takes. lag_s: time constant of the way to the command. max_speed
-    (n,): rad/s or m/s. encoder_step (n,): what a reading is a multiple of, in rad or m.
+    (n,): rad/s or m/s. encoder_step (n,): what a reading is a multiple of, in rad or m. noise: a reading's deviation.
     """
 
     cycle_s: float
     lag_s: float
     max_speed: Array
     encoder_step: Array
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.cycle_s > 0.0 and self.lag_s >= 0.0):
@@ -57,6 +58,7 @@ class Servo:
         self._q = [np.array(q, dtype=float)]
         self._goal = self._q[0].copy()
         self._queue: deque[tuple[float, Array]] = deque()
+        self._rng = np.random.default_rng(0)
 
     @property
     def t_s(self) -> float:
@@ -104,6 +106,8 @@ class Servo:
         """Return the encoders' readings (m, n) at times (m,)."""
         step = self.drive.encoder_step
         q = self.at(t_s)
+        if self.drive.noise:
+            q = q + self._rng.normal(0.0, self.drive.noise, q.shape)
         return np.where(step > 0.0, np.round(q / np.where(step > 0.0, step, 1.0)) * step, q)
 
 

@@ -16,6 +16,7 @@ from armsight.app.batch.cluster import Workers
 from armsight.app.batch.jobs import Ended, Job
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
+from armsight.app.requests.batch import BatchJob
 from armsight.errors import UsageError
 from armsight.records import Progress, require_kind
 from armsight.records.output import extended, output
@@ -30,7 +31,7 @@ class BatchResult(BatchOutput):
     columns: dict[str, list[Any]]
 
 
-@speaks_python
+@speaks_python(BatchJob)
 def batch(
     function: Callable[..., Any],
     jobs: Mapping[str, Mapping[str, Any]],

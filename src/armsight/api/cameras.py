@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from armsight.api.arrays import Image, ImageLike, as_images
+from armsight.api.checks import speaks_python
 from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import COUNT_AGAIN, Seen, in_parallel, see_board
 from armsight.app.calibrate.mirrors import mirrors_output
 from armsight.app.calibrate.zoom import add_setting
-from armsight.app.requests.calibrate_cameras import ZoomValue
+from armsight.app.requests.calibrate_cameras import CameraJob, MirrorsJob, StereoJob, ZoomFlags, ZoomValue
 from armsight.calibrate import cameras as solvers
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors import calibration as mirror_solver
@@ -24,7 +25,7 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import DETECTORS, find_two_boards
 from armsight.optics import Camera, Rig
-from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Target, require_kind, require_number
+from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Target, require_kind
 from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, write_camera
 from armsight.store.saving import YAML, file_to_write
@@ -102,13 +103,14 @@ class CameraResult(_BoardResult):
         rows = [(name, with_std(v, std.get(name), "px" if i < 5 else "")) for i, (name, v) in enumerate(values)]
         return rows + self._fit_rows()
 
+    @speaks_python(ZoomFlags)
     def save(
         self,
         path: str | PathLike[str],
         *,
         zoom: float | None = None,
         pupil_m: float | None = None,
-        pupil_std_m: float = 0.0,
+        pupil_std_m: float = ZoomFlags.pupil_std,
         noise: NoiseModel | None = None,
     ) -> Path:
         """Write camera.yaml with the covariance, and return its path.
@@ -120,8 +122,6 @@ class CameraResult(_BoardResult):
         if zoom is None:
             write_camera(file, self.camera, covariance=found.covariance, rms_px=self.rms_px, noise=noise)
         else:
-            for name, value in (("zoom", zoom), ("pupil_m", pupil_m or 0.0), ("pupil_std_m", pupil_std_m)):
-                require_number(name, value)
             add_setting(file, ZoomValue(zoom=zoom, pupil_m=pupil_m, pupil_std_m=pupil_std_m), found, noise=noise)
         return file
 
@@ -161,6 +161,7 @@ class RigResult(_BoardResult):
         return _residual_figure({s: (found.uv_px[s], found.residual_px[s]) for s in ("left", "right")}, self.title)
 
 
+@speaks_python(CameraJob)
 def calibrate_camera(
     images: Images,
     board: str | Target,
@@ -207,6 +208,7 @@ def calibrate_camera(
     return CameraResult(detail=replace(done, rejected=(*missed, *done.rejected)))
 
 
+@speaks_python(StereoJob)
 def calibrate_stereo(
     left_images: Images,
     right_images: Images,
@@ -244,6 +246,7 @@ def calibrate_stereo(
     return RigResult(rig=done.rig, detail=done)
 
 
+@speaks_python(MirrorsJob)
 def calibrate_mirrors(
     images: Images,
     board: str | Target,
@@ -270,8 +273,6 @@ def calibrate_mirrors(
         The board is seen twice in too few images; else as calibrate_camera.
     """
     target, options = _board(board), _options(options)
-    if thickness_m is not None:
-        require_number("thickness_m", thickness_m)
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
     missed = tuple(RejectedFile(name, views.why) for name, views in seen if isinstance(views, NotSeen))
     found = [views for _, views in seen if not isinstance(views, NotSeen)]

@@ -9,7 +9,7 @@ from armsight.api.given import ArmLike, Given, PathText, Source, TableLike, Targ
 from armsight.app.calibrate.cell import run_calibrate_cell
 from armsight.app.requests.calibrate_cell import CellJob
 from armsight.calibrate.cell import CellCalibration
-from armsight.records import Progress, checked_array, require_count, require_kind
+from armsight.records import Progress, checked_array, require_count
 from armsight.records.output import extended, output
 from armsight.store.interpret import TableFormat
 
@@ -19,7 +19,7 @@ class CellResult(CellCalibration):
     """What `calibrate_cell` found: its figures; `rig` with timing, `T_base_rig`, `target`, `arm`; `parts` holds all."""
 
 
-@speaks_python
+@speaks_python(CellJob)
 def calibrate_cell(
     robot_log: TableLike,
     target: TargetLike,
@@ -32,8 +32,8 @@ def calibrate_cell(
     size: tuple[int, int] | None = None,
     right_size: tuple[int, int] | None = None,
     tip: PathText | Sequence[float] | None = None,
-    tolerance_m: float = 1e-3,
-    tolerance_rad: float = 0.03,
+    tolerance_m: float = CellJob.tolerance_m,
+    tolerance_rad: float = CellJob.tolerance_rad,
     compliance: bool | None = None,
     fps: float | None = None,
     frames: int | None = None,
@@ -89,8 +89,6 @@ def calibrate_cell(
         if value is not None:
             for pixels in checked_array(name, value, (2,)).tolist():
                 require_count(name, int(pixels) if pixels == int(pixels) else pixels, least=1)
-    if compliance is not None:
-        require_kind("compliance", compliance, bool)
     with Given(out) as given:
         values = {name: value for name, value in locals().items() if name != "given"}
         done = run_calibrate_cell(

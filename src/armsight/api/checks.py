@@ -5,15 +5,15 @@ from __future__ import annotations
 import ast
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from os import PathLike
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from armsight.api.commands import in_python
+from armsight.api.commands import in_python, parameter
 from armsight.drivers import CameraSettings
 from armsight.errors import ArmsightError, UsageError
+from armsight.fields import Bounds, Flag, Flags, bounds_of, known_hints, marks
 from armsight.records import require_count, require_kind, require_number
 from armsight.store.interpret import TableFormat
 from armsight.store.outputs import held_outputs
@@ -27,26 +27,69 @@ WRITTEN = ("out", "record")
 Check = Callable[[str, object], None]
 
 
-def speaks_python(call: Callable[P, R]) -> Callable[P, R]:
-    """Refuse arguments that the annotations exclude, and let errors name parameters and functions, not flags."""
-    signature = inspect.signature(call)
-    checks = {name: check for name, one in signature.parameters.items() if (check := check_of(str(one.annotation)))}
+def speaks_python(*requests: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Refuse what annotations and bounds exclude, and let errors name parameters and functions, not flags.
 
-    @wraps(call)
-    def run(*args: P.args, **given: P.kwargs) -> R:
-        try:
-            arguments = signature.bind(*args, **given).arguments
-            for name, value in arguments.items():
-                if name in checks:
-                    checks[name](name, value)
-                require_range(name, value)
-            with held_outputs(_written(arguments)):
-                return call(*args, **given)
-        except ArmsightError as error:
-            in_python(error)
-            raise
+    requests: what the function's arguments fill, or the request of the command that does the same: their fields say
+    the bounds.
+    """
 
-    return run
+    def decorated(call: Callable[P, R]) -> Callable[P, R]:
+        signature = inspect.signature(call)
+        checks = cache(partial(_checks, signature, requests))  # when first called: hints take time to read
+
+        @wraps(call)
+        def run(*args: P.args, **given: P.kwargs) -> R:
+            try:
+                arguments = signature.bind(*args, **given).arguments
+                for name, value in arguments.items():
+                    for check in checks().get(name, ()):
+                        check(name, value)
+                with held_outputs(_written(arguments)):
+                    return call(*args, **given)
+            except ArmsightError as error:
+                in_python(error)
+                raise
+
+        vars(run)["requests"] = requests
+        return run
+
+    return decorated
+
+
+def _checks(signature: inspect.Signature, requests: tuple[type, ...]) -> dict[str, list[Check]]:
+    bounds = bounds_of_parameters(requests)
+    found: dict[str, list[Check]] = {}
+    for name, one in signature.parameters.items():
+        known = check_of(str(one.annotation))
+        found[name] = [] if known is None else [known]
+        if name in bounds:
+            found[name].append(partial(_within, bounds[name]))
+    return found
+
+
+def bounds_of_parameters(requests: tuple[type, ...]) -> dict[str, Bounds]:
+    """Return the bounds of parameters, by the name that each field of these requests has in Python."""
+    found: dict[str, Bounds] = {}
+    for kind in requests:
+        for name, hint in known_hints(kind).items():
+            for group in marks(hint, Flags):
+                found |= bounds_of_parameters((group.group,))
+            if (bounds := bounds_of(hint)) is not None:
+                flag = next(iter(marks(hint, Flag)), Flag())
+                found[parameter(flag.written(name))] = bounds
+    return found
+
+
+def _within(bounds: Bounds, name: str, value: object) -> None:
+    """Raise UsageError for a number, or one of several, that is not within."""
+    for one in value if isinstance(value, list | tuple) else (value,):
+        if isinstance(one, int | float) and not bounds.holds(one):
+            raise UsageError(
+                f"{name} is {one:g}, which must be {bounds}",
+                consequence="It cannot be used",
+                cure=f"Give a number that is {bounds}",
+            )
 
 
 def _written(arguments: Mapping[str, object]) -> list[Path]:
@@ -70,14 +113,6 @@ def check_of(annotation: str) -> Check | None:
     else:
         return None
     return partial(_or_none, check) if "None" in parts else check
-
-
-def require_range(name: str, value: object) -> None:
-    """Raise UsageError for a number that a parameter of this name cannot have; see RANGES."""
-    if name in RANGES and isinstance(value, int | float) and not RANGES[name](value):
-        raise UsageError(
-            f"{name} is {value:g}, which cannot be", consequence="It cannot be used", cure=RANGES[name].cure
-        )
 
 
 def _or_none(check: Check, name: str, value: object) -> None:
@@ -108,31 +143,6 @@ def _confirm(name: str, value: object) -> None:
         raise UsageError(f"{name} is {value!r}", cure="Give True, or a function of the question")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _From:
-    """What a number has to be: from `least` on, or above it."""
-
-    least: float
-    above: bool = False
-
-    def __call__(self, value: float) -> bool:
-        return value > self.least if self.above else value >= self.least
-
-    @property
-    def cure(self) -> str:
-        return f"Give {'more than' if self.above else 'at least'} {self.least:g}"
-
-
-RANGES: Mapping[str, _From] = {
-    **dict.fromkeys(("every", "frames", "limit", "workers"), _From(least=1)),
-    **dict.fromkeys(("max_skew_s", "seed"), _From(least=0)),
-    **dict.fromkeys(
-        ("cycle_s", "distance_m", "fps", "seconds_s", "tolerance_m", "tolerance_rad", "unit_m"),
-        _From(least=0, above=True),
-    ),
-}
-"""What the numbers of these names have to be wherever they are taken, as the options of the command line are."""
-
 SIMPLE: Mapping[str, Check] = {
     "float": require_number,
     "int": require_count,
@@ -140,6 +150,7 @@ SIMPLE: Mapping[str, Check] = {
     "str": _kind(str),
     "Progress": _progress,
     "Confirm": _confirm,
+    "Settings": _kind(Mapping),
     "TableFormat": _kind(TableFormat),
     "CameraSettings": _kind(CameraSettings),
     "PairSettings": _kind(CameraSettings, tuple),

@@ -89,6 +89,7 @@ PARAMETERS: Mapping[str, str] = {
     "--resume-deg": "resume_rad",
     "--resume-mm": "resume_m",
     "--retract": "retract_m",
+    "--robot-set": "robot_settings",
     "--seconds": "seconds_s",
     "--span": "span_rad",
     "--stop-at": "stop_m",

@@ -24,11 +24,12 @@ from armsight.app.convert import (
 from armsight.app.kinematics import FormulasOutput, ShowOutput, draw_arm
 from armsight.app.kinematics import write_formulas as write_formulas_of
 from armsight.app.record.export import ExportOutput, export
+from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import Progress, checked_array, require_number
+from armsight.records import Progress, checked_array
 from armsight.records.output import Output
 from armsight.store.foreign import FrameNames
 from armsight.store.interpret import OURS, TableFormat
@@ -58,7 +59,7 @@ def open_recording(path: PathText) -> Recording:
     return Recording(as_path(path))
 
 
-@speaks_python
+@speaks_python()
 def cut_recording(path: PathText, out: PathText, start_s: float, end_s: float, *, overwrite: bool = False) -> Repaired:
     """Copy what was recorded from start_s to end_s, with rig and target, into a new recording.
 
@@ -72,8 +73,6 @@ def cut_recording(path: PathText, out: PathText, start_s: float, end_s: float, *
     ...     len(list(part.frames("left"))), part.rig.kind
     (2, <RigKind.STEREO: 'stereo'>)
     """
-    require_number("start_s", start_s)
-    require_number("end_s", end_s)
     source, file = as_path(path), file_to_write(out, ".mcap")
     if end_s < start_s:
         raise UsageError(
@@ -84,7 +83,7 @@ def cut_recording(path: PathText, out: PathText, start_s: float, end_s: float, *
     return cut(source, file, ends[0], ends[1], overwrite=overwrite)
 
 
-@speaks_python
+@speaks_python()
 def export_recording(
     path: PathText, out: PathText, *, to: Literal["files", "rosbag2"] = "files", progress: Progress | None = None
 ) -> ExportOutput:
@@ -101,7 +100,7 @@ def export_recording(
     return export(as_path(path), as_path(out, "out"), to=to, progress=progress)
 
 
-@speaks_python
+@speaks_python(FileUnits)
 def convert(
     source: Any,
     out: PathText | list[PathText] | tuple[PathText, ...],
@@ -109,7 +108,7 @@ def convert(
     to: str | None = None,
     kind: Kind | None = None,
     size: tuple[int, int] | None = None,
-    unit_m: float = 1.0,
+    unit_m: float = FileUnits.unit_m,
     convention: Literal["standard", "craig"] | None = None,
     names: FrameNames | None = None,
     table: TableFormat = OURS,
@@ -169,7 +168,7 @@ def convert(
         return convert_table(sources[0], outs[0], kind=None if chosen == "table" else chosen, format_=table)
 
 
-@speaks_python
+@speaks_python()
 def show_arm(arm: Arm | PathText, out: PathText, *, q: ArrayLike | None = None) -> ShowOutput:
     """Write a page with the arm in 3-D at joint readings q (n,), else in the middle. Raises UsageError.
 
@@ -183,7 +182,7 @@ def show_arm(arm: Arm | PathText, out: PathText, *, q: ArrayLike | None = None) 
         return draw_arm(given.arm("arm", arm), as_path(out, "out"), joints=joints)
 
 
-@speaks_python
+@speaks_python()
 def write_formulas(arm: Arm | PathText, out: PathText) -> FormulasOutput:
     """Write an arm's forward kinematics and Jacobian as formulas: .py or .tex. Raises UsageError, Inconsistent.
 

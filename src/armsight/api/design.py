@@ -8,17 +8,16 @@ from collections.abc import Mapping, Sequence
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, TargetLike
 from armsight.app.design.run import run_design
-from armsight.app.requests.design import CELLS, POSES, VIEWS, Box, DesignJob
+from armsight.app.requests.design import Box, DesignJob
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Flag, known_hints, marks
 from armsight.records import Progress, Target, require_kind
 from armsight.records.checks import real_array, require_count
 from armsight.records.design import DesignOutput
 from armsight.records.output import extended
-from armsight.units import DEG, MM
 
 
-@speaks_python
+@speaks_python(DesignJob)
 def design(
     target: TargetLike,
     volume: Sequence[Sequence[float]],
@@ -31,23 +30,23 @@ def design(
     baseline_m: float | None = None,
     toe_in_rad: float | None = None,
     world: PoseLike | None = None,
-    tilt_rad: float = 0.0,
+    tilt_rad: float = DesignJob.tilt_rad,
     relative: bool = False,
-    average: int = 1,
+    average: int = DesignJob.average,
     wanted_m: float | None = None,
     spot_noise_px: float | None = None,
-    least_spot_px: float = 2.0,
+    least_spot_px: float = DesignJob.least_spot_px,
     board: Target | str | None = None,
-    views: int = VIEWS,
-    corner_noise_px: float = 0.1,
+    views: int = DesignJob.views,
+    corner_noise_px: float = DesignJob.corner_noise_px,
     arm: ArmLike | None = None,
     mount: Sequence[float] | None = None,
-    poses: int = POSES,
-    arm_noise_m: float = 0.05 * MM,
-    arm_turn_rad: float = 0.01 * DEG,
-    cells: int = CELLS,
-    simulate: int = 0,
-    seed: int = 1,
+    poses: int = DesignJob.poses,
+    arm_noise_m: float = DesignJob.arm_noise_m,
+    arm_turn_rad: float = DesignJob.arm_turn_rad,
+    cells: int = DesignJob.cells,
+    simulate: int = DesignJob.simulate,
+    seed: int = DesignJob.seed,
     workers: int | None = None,
     out: PathText | None = None,
     progress: Progress | None = None,

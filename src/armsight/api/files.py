@@ -21,6 +21,7 @@ from armsight.app.convert import (
     load_camera,
     load_rig,
 )
+from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
@@ -38,12 +39,12 @@ FRAMES = ("world", "base")
 """Frames that a path.csv may be said to be in."""
 
 
-@speaks_python
+@speaks_python(FileUnits)
 def read_rig(
     path: PathText | list[PathText] | tuple[PathText, ...],
     *,
     size: tuple[int, int] | None = None,
-    unit_m: float = 1.0,
+    unit_m: float = FileUnits.unit_m,
     zoom_left: float | None = None,
     zoom_right: float | None = None,
 ) -> Rig:
@@ -58,7 +59,6 @@ def read_rig(
     >>> armsight.read_rig(rig.save(folder / "rig.yaml")) == rig
     True
     """
-    require_number("unit_m", unit_m)
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
     if zoom_left is None and zoom_right is None:
         return load_rig(files, size=image_size(size), unit_m=unit_m)
@@ -67,7 +67,7 @@ def read_rig(
         return store.read_rig(given.out)
 
 
-@speaks_python
+@speaks_python()
 def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: float | None = None) -> Camera:
     """Return the camera in a camera.yaml, or in a file of ROS, OpenCV or Kalibr. Raises BadFile, naming the key.
 
@@ -99,7 +99,7 @@ def read_target(path: PathText) -> Target:
     return store.read_target(as_path(path))
 
 
-@speaks_python
+@speaks_python()
 def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None) -> Arm:
     """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element.
 
@@ -120,7 +120,7 @@ def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None)
     return arm_file.read_arm(file)
 
 
-@speaks_python
+@speaks_python()
 def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
     """Return the poses in a poses.csv, in TUM (.tum, .txt), or in a table that says what its columns are.
 
@@ -140,6 +140,7 @@ def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
     return PoseTrack(poses=store.read_poses(file, format_=table))
 
 
+@speaks_python()
 def read_path(path: PathText, *, frame: Literal["world", "base"] = "world") -> TaughtPath:
     """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column.
 
@@ -157,7 +158,7 @@ def read_path(path: PathText, *, frame: Literal["world", "base"] = "world") -> T
     return path_file.read_path(as_path(path), parent=frame)
 
 
-@speaks_python
+@speaks_python()
 def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Array]:
     """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile.
 
@@ -187,7 +188,7 @@ def write_joints(path: PathText, t_s: ArrayLike, q: ArrayLike) -> Path:
     return file
 
 
-@speaks_python
+@speaks_python()
 def read_table(path: PathText, *, kind: str | None = None, table: TableFormat = OURS) -> Columns:
     """Return any table (points, spots, pairs, sweeps, a robot's log) as columns by name, in our names and units.
 

@@ -155,6 +155,7 @@ class HandEyeResult(Result):
         return np.asarray((self.detail.T_parent_camera if camera else self.detail.T_parent_target).as_matrix())
 
 
+@speaks_python(HandEyeJob)
 def calibrate_hand_eye(
     T_base_flange: Poses,
     T_camera_target: Poses,
@@ -207,7 +208,7 @@ def calibrate_hand_eye(
     return HandEyeResult(detail=calibrate(pairs))
 
 
-@speaks_python
+@speaks_python(HandEyeJob)
 def calibrate_hand_eye_from_images(
     images: Source,
     T_base_flange: TableLike,
@@ -248,7 +249,7 @@ def calibrate_hand_eye_from_images(
         return HandEyeResult(detail=solved.result, solved=solved)
 
 
-@speaks_python
+@speaks_python(HandEyeJob)
 def calibrate_hand_eye_from_streams(
     robot_stream: TableLike,
     camera_stream: TableLike,

@@ -23,7 +23,6 @@ from armsight.app.history.looking import (
 from armsight.app.history.trend import TrendOutput
 from armsight.app.history.trend import trend as run_trend
 from armsight.app.requests.history import (
-    ONCE_IN_YEARS,
     AddJob,
     CompareRunsJob,
     ExportRunsJob,
@@ -38,7 +37,7 @@ from armsight.store.atomic import write_json
 __all__ = ["add", "compare", "export", "runs", "show", "trend"]
 
 
-@speaks_python
+@speaks_python(AddJob)
 def add(
     result: Any,
     cell: str,
@@ -73,14 +72,14 @@ def add(
         return run_add(job)
 
 
-@speaks_python
+@speaks_python(ListJob)
 def runs(
     cell: str | None = None,
     *,
     command: str | None = None,
     since: str | None = None,
     until: str | None = None,
-    most: int = 50,
+    most: int = ListJob.most,
     history: str | None = None,
 ) -> HistoryListOutput:
     """Return runs, the newest first: of a cell, a command ('calibrate' or 'calibrate arm'), a time (ISO 8601, UTC).
@@ -92,19 +91,19 @@ def runs(
     return list_runs(ListJob(cell=cell, command=command, since=since, until=until, most=most, history=history))
 
 
-@speaks_python
+@speaks_python(ShowJob)
 def show(run: int, *, history: str | None = None) -> HistoryShowOutput:
     """Return a run with its inputs and all its numbers. Raises UsageError, BadFile, DeviceFailed."""
     return show_run(ShowJob(run=run, history=history))
 
 
-@speaks_python
+@speaks_python(CompareRunsJob)
 def compare(a: int, b: int, *, history: str | None = None) -> HistoryCompareOutput:
     """Return two runs side by side. Raises UsageError, Inconsistent for two kinds, BadFile, DeviceFailed."""
     return compare_runs(CompareRunsJob(a=a, b=b, history=history))
 
 
-@speaks_python
+@speaks_python(TrendJob)
 def trend(
     cell: str,
     *,
@@ -112,7 +111,7 @@ def trend(
     command: str | None = None,
     since: str | None = None,
     until: str | None = None,
-    false_alarms: float = ONCE_IN_YEARS,
+    false_alarms: float = TrendJob.false_alarms,
     out: PathText | None = None,
     history: str | None = None,
 ) -> TrendOutput:
@@ -141,7 +140,7 @@ def trend(
         return run_trend(job)
 
 
-@speaks_python
+@speaks_python(ExportRunsJob)
 def export(
     out: PathText,
     *,

@@ -71,7 +71,7 @@ class ArmIdentification(Result):
         return self.arm.save(path)
 
 
-@speaks_python
+@speaks_python(IdentifyJob)
 def identify_arm(
     joint: ArrayLike,
     q: ArrayLike,
@@ -143,7 +143,7 @@ def identify_arm(
     return _identified(sweeps, rig, T_base_rig, method=method, increments=increments, sigma=sigma, name=name)
 
 
-@speaks_python
+@speaks_python(IdentifyJob)
 def identify_arm_from_frames(
     rig: RigLike,
     target: TargetLike,

@@ -48,14 +48,14 @@ class ZoomRigResult(ZoomRigOutput):
     rig: Rig
 
 
-@speaks_python
+@speaks_python(TargetJob)
 def calibrate_target(
     rig: RigLike,
     left: Source | None = None,
     right: Source | None = None,
     *,
     image: Source | None = None,
-    lights: int = 3,
+    lights: int = TargetJob.lights,
     frames: int | None = None,
     threshold: float | None = None,
     inverted: bool = False,
@@ -84,7 +84,7 @@ def calibrate_target(
         return extended(done, TargetResult)
 
 
-@speaks_python
+@speaks_python(TimingJob)
 def calibrate_timing(
     rig: RigLike,
     target: TargetLike | None = None,
@@ -122,12 +122,12 @@ def calibrate_timing(
         return extended(done, TimingResult, rig=read_rig(given.out))
 
 
-@speaks_python
+@speaks_python(NoiseJob)
 def calibrate_noise(
     frames: Source,
     *,
     side: Literal["left", "right"] | None = None,
-    every: int = 1,
+    every: int = NoiseJob.every,
     limit: int | None = None,
     camera_settings: CameraSettings | None = None,
     progress: Progress | None = None,
@@ -150,7 +150,7 @@ def calibrate_noise(
         return NoiseResult(noise=found.output, model=found.noise)
 
 
-@speaks_python
+@speaks_python(ZoomRigJob)
 def calibrate_zoom_rig(
     rig: RigLike,
     left: Camera | PathText | None = None,
@@ -172,7 +172,7 @@ def calibrate_zoom_rig(
         return extended(done, ZoomRigResult, rig=read_rig(given.out))
 
 
-@speaks_python
+@speaks_python(MirrorsJob)
 def check_mirrors(
     image: Source,
     board: str | Target,
@@ -181,8 +181,8 @@ def check_mirrors(
     parallel: bool = False,
     thickness_m: float | None = None,
     baseline_m: float | None = None,
-    near_m: float = 0.06,
-    gap_m: float = 0.04,
+    near_m: float = MirrorsJob.near_m,
+    gap_m: float = MirrorsJob.gap_m,
     camera: Camera | PathText | None = None,
     frames: int | None = None,
     camera_settings: CameraSettings | None = None,

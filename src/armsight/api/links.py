@@ -5,11 +5,11 @@ Nothing moves unasked: `confirm` is True, or a function that is given the motion
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
-from armsight.api.checks import require_range, speaks_python
+from armsight.api.checks import speaks_python
 from armsight.api.commands import in_python
 from armsight.api.given import (
     ArmLike,
@@ -17,42 +17,46 @@ from armsight.api.given import (
     PathText,
     as_text,
 )
-from armsight.app.requests.motion import JogJob
+from armsight.app.requests.motion import JogJob, RobotTestJob, TwinJob
 from armsight.app.robot.jog import JogOutput, jog_robot
 from armsight.app.robot.link_test import RobotTestOutput, test_robot
 from armsight.app.robot.twin import twin_beside
 from armsight.control.guard import Limits
 from armsight.drivers import Robot, RobotState
 from armsight.errors import ArmsightError, UsageError
-from armsight.records import Progress, require_count, require_kind, require_number
+from armsight.records import Progress, require_count, require_kind
 
 Confirm = bool | Callable[[str], bool]
 """Whether the arm may move: True, or what is asked with the motion in words."""
 RobotLike = str | Robot
 """DRIVER:DEVICE, such as sim:webcam-cell or rtde:192.168.0.10; or a driver of one's own that keeps drivers.Robot."""
 
+Settings = Mapping[str, Any]
+"""Of a robot's driver, by name: {"controller": "192.168.0.10", "cycle_s": 0.012}; the driver's page has them all."""
+
 ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not name.startswith("_")))
 """What a driver of one's own has to have."""
 
 
-@speaks_python
+@speaks_python(JogJob)
 def jog(
     robot: RobotLike,
     joint: int,
     by: float,
     *,
     confirm: Confirm = False,
-    speed: float = 0.5,
+    speed: float = JogJob.speed,
     arm: ArmLike | None = None,
     limits: Limits | PathText | None = None,
     record: PathText | None = None,
+    robot_settings: Settings | None = None,
     rsi_config: PathText | None = None,
     progress: Progress | None = None,
 ) -> JogOutput:
     """Move one joint (from 1) by so much, in rad or m, through the guard; return what was sent and reached.
 
-    robot, confirm, arm, limits, speed: as `servo` takes them. record: an .mcap file for commands and readings.
-    rsi_config: of an rsi link. Raises Cancelled where it is not confirmed, UsageError, Inconsistent for a way beyond a
+    robot, confirm, arm, limits, speed, robot_settings, rsi_config: as `servo` takes them. record: an .mcap file for
+    commands and readings. Raises Cancelled where it is not confirmed, UsageError, Inconsistent for a way beyond a
     limit, DeviceFailed.
 
     Examples
@@ -61,32 +65,36 @@ def jog(
     'ready'
     """
     require_count("joint", joint, least=1)
-    require_number("by", by)
     with Given() as given:
-        job = given.job(JogJob, locals(), robot=name_of(robot))
+        job = given.job(JogJob, locals(), robot=name_of(robot, robot_settings, rsi_config))
         return jog_robot(job, as_question(confirm), progress, opened=None if isinstance(robot, str) else robot)
 
 
-@speaks_python
+@speaks_python(RobotTestJob)
 def check_robot(
-    robot: RobotLike, *, for_s: float = 5.0, rsi_config: PathText | None = None, progress: Progress | None = None
+    robot: RobotLike,
+    *,
+    for_s: float = RobotTestJob.for_s,
+    robot_settings: Settings | None = None,
+    rsi_config: PathText | None = None,
+    progress: Progress | None = None,
 ) -> RobotTestOutput:
     """Read a robot once a cycle for a time, and return how punctual that is; nothing moves.
 
-    rsi_config: of an rsi link. Raises UsageError, DeviceNotFound, DeviceLost, StaleData, DeviceFailed.
+    robot, robot_settings, rsi_config: as `servo` takes them. Raises UsageError, DeviceNotFound, DeviceLost, StaleData,
+    DeviceFailed.
 
     Examples
     --------
     >>> armsight.check_robot("sim:webcam-cell", for_s=0.1).state
     'ready'
     """
-    require_number("for_s", for_s)
     with Given() as given:
-        config = None if rsi_config is None else given.file("rsi_config", rsi_config)
-        opened = None if isinstance(robot, str) else robot
-        return test_robot(name_of(robot), for_s=for_s, progress=progress, opened=opened, rsi_config=config)
+        job = given.job(RobotTestJob, locals(), robot=name_of(robot, robot_settings, rsi_config))
+        return test_robot(job, progress, opened=None if isinstance(robot, str) else robot)
 
 
+@speaks_python(TwinJob)
 @contextmanager
 def twin(
     name: Literal["alter", "rsi", "egm", "rtde"],
@@ -109,9 +117,6 @@ def twin(
     """
     for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
         require_kind(text, value, str)
-    if cycle_s is not None:
-        require_number("cycle_s", cycle_s)
-        require_range("cycle_s", cycle_s)
     with Given() as given:
         model = None if arm is None else given.arm("arm", arm)
         try:
@@ -130,8 +135,12 @@ def as_question(confirm: Confirm) -> Callable[[str], bool]:
     return lambda _: confirm
 
 
-def name_of(robot: RobotLike) -> str:
-    """Return DRIVER:DEVICE, or the name of a driver of one's own. Raises UsageError where that is not complete."""
+def name_of(robot: RobotLike, *told: object) -> str:
+    """Return DRIVER:DEVICE, or the name of a driver of one's own.
+
+    told: settings for the driver, None where there are none. Raises UsageError where a driver of one's own is not
+    complete, or told something: it was made with its settings.
+    """
     if isinstance(robot, str) or not hasattr(robot, "step_joints"):
         return as_text("robot", robot)
     lacking = [name for name in ROBOT_MEMBERS if not hasattr(robot, name)]
@@ -141,6 +150,12 @@ def name_of(robot: RobotLike) -> str:
         what = f"has no {', '.join(lacking)}"
     elif not isinstance(robot.state, RobotState):
         what = f"has the state {robot.state!r}, which is no RobotState"
+    elif any(one is not None for one in told):
+        raise UsageError(
+            f"robot_settings and rsi_config are for robots that are named DRIVER:DEVICE, and {robot.name} is an object",
+            consequence="They would not be used, and nothing is opened",
+            cure="Make the object with its settings",
+        )
     else:
         return robot.name
     raise UsageError(

@@ -17,16 +17,16 @@ from armsight.app.doctor import DoctorOutput
 from armsight.app.doctor import doctor as look_at_machine
 from armsight.app.reproduce.run import ReproduceOutput
 from armsight.app.reproduce.run import reproduce as run_paper
-from armsight.optics.resolution import CENTROID_SIGMA_PX
-from armsight.records import Progress, checked_array, require_count, require_number
+from armsight.app.requests.simulate import DoctorJob, ReproduceJob
+from armsight.records import Progress, checked_array
 
 
-@speaks_python
+@speaks_python(DoctorJob)
 def doctor(
     rig: RigLike | None = None,
     *,
     depths_m: Sequence[float] = (),
-    sigma_px: float = CENTROID_SIGMA_PX,
+    sigma_px: float = DoctorJob.sigma_px,
     accuracy_m: float | None = None,
     compile_ahead: bool = False,
     progress: Progress | None = None,
@@ -43,9 +43,6 @@ def doctor(
     True
     """
     depths = checked_array("depths_m", depths_m, (None,)).tolist()
-    require_number("sigma_px", sigma_px)
-    if accuracy_m is not None:
-        require_number("accuracy_m", accuracy_m)
     with Given() as given:
         file = None if rig is None else given.file("rig", rig)
         return look_at_machine(
@@ -58,12 +55,12 @@ def doctor(
         )
 
 
-@speaks_python
+@speaks_python(ReproduceJob)
 def reproduce(
     paper: Literal["korayem2018", "pachidis2005", "kapucu2005"],
     out: PathText,
     *,
-    seed: int = 1,
+    seed: int = ReproduceJob.seed,
     frames: int | None = None,
     progress: Progress | None = None,
 ) -> ReproduceOutput:
@@ -71,7 +68,4 @@ def reproduce(
 
     seed: of the noise. frames: fewer than the paper has. Raises UsageError with the papers there are, DeviceFailed.
     """
-    require_count("seed", seed)
-    if frames is not None:
-        require_count("frames", frames, least=1)
     return run_paper(as_text("paper", paper), as_path(out, "out"), seed=seed, frames=frames, progress=progress)

@@ -19,9 +19,9 @@ from armsight.api.given import (
     TableLike,
     TargetLike,
 )
-from armsight.api.links import Confirm, RobotLike, as_question, name_of
+from armsight.api.links import Confirm, RobotLike, Settings, as_question, name_of
 from armsight.app.play.play_path import Opened, PlayOutput, run_play
-from armsight.app.requests.motion import LATENCY_S, PlayJob, ServoJob, StandingJob, TeachJob
+from armsight.app.requests.motion import STOP_M, FollowJob, PlayJob, ServoJob, StandingJob, TeachJob
 from armsight.app.servo.run_servo import run_servo
 from armsight.app.servo.servo_job import ServoDevices
 from armsight.app.servo.session import ServoOutput
@@ -35,7 +35,6 @@ from armsight.records import Progress, TaughtPath
 from armsight.records.output import extended, output
 from armsight.store import read_rig
 from armsight.store.path_file import read_path
-from armsight.units import DEG
 
 
 @output
@@ -45,7 +44,7 @@ class TeachResult(TeachOutput):
     taught: TaughtPath
 
 
-@speaks_python
+@speaks_python(ServoJob)
 def servo(
     robot: RobotLike,
     rig: RigLike,
@@ -53,7 +52,7 @@ def servo(
     handeye: PoseLike,
     *,
     confirm: Confirm = False,
-    distance_m: float = 0.6,
+    distance_m: float = ServoJob.distance_m,
     at: Literal["camera", "tool"] = "camera",
     gain: float | None = None,
     rotation: Literal["align", "keep", "hold"] = "align",
@@ -62,17 +61,19 @@ def servo(
     left: str | None = None,
     right: str | None = None,
     image: str | None = None,
-    latency_s: float = LATENCY_S,
+    latency_s: float = ServoJob.latency_s,
     exposure_s: float | None = None,
     arm: ArmLike | None = None,
     limits: Limits | PathText | None = None,
-    speed: float = 1.0,
+    speed: float = ServoJob.speed,
     arm_lag_s: float | None = None,
-    resume_m: float = 0.02,
-    resume_rad: float = 5.0 * DEG,
+    resume_m: float = ServoJob.resume_m,
+    resume_rad: float = ServoJob.resume_rad,
     hand: Literal["still", "circle", "trapezium", "random"] | None = None,
-    hand_speed_m_s: float = 0.05,
+    hand_speed_m_s: float = ServoJob.hand_speed_m_s,
     out: PathText | None = None,
+    robot_settings: Settings | None = None,
+    rsi_config: PathText | None = None,
     progress: Progress | None = None,
 ) -> ServoOutput:
     """Let an arm follow a target that the cameras see, through the guard, and return what it came to.
@@ -93,6 +94,8 @@ def servo(
         How the arm turns after the target.
     predict
         Go for where the target will be.
+    robot_settings, rsi_config
+        Of the robot's driver, by name, as its page has them; of rsi: the RSI Ethernet configuration.
     seconds_s
         End after so long; else progress ends it.
     left, right, image
@@ -116,7 +119,7 @@ def servo(
         return run_servo(job, as_question(confirm), progress=progress, devices=devices)
 
 
-@speaks_python
+@speaks_python(TeachJob, FollowJob, StandingJob)
 def teach(
     rig: RigLike | None = None,
     target: TargetLike | None = None,
@@ -130,23 +133,25 @@ def teach(
     handeye: PoseLike | None = None,
     confirm: Confirm = False,
     tip: PoseLike | None = None,
-    every: int = 1,
+    every: int = TeachJob.every,
     mean: bool = False,
     path_speed_m_s: float | None = None,
     seconds_s: float | None = None,
-    distance_m: float = 0.6,
+    distance_m: float = FollowJob.distance_m,
     at: Literal["camera", "tool"] = "camera",
     gain: float | None = None,
     rotation: Literal["align", "keep", "hold"] = "align",
-    latency_s: float = LATENCY_S,
+    latency_s: float = FollowJob.latency_s,
     exposure_s: float | None = None,
     arm: ArmLike | None = None,
     limits: Limits | PathText | None = None,
-    speed: float = 1.0,
+    speed: float = FollowJob.speed,
     arm_lag_s: float | None = None,
     hand: Literal["still", "circle", "trapezium", "random"] | None = None,
-    hand_speed_m_s: float = 0.05,
+    hand_speed_m_s: float = FollowJob.hand_speed_m_s,
     out: PathText | None = None,
+    robot_settings: Settings | None = None,
+    rsi_config: PathText | None = None,
     progress: Progress | None = None,
 ) -> TeachResult:
     """Return the path along which a target was led: before cameras that stand, before an arm that follows, or measured.
@@ -159,7 +164,7 @@ def teach(
         T_base_rig of cameras that stand.
     poses
         Instead of frames: poses that were measured, as `measure` returns them.
-    robot, handeye, confirm
+    robot, handeye, confirm, robot_settings, rsi_config
         The arm that follows, as `servo` takes them.
     tip
         The result of calibrate_tool_tip, or tip.yaml; else the target's origin.
@@ -203,7 +208,7 @@ def teach(
         return extended(done, TeachResult, taught=read_path(given.out / PATH, parent=parent))
 
 
-@speaks_python
+@speaks_python(PlayJob)
 def play(
     robot: RobotLike,
     path: TaughtPath | PathText,
@@ -212,32 +217,34 @@ def play(
     arm: ArmLike | None = None,
     tip: PoseLike | None = None,
     limits: Limits | PathText | None = None,
-    override: float = 1.0,
-    weave: str = "none",
-    path_speed_m_s: float = 0.01,
-    blend_m: float = 0.003,
-    approach_speed_m_s: float = 0.02,
-    retract_m: float = 0.05,
+    override: float = PlayJob.override,
+    weave: str = PlayJob.weave,
+    path_speed_m_s: float = PlayJob.path_speed_m_s,
+    blend_m: float = PlayJob.blend_m,
+    approach_speed_m_s: float = PlayJob.approach_speed_m_s,
+    retract_m: float = PlayJob.retract_m,
     keep_rotation: bool = False,
     frame: Literal["world", "base"] = "world",
-    speed: float = 1.0,
+    speed: float = PlayJob.speed,
     rig: RigLike | None = None,
     target: TargetLike | None = None,
     handeye: PoseLike | None = None,
     left: str | None = None,
     right: str | None = None,
     image: str | None = None,
-    latency_s: float = LATENCY_S,
+    latency_s: float = PlayJob.latency_s,
     exposure_s: float | None = None,
-    stop_m: float = 0.01,
+    stop_m: float = STOP_M,
     out: PathText | None = None,
+    robot_settings: Settings | None = None,
+    rsi_config: PathText | None = None,
     progress: Progress | None = None,
 ) -> PlayOutput:
     """Run a path with the tip of an arm's tool, through the guard, and return what it came to.
 
     Parameters
     ----------
-    robot, confirm, arm, limits, speed
+    robot, confirm, arm, limits, speed, robot_settings, rsi_config
         As `servo` takes them.
     path
         A TaughtPath, or path.csv in this frame.
@@ -264,7 +271,7 @@ def play(
         A path that the arm cannot run; nothing was moved, or the arm was brought to rest.
     """
     with Given(out) as given:
-        job = given.job(PlayJob, locals(), robot=name_of(robot))
+        job = given.job(PlayJob, locals(), robot=name_of(robot, robot_settings, rsi_config))
         if isinstance(robot, str):
             return run_play(job, as_question(confirm), progress=progress)
         if job.watched:
@@ -274,7 +281,7 @@ def play(
 
 def _servo_job(given: Given, values: dict[str, Any]) -> tuple[ServoJob, ServoDevices | None]:
     robot = values["robot"]
-    job = given.job(ServoJob, values, robot=name_of(robot))
+    job = given.job(ServoJob, values, robot=name_of(robot, values["robot_settings"], values["rsi_config"]))
     return job, None if isinstance(robot, str) else _devices(robot, job)
 
 

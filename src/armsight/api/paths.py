@@ -14,13 +14,12 @@ from armsight.app.path.check import check as run_check
 from armsight.app.path.export import PathExportOutput, export_path
 from armsight.app.path.picks import PathPicksOutput, path_from_picks
 from armsight.app.path.tools import smooth_path
-from armsight.app.requests.files import ExportJob, PicksJob
+from armsight.app.requests.files import ExportJob, JoinPathsJob, PicksJob, SmoothJob
 from armsight.control import paths as tools
 from armsight.control.guard import Limits
-from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind, require_number
+from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind
 from armsight.records.output import extended, output
 from armsight.store.path_file import read_path
-from armsight.units import DEG
 
 __all__ = ["angle", "check", "export", "fillet", "from_picks", "join", "offset", "resample", "reverse", "smooth"]
 
@@ -32,11 +31,12 @@ class PicksResult(PathPicksOutput):
     taught: TaughtPath
 
 
+@speaks_python(SmoothJob)
 def smooth(
     path: TaughtPath,
     *,
-    bound_m: float = 5e-4,
-    bound_rad: float = 1.0 * DEG,
+    bound_m: float = SmoothJob.bound_m,
+    bound_rad: float = SmoothJob.bound_rad,
     outliers: Literal["refuse", "drop", "keep"] = "refuse",
 ) -> TaughtPath:
     """Return a path smoothed, no row moved or turned by more than the bounds.
@@ -50,49 +50,56 @@ def smooth(
     >>> len(armsight.paths.smooth(armsight.TaughtPath.of_poses(T)))
     9
     """
-    _check(path, bound_m=bound_m, bound_rad=bound_rad)
+    _check(path)
     return smooth_path(path, bound_m=bound_m, bound_rad=bound_rad, on_outliers=outliers, where="the path")[0]
 
 
+@speaks_python()
 def resample(path: TaughtPath, step_m: float, *, spline: bool = False) -> TaughtPath:
     """Return a path with rows at most step_m apart; spline: on splines between corners, not on lines."""
-    _check(path, step_m=step_m)
-    require_kind("spline", spline, bool)
+    _check(path)
     return tools.resampled(path, step_m, spline=spline)
 
 
+@speaks_python()
 def fillet(path: TaughtPath, radius_m: float) -> TaughtPath:
     """Return a path with its corners rounded to arcs of radius_m."""
-    _check(path, radius_m=radius_m)
+    _check(path)
     return tools.filleted(path, radius_m)
 
 
+@speaks_python()
 def offset(path: TaughtPath, by_m: float) -> TaughtPath:
     """Return a path moved along the tool's z axis by by_m; negative: back from the work."""
-    _check(path, by_m=by_m)
+    _check(path)
     return tools.offset_along_tool(path, by_m)
 
 
+@speaks_python()
 def angle(path: TaughtPath, *, travel_rad: float = 0.0, work_rad: float = 0.0) -> TaughtPath:
     """Return a path with the tool tilted about its tip: toward the direction of travel, and about it."""
-    _check(path, travel_rad=travel_rad, work_rad=work_rad)
+    _check(path)
     return tools.tilted(path, travel_rad=travel_rad, work_rad=work_rad)
 
 
+@speaks_python()
 def reverse(path: TaughtPath) -> TaughtPath:
     """Return a path from its end to its start."""
     _check(path)
     return tools.reversed_path(path)
 
 
-def join(first: TaughtPath, second: TaughtPath, *, gap_m: float = 1e-3, gap_rad: float = 5.0 * DEG) -> TaughtPath:
+@speaks_python(JoinPathsJob)
+def join(
+    first: TaughtPath, second: TaughtPath, *, gap_m: float = JoinPathsJob.gap_m, gap_rad: float = JoinPathsJob.gap_rad
+) -> TaughtPath:
     """Return two paths one after the other. Raises Inconsistent where their ends are further apart than the gap."""
-    _check(first, gap_m=gap_m, gap_rad=gap_rad)
+    _check(first)
     _check(second)
     return tools.joined(first, second, gap_m=gap_m, gap_rad=gap_rad)
 
 
-@speaks_python
+@speaks_python()
 def check(
     path: TaughtPath | PathText,
     arm: ArmLike,
@@ -111,8 +118,6 @@ def check(
     """
     with Given() as given:
         q = None if start is None else checked_array("start", start, (None,)).tolist()
-        if speed_m_s is not None:
-            require_number("speed_m_s", speed_m_s)
         return run_check(
             given.file("path", path),
             given.arm("arm", arm),
@@ -125,7 +130,7 @@ def check(
         )
 
 
-@speaks_python
+@speaks_python(ExportJob)
 def export(
     path: TaughtPath | PathText,
     out: PathText,
@@ -138,9 +143,9 @@ def export(
     start: ArrayLike | None = None,
     name: str | None = None,
     speed_m_s: float | None = None,
-    blend_m: float = 0.0,
-    acceleration_m_s2: float = 0.5,
-    approach_m: float = 0.05,
+    blend_m: float = ExportJob.blend_m,
+    acceleration_m_s2: float = ExportJob.acceleration_m_s2,
+    approach_m: float = ExportJob.approach_m,
     tool: str | None = None,
     weld_output: str | None = None,
 ) -> PathExportOutput:
@@ -156,7 +161,7 @@ def export(
         return export_path(given.job(ExportJob, locals(), start=q, parent=parent, source=source))
 
 
-@speaks_python
+@speaks_python(PicksJob)
 def from_picks(
     left: Source,
     right: Source,
@@ -165,7 +170,7 @@ def from_picks(
     *,
     view: Literal["left", "right"] = "left",
     world: PoseLike | None = None,
-    step_px: float = 10.0,
+    step_px: float = PicksJob.step_px,
     tool_axis: str | None = None,
     skip: bool = False,
     out: PathText | None = None,
@@ -184,7 +189,5 @@ def from_picks(
         return extended(done, PicksResult, taught=read_path(given.out))
 
 
-def _check(path: object, **numbers: float) -> None:
+def _check(path: object) -> None:
     require_kind("path", path, TaughtPath, cure="Give a TaughtPath: read_path(file), or teach(...).taught")
-    for name, value in numbers.items():
-        require_number(name, value)

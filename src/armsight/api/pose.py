@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import Array, ImageLike, as_frame, as_image
+from armsight.api.checks import speaks_python
 from armsight.api.results import POSE_NAMES, Result, Row, pose_rows
 from armsight.api.tracks import PoseTrack
 from armsight.errors import Inconsistent, NotEnoughData
@@ -64,6 +65,7 @@ def LightTarget(
     return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
 
 
+@speaks_python()
 def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS, *, bits: int | None = None) -> Spots:
     """Return all spots of light in an image, searched without prior.
 
@@ -190,6 +192,7 @@ class PoseEstimate(Result):
         return dict(zip(POSE_NAMES, values, strict=False))
 
 
+@speaks_python()
 def estimate_pose(
     left: ImageLike,
     right: ImageLike | None,
@@ -249,6 +252,7 @@ def estimate_pose(
     return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None, bits))
 
 
+@speaks_python()
 def estimate_pose_from_spots(left: Spots, right: Spots, rig: Rig, target: Target, *, t_s: float = 0.0) -> PoseEstimate:
     """Return the target's pose from spots that a detector of one's own found in both images.
 

@@ -16,6 +16,7 @@ from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, as_arm
 from armsight.api.results import Result, Row, error_figure, pose_rows
 from armsight.app.calibrate.arm import in_view, world_of
+from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -29,7 +30,7 @@ from armsight.errors import UsageError
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import checked_array, require_count, require_kind, require_number, require_texts
+from armsight.records import checked_array, require_count, require_kind, require_texts
 from armsight.store import World, write_world
 from armsight.store.saving import YAML, file_to_write
 
@@ -98,7 +99,7 @@ class ArmResult(Result):
         return self.arm.save(path)
 
 
-@speaks_python
+@speaks_python(ArmJob)
 def calibrate_arm(
     nominal: ArmLike,
     q: ArrayLike,
@@ -108,8 +109,8 @@ def calibrate_arm(
     point: Sequence[str] = (),
     holdout: tuple[ArrayLike, ArrayLike] | None = None,
     scale: bool = True,
-    tolerance_m: float = Tolerance().length_m,
-    tolerance_rad: float = Tolerance().angle_rad,
+    tolerance_m: float = ArmJob.tolerance_m,
+    tolerance_rad: float = ArmJob.tolerance_rad,
 ) -> ArmResult:
     """Return the arm corrected from the tool's measured positions at the controller's readings.
 
@@ -148,9 +149,6 @@ def calibrate_arm(
     False
     """
     model = as_arm("nominal", nominal)
-    require_kind("scale", scale, bool)
-    for name, value in (("tolerance_m", tolerance_m), ("tolerance_rad", tolerance_rad)):
-        require_number(name, value)
     points = _points(model, q, xyz_m, rotation, point)
     held = None
     if holdout is not None:
@@ -215,6 +213,7 @@ class RobotWorldResult(Result):
         return error_figure(self.title, np.abs(self.detail.residual_m))
 
 
+@speaks_python()
 def calibrate_robot_world(
     arm: ArmLike, q: ArrayLike, xyz_m: ArrayLike, *, point: Sequence[str] = ()
 ) -> RobotWorldResult:

@@ -38,9 +38,8 @@ from armsight.app.verify.plan import VerifyPlanOutput, run_plan
 from armsight.app.verify.run import ERRORS, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
-from armsight.drivers.live import MAX_SKEW_S
 from armsight.measure.results import MeasureOutput
-from armsight.records import Progress, one_of, require_number
+from armsight.records import Progress, one_of
 from armsight.records.output import extended, output
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
@@ -88,7 +87,7 @@ class JoinResult(JoinOutput):
     table: Columns
 
 
-@speaks_python
+@speaks_python(MeasureJob)
 def measure(
     rig: RigLike,
     target: TargetLike,
@@ -106,7 +105,7 @@ def measure(
     bits: int | None = None,
     strict: bool = False,
     mask: ArrayLike | PathText | None = None,
-    max_skew_s: float = MAX_SKEW_S,
+    max_skew_s: float | None = None,
     method: Literal["likelihood", "seed"] = "likelihood",
     timing: Literal["auto", "pairs", "free"] = "auto",
     rate_hz: float | None = None,
@@ -161,14 +160,14 @@ def measure(
         return extended(done, MeasureResult, poses=poses)
 
 
-@speaks_python
+@speaks_python(RecordJob)
 def record(
     out: PathText,
     left: Source | None = None,
     right: Source | None = None,
     *,
     cell: str | None = None,
-    seed: int = 0,
+    seed: int = RecordJob.seed,
     rig: RigLike | None = None,
     target: TargetLike | None = None,
     format: Literal["png", "raw", "jpeg"] | ImageFormat = "png",
@@ -176,7 +175,7 @@ def record(
     fps: float | None = None,
     frames: int | None = None,
     seconds_s: float | None = None,
-    max_skew_s: float = MAX_SKEW_S,
+    max_skew_s: float | None = None,
     overwrite: bool = False,
     camera_settings: CameraSettings | None = None,
     progress: Progress | None = None,
@@ -214,7 +213,7 @@ def record(
         return run_record(given.job(RecordJob, locals(), kind=kind, limit=frames, out=given.out), progress)
 
 
-@speaks_python
+@speaks_python()
 def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: bool = False) -> Repaired:
     """Make a readable recording of one that was cut off: as out, or in its place with the broken one kept beside it.
 
@@ -229,7 +228,7 @@ def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: 
     return mend(as_path(path), None if out is None else as_path(out, "out"), overwrite=overwrite)
 
 
-@speaks_python
+@speaks_python(VerifyJob)
 def verify(
     measured: TableLike,
     *,
@@ -286,11 +285,11 @@ def verify(
         return extended(done, VerifyResult, errors=read_columns((given.out / ERRORS).read_bytes()))
 
 
-@speaks_python
+@speaks_python(PlanJob)
 def plan_verification(
     arm: ArmLike,
     out: PathText,
-    part: str = "cube",
+    part: str = PlanJob.part,
     *,
     side_m: float | None = None,
     speed_m_s: float | None = None,
@@ -311,7 +310,7 @@ def plan_verification(
         return run_plan(job, progress)
 
 
-@speaks_python
+@speaks_python(CompareJob)
 def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | None = None) -> CompareOutput:
     """Return whether two results of one kind agree within their uncertainty, and what the difference comes to.
 
@@ -327,14 +326,12 @@ def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | 
     """
     with Given() as given:
         files = {name: given.file(name, value) for name, value in (("a", a), ("b", b))}
-        if distance_m is not None:
-            require_number("distance_m", distance_m)
         job = CompareJob(**files, out=None if out is None else as_path(out, "out"), distance_m=distance_m)
         done = run_compare(job)
         return extended(done, CompareOutput, **{n: n for n, p in files.items() if p.is_relative_to(given.folder)})
 
 
-@speaks_python
+@speaks_python(JoinJob)
 def join(
     measured: TableLike,
     *,

@@ -13,16 +13,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.api.arrays import Array, Image, as_path
 from armsight.api.checks import speaks_python
-from armsight.app.simulate import MOST_FRAMES
+from armsight.app.requests.simulate import SimulateJob
 from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES, SimulateOutput
 from armsight.app.simulate.run import simulate as write_files
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.drivers import CELLS, known
-from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import ByValue, Progress, Target, require_count, require_kind, require_number
+from armsight.records import ByValue, Progress, Target, require_kind
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping
 
@@ -113,6 +112,7 @@ class Simulation:
             yield SimulatedFrame(t_s=float(t_s), left=seen[0].image, right=right, T_rig_target=T)
 
 
+@speaks_python(SimulateJob)
 def simulate(
     scenario: str | Mapping[str, Any] = "webcam-cell",
     *,
@@ -155,12 +155,6 @@ def simulate(
     """
     require_kind("scenario", scenario, str, Mapping, cure="Give one of scenarios(), or a scenario file's path")
     require_kind("room", room, str, NoneType, cure="Give a room's name, or a picture's path")
-    if seed is not None:
-        require_count("seed", seed)
-    if frames is not None:
-        require_frames(frames)
-    if zoom is not None:
-        require_number("zoom", zoom)
     if isinstance(scenario, str) and scenario in known(CELLS) and scenario not in scenario_names():
         cell = load_cell(scenario, seed=seed or 0, frames=frames or CELL_FRAMES, room=room, zoom=zoom)
         return Simulation(cell, scenario)
@@ -185,7 +179,7 @@ def read_scenario(scenario: str) -> dict[str, Any]:
     return content
 
 
-@speaks_python
+@speaks_python(SimulateJob)
 def write_simulation(
     scenario: str,
     out: str | PathLike[str],
@@ -205,9 +199,6 @@ def write_simulation(
     >>> armsight.write_simulation("hand-cell", folder / "cell", frames=2).n_frames
     2
     """
-    require_kind("scenario", scenario, str)
-    if frames is not None:
-        require_frames(frames)
     return write_files(scenario, as_path(out, "out"), seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
 
@@ -220,12 +211,3 @@ def scenarios() -> tuple[str, ...]:
     True
     """
     return tuple(sorted({*scenario_names(), *known(CELLS)}))
-
-
-def require_frames(frames: int) -> None:
-    """Raise UsageError for a number of frames that no simulation has."""
-    require_count("frames", frames, least=1)
-    if frames > MOST_FRAMES:
-        raise UsageError(
-            f"frames is {frames}, more than {MOST_FRAMES}", consequence="Nothing is simulated", cure="Ask for fewer"
-        )

@@ -16,10 +16,10 @@ from armsight.api.given import Given, RigLike, Source, TargetLike
 from armsight.api.results import Result, Row, error_figure, with_std
 from armsight.app.calibrate.pivot import find_tip
 from armsight.app.requests.calibrate_robot import PivotJob
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, calibrate_tooltip
+from armsight.calibrate.tooltip import MeasuredPoint, calibrate_tooltip
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import CameraSettings
-from armsight.records import Progress, checked_array, require_number
+from armsight.records import Progress, checked_array
 from armsight.store.handeye_file import write_tip
 from armsight.store.saving import YAML, file_to_write
 
@@ -74,12 +74,13 @@ class ToolTipResult(Result):
         return error_figure(self.title, np.linalg.norm(self.detail.residuals_m, axis=1))
 
 
+@speaks_python(PivotJob)
 def calibrate_tool_tip(
     T_world_target: Poses,
     covariances: ArrayLike | None = None,
     *,
     point_m: ArrayLike | None = None,
-    point_std_m: float = 0.0,
+    point_std_m: float = PivotJob.sigma_m,
     t_s: ArrayLike | None = None,
 ) -> ToolTipResult:
     """Return the tool's tip from poses of a frame that was turned about it while it rested on one point.
@@ -118,23 +119,22 @@ def calibrate_tool_tip(
     n = len(poses)
     given = None if covariances is None else checked_array("covariances", covariances, (n, 6, 6))
     times = None if t_s is None else checked_array("t_s", t_s, (n,))
-    require_number("point_std_m", point_std_m)
     point = None
     if point_m is not None:
         point = MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=point_std_m)
     return ToolTipResult(detail=calibrate_tooltip(poses, given, point, times))
 
 
-@speaks_python
+@speaks_python(PivotJob)
 def calibrate_pivot(
     rig: RigLike,
     target: TargetLike,
     left: Source,
     right: Source | None = None,
     *,
-    goal_m: float = GOOD_ENOUGH_M,
+    goal_m: float = PivotJob.goal_m,
     point_m: ArrayLike | None = None,
-    point_std_m: float = 0.0,
+    point_std_m: float = PivotJob.sigma_m,
     camera_settings: CameraSettings | None = None,
     progress: Progress | None = None,
 ) -> ToolTipResult:

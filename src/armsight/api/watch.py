@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.api.checks import speaks_python
 from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, TableLike, TargetLike
-from armsight.api.links import Confirm, as_question
+from armsight.api.links import Confirm, Settings, as_question
 from armsight.app.identify.live import OperatorCallbacks, in_radians, read_limits, run_identify_live
 from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
-from armsight.app.requests.identify import LiveJob
-from armsight.app.requests.verify import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob, MasteringJob
+from armsight.app.requests.identify import LiveJob, PaceFlags
+from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
 from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.mastering import propose_mastering, run_mastering
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
-from armsight.records import Progress, checked_array, require_count, require_kind, require_number
+from armsight.records import Progress, checked_array, require_count, require_kind
 from armsight.records.output import extended, output
 from armsight.store.arm_file import read_arm
 from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -35,7 +35,7 @@ class LiveIdentification(IdentifyOutput):
     arm: Arm
 
 
-@speaks_python
+@speaks_python(LiveJob)
 def identify_arm_live(
     robot: str,
     rig: RigLike,
@@ -47,8 +47,8 @@ def identify_arm_live(
     confirm: Confirm = False,
     world: PoseLike | None = None,
     model: ArmLike | None = None,
-    readings: int = 10,
-    speed: float = 0.1,
+    readings: int = LiveJob.readings,
+    speed: float = PaceFlags.speed,
     sigma: float | None = None,
     method: Literal["ml", "paper"] = "ml",
     nominal: ArmLike | None = None,
@@ -57,6 +57,8 @@ def identify_arm_live(
     mask: ArrayLike | PathText | None = None,
     camera_settings: CameraSettings | None = None,
     out: PathText | None = None,
+    robot_settings: Settings | None = None,
+    rsi_config: PathText | None = None,
     progress: Progress | None = None,
 ) -> LiveIdentification | ProposedPlanOutput:
     """Move an unknown arm joint by joint before two cameras, and return its geometry; or propose the sweeps only.
@@ -65,6 +67,8 @@ def identify_arm_live(
     ----------
     robot, left, right
         DRIVER:DEVICE and 'camera:NAME'; or sim:SCENARIO and camera:sim:SCENARIO:left.
+    robot_settings, rsi_config
+        As `servo` takes them.
     limits
         (n, 2) least and largest reading of each joint in rad or m, never left; or limits.yaml.
     confirm
@@ -89,7 +93,6 @@ def identify_arm_live(
     """
     with Given(out, name="arm.yaml") as given:
         limits = _limits(limits)
-        require_number("speed", speed)
         pace, left_out = Pace(speed=speed), tuple(as_numbers("leave_out", leave_out))
         job = given.job(LiveJob, locals(), out=given.out)
         done = run_identify_live(job, OperatorCallbacks(confirm=as_question(confirm)), progress)
@@ -105,7 +108,7 @@ def _limits(limits: ArrayLike | PathText) -> NDArray[np.float64]:
     return in_radians(checked_array("limits", limits, (None, 2)))
 
 
-@speaks_python
+@speaks_python(LiveVerifyJob)
 def supervise(
     robot: str,
     rig: RigLike,
@@ -120,15 +123,17 @@ def supervise(
     warn_rad: float | None = None,
     stop_rad: float | None = None,
     blind_stop_s: float | None = None,
-    joint_std: float = JOINT_STD,
-    latency_s: float = LATENCY_S,
-    latency_std_s: float = LATENCY_STD_S,
+    joint_std: float = LiveVerifyJob.joint_std,
+    latency_s: float = LiveVerifyJob.latency_s,
+    latency_std_s: float = LiveVerifyJob.latency_std_s,
     seconds_s: float | None = None,
     frames: int | None = None,
     keep_frames: bool = False,
     play: bool = False,
     camera_settings: CameraSettings | None = None,
     out: PathText | None = None,
+    robot_settings: Settings | None = None,
+    rsi_config: PathText | None = None,
     progress: Progress | None = None,
 ) -> VerifyLiveOutput:
     """Watch a running arm with two cameras, stop it where it is not where it says, and return what was seen.
@@ -136,7 +141,7 @@ def supervise(
     Parameters
     ----------
     robot, left, right
-        As identify_arm_live takes them.
+        As identify_arm_live takes them, and robot_settings and rsi_config.
     arm, world
         Where the arm should be: its geometry, and where the rig stands (T_base_rig).
     warn_m, stop_m, warn_rad, stop_rad
@@ -163,12 +168,12 @@ def supervise(
         return run_verify_live(job, progress=progress)
 
 
-@speaks_python
+@speaks_python(MasteringJob)
 def propose_mastering_poses(
     arm: ArmLike,
     around: ArrayLike,
     *,
-    span_rad: float = float(np.deg2rad(30.0)),
+    span_rad: float = MasteringJob.span_rad,
     tool: Literal["fixed", "free"] | None = None,
     world: PoseLike | None = None,
     rig: RigLike | None = None,
@@ -190,7 +195,7 @@ def propose_mastering_poses(
         return propose_mastering(given.job(MasteringJob, locals(), around=middle))
 
 
-@speaks_python
+@speaks_python(MasteringJob)
 def check_mastering(
     measured: TableLike,
     joints: TableLike,

@@ -54,14 +54,28 @@ def load_arm(text: str) -> Arm:
             consequence="It is one chain as it is, and no part of it can be chosen",
             cure="Leave --tip and --base away",
         )
+    if file in PRESETS:
+        refuse_file_called(file, "a known arm")
+        return preset(file)
     if suffix in YAML_SUFFIXES or Path(file).exists():
         return read_arm(Path(file))
-    if file in PRESETS:
-        return preset(file)
     raise UsageError(
         f"{file!r} is neither a file nor an arm known by name",
         cure=f"Give an arm.yaml, a .urdf, or one of {', '.join(PRESETS)}",
     )
+
+
+def refuse_file_called(name: str, what: str) -> None:
+    """Raise UsageError where a file of the current folder has the name of what is known by it: either may be meant.
+
+    A folder is not refused: it is none of the files that could be meant, and results are often kept under such a name.
+    """
+    if Path(name).is_file():
+        raise UsageError(
+            f"{name!r} is the name of {what}, and of a file here",
+            consequence="Which of them is meant is not known, and nothing was done",
+            cure=f"Rename the file, to {name}.yaml for instance: with its ending it is taken as a file",
+        )
 
 
 def arm_source(text: str, *, tip: str | None = None, base: str | None = None) -> str:
@@ -78,7 +92,7 @@ def arm_source(text: str, *, tip: str | None = None, base: str | None = None) ->
 def arm_file(text: str) -> Path | None:
     """Return the file of what load_arm takes; None for a preset's name."""
     file, _, _ = _parts(text)
-    return Path(file) if Path(file).exists() else None
+    return None if file in PRESETS or not Path(file).exists() else Path(file)
 
 
 def _parts(text: str) -> tuple[str, str | None, str | None]:

@@ -239,14 +239,16 @@ def motion() -> None:
 
 
 def guard() -> None:
-    """Compile what a control cycle runs."""
+    """Compile what a control cycle runs, and the planning of a path."""
     from armsight.control.guard import Guard, Limits
+    from armsight.control.play.kernels import reachable_speeds
     from armsight.kinematics import preset
 
     arm = preset("ur10")
     watcher = Guard(arm, Limits(), 0.008)
     watcher.begin(np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1]), 0.0)
     watcher.warm_up()
+    reachable_speeds(*[np.ones((4, 8))] * 4, np.ones(4), 1e-3, np.empty(4))
 
 
 def room() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
+from armsight.app.requests.calibrate_robot import POINT_STD_M
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, point_of
 from armsight.cli.command import calibrate, command
 from armsight.cli.command_ui import CommandUI
@@ -41,7 +42,7 @@ def tooltip(
         Doc("The point, m or with units (200mm), if it was measured."),
         Flag(metavar="X,Y,Z", read=point_of),
     ] = None,
-    sigma_m: requests.calibrate_robot.PointStd,
+    sigma_m: requests.calibrate_robot.PointStd = POINT_STD_M,
     table: Table,
 ) -> None:
     """Find where the end of a tool is, from poses recorded while it was turned about its end."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import typer
 
+from armsight.app import requests
 from armsight.app.requests.shared import OutFolder
+from armsight.app.requests.simulate import Room
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
     batch,
@@ -32,8 +34,7 @@ from armsight.cli.command import ARM, MEASURED, SETS, VIEWS, WORLD, app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
 from armsight.cli.tables import demo_tables, doctor_tables
-from armsight.fields import Bounds, Doc, Flag
-from armsight.units import MM
+from armsight.fields import Bounds, Doc
 
 __all__ = [
     "app",
@@ -54,10 +55,6 @@ __all__ = [
     "robot",
     "serve",
     "verify",
-]
-
-Room: TypeAlias = Annotated[
-    str | None, Doc("Behind the target: dark, workshop, office, plain or a picture. [default: its own]")
 ]
 
 
@@ -110,67 +107,34 @@ def demo(
 
 
 @command(app, keeps=(*WORLD, *ARM, *VIEWS, *SETS))
-def simulate(
-    face: CommandUI,
-    scenario: Annotated[str, Doc("A scenario's name or file; or the name of a cell or set."), Flag(positional=True)],
-    out: OutFolder,
-    seed: Annotated[int | None, Doc("The same seed gives the same run. [default: the file's]"), Bounds(least=0)] = None,
-    frames: Annotated[
-        int | None, Doc("How many frames, or rows. [default: the file's]"), Bounds(least=1, most=MOST_FRAMES)
-    ] = None,
-    room: Room = None,
-    zoom: Annotated[
-        float | None, Doc("Zoom lenses before the cameras, at this setting, 100 to 500 where not said.")
-    ] = None,
-) -> None:
+def simulate(face: CommandUI, job: requests.simulate.SimulateJob) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder; or a set for one calibration."""
     from armsight.app.simulate.run import simulate as run
 
-    done = run(scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, progress=face.progress("simulating"))
+    asked = {"seed": job.seed, "frames": job.frames, "room": job.room, "zoom": job.zoom}
+    done = run(job.scenario, job.out, **asked, progress=face.progress("simulating"))  # type: ignore[arg-type]
     if done.commands is None:
-        face.say(f"{done.n_frames} frames of each view and the truth are in {out}")
+        face.say(f"{done.n_frames} frames of each view and the truth are in {job.out}")
     else:
         pictures = f"{done.n_frames} pictures, tables" if done.n_frames else "tables"
-        face.say(f"{pictures} and the truth are in {out}; in that folder, try:")
+        face.say(f"{pictures} and the truth are in {job.out}; in that folder, try:")
         for command in done.commands:
             face.say(f"  {command}")
     face.result(done)
 
 
 @command(app)
-def doctor(
-    face: CommandUI,
-    rig: Annotated[Path | None, Doc("Tell what this rig can tell apart at distances.")] = None,
-    depth: Annotated[
-        list[float] | None,
-        Doc("Distance for the rig's table; may be repeated."),
-        Bounds(least=1e-6),
-        Flag(quantity="m"),
-    ] = None,
-    sigma: Annotated[
-        float | None, Doc("Standard deviation of a spot's centre in px. [default: 0.1]"), Bounds(least=1e-6)
-    ] = None,
-    accuracy: Annotated[
-        float | None,
-        Doc("With --rig and --depth: what reaches this standard deviation of a point."),
-        Bounds(least=1e-6),
-        Flag("--accuracy", metavar="MM", unit=MM),
-    ] = None,
-    compile_ahead: Annotated[
-        bool, Doc("First compile all that is not compiled yet: no command then waits for it."), Flag("--compile")
-    ] = False,
-) -> None:
+def doctor(face: CommandUI, job: requests.simulate.DoctorJob) -> None:
     """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
     from armsight.app.doctor import doctor as run
-    from armsight.optics.resolution import CENTROID_SIGMA_PX
 
     found = run(
-        rig,
-        depths_m=depth or (),
-        sigma_px=sigma or CENTROID_SIGMA_PX,
-        accuracy_m=accuracy,
-        compile_ahead=compile_ahead,
-        progress=face.progress("doctor") if compile_ahead else None,
+        job.rig,
+        depths_m=job.depths_m or (),
+        sigma_px=job.sigma_px,
+        accuracy_m=job.accuracy_m,
+        compile_ahead=job.compile_ahead,
+        progress=face.progress("doctor") if job.compile_ahead else None,
     )
     doctor_tables(face, found)
     face.result(found)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, OUT, Table, size_of
+from armsight.app.requests.shared import AN_ARM, OUT, FileUnits, Table, UnitLength, size_of
 from armsight.cli.command import command, convert
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag
+from armsight.fields import Doc, Flag
 
 if TYPE_CHECKING:
     from armsight.app.convert import ConvertOutput
@@ -50,7 +50,7 @@ def rig(
     out: Annotated[list[Path], Doc("File; for ROS left, right, maybe a launch file of TF."), OUT],
     to: To = None,
     size: Size = None,
-    unit: Annotated[float, Doc("Length of an OpenCV file's unit in m."), Bounds(least=1e-9)] = 1.0,
+    unit_m: UnitLength = FileUnits.unit_m,
     zoom_left: Annotated[float | None, Doc("Of a rig with zoom lenses: at this setting.")] = None,
     zoom_right: Annotated[float | None, Doc("... of the right lens.")] = None,
 ) -> None:
@@ -64,7 +64,7 @@ def rig(
             raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
         _print_written(face, fix_rig(source[0], out[0], (zoom_left, zoom_right)))
         return
-    _print_written(face, convert_rig(source, out, to=to, size=size, unit_m=unit))
+    _print_written(face, convert_rig(source, out, to=to, size=size, unit_m=unit_m))
 
 
 @command(convert)

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
-from armsight.app.requests.shared import OutFolder
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag
+from armsight.fields import Doc, Flag
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
@@ -19,21 +18,14 @@ if TYPE_CHECKING:
 
 
 @command(app, keeps=("reproduce.json", "report.html"))
-def reproduce(
-    face: CommandUI,
-    paper: Annotated[str, Doc("korayem2018, pachidis2005 or kapucu2005."), Flag(positional=True)],
-    out: OutFolder,
-    seed: Annotated[int, Doc("Of the simulated frames' noise."), Bounds(least=0)] = 1,
-    frames: Annotated[
-        int | None, Doc("Fewer frames than the paper took, to try it. [default: the paper's]"), Bounds(least=1)
-    ] = None,
-) -> None:
+def reproduce(face: CommandUI, job: requests.simulate.ReproduceJob) -> None:
     """Run a paper's experiment on emulated hardware; put print, the paper's method and armsight side by side."""
     from armsight.app.reproduce.run import reproduce as run
 
-    done = run(paper, out, seed=seed, frames=frames, progress=face.progress(f"reproducing {paper}"))
+    progress = face.progress(f"reproducing {job.paper}")
+    done = run(job.paper, job.out, seed=job.seed, frames=job.frames, progress=progress)
     _reproduced(done, face)
-    face.say(f"Result: open {out / 'report.html'}")
+    face.say(f"Result: open {job.out / 'report.html'}")
     face.result(done)
 
 

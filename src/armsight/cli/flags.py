@@ -13,46 +13,60 @@ from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin
 
 import typer
 
-from armsight.fields import Bounds, Doc, Flag, Flags, bare, known_hints, marks
-from armsight.units import DEG, UNITS_OF, read_quantity
+from armsight.errors import UsageError
+from armsight.fields import DIGITS, Bounds, Doc, Flag, Flags, bare, bounds_of, known_hints, marks
+from armsight.units import UNITS_OF, read_quantity
 
 Request = TypeVar("Request")
 Notify = Callable[[str], None]
-
-DIGITS = 12
-"""Of a default in the person's unit: it is held in SI, and 0.02 m is not quite 20 mm."""
 
 
 class Quantity:
     """Reads an option in a unit, SI where none is written behind it; refuses what another was meant by."""
 
-    def __init__(self, unit: str, least: float | None = None) -> None:
-        self._unit, self._least = unit, least
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
         self.__name__ = unit
 
     def __call__(self, given: str | float) -> float:
         """Return the number in SI; a default is one already. Raises typer.BadParameter, with the ways to write it."""
         try:
-            return read_quantity(str(given), self._unit, self._least)
+            return read_quantity(str(given), self._unit)
         except ValueError as error:
             raise typer.BadParameter(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)
 class OneFlag:
-    """A flag by the name that typer hands its value over with; written: as people give it."""
+    """A flag by the name that typer hands its value over with; written: as people give it.
+
+    bounds: of its number in SI; unit: what one of the number that people give is in SI.
+    """
 
     name: str
     written: str
     parameter: inspect.Parameter
     read: Callable[[Any], Any] | None
+    bounds: Bounds | None
+    unit: float
 
     def values(self, given: Mapping[str, Any], notify: Notify) -> dict[str, Any]:
-        """Return its value by its name; nothing where it was not given and has no default of its own."""
+        """Return its value by its name; nothing where it was not given and has no default of its own.
+
+        Raises UsageError for a number beyond its bounds, of which the parser knows those alone that it can show.
+        """
         value = given[self.name]
         if value is None:
             return {}
-        return {self.name: value if self.read is None else self.read(value)}
+        made = value if self.read is None else self.read(value)
+        for number in made if isinstance(made, list | tuple) else (made,):
+            if self.bounds is not None and isinstance(number, int | float) and not self.bounds.holds(number):
+                raise UsageError(
+                    f"{self.written} is {number / self.unit:g}, which must be {self.bounds.per(self.unit)}",
+                    consequence="Nothing was done",
+                    cure=f"Give a number that is {self.bounds.per(self.unit)}",
+                )
+        return {self.name: made}
 
     def flags(self) -> tuple[OneFlag, ...]:
         """Return the flags."""
@@ -167,7 +181,7 @@ def _field(name: str, hint: Any, default: Any) -> OneFlag | Parts:
         shown = round(shown / flag.unit, DIGITS)
     open_ = shown is None or shown in ("", ())
     kind = _kind(hint, flag)
-    info = _info(name, hint, flag, kind)
+    info = _info(name, hint, flag, shown)
     parameter = inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
@@ -176,46 +190,34 @@ def _field(name: str, hint: Any, default: Any) -> OneFlag | Parts:
     )
     unit = flag.unit
     read = flag.read if unit is None else lambda value: value * unit
-    return OneFlag(name=name, written=_written(name, flag), parameter=parameter, read=read)
+    written, bounds = flag.written(name), bounds_of(hint)
+    return OneFlag(name=name, written=written, parameter=parameter, read=read, bounds=bounds, unit=unit or 1.0)
 
 
-def _info(name: str, hint: Any, flag: Flag, kind: Any) -> Any:
-    """Return typer's description of a flag."""
-    limits = next(iter(marks(hint, Bounds)), Bounds())
+def _info(name: str, hint: Any, flag: Flag, shown: Any) -> Any:
+    """Return typer's description of a flag; shown: its default in the person's unit, of which six digits are."""
+    limits = (bounds_of(hint) or Bounds()).per(flag.unit or 1.0)
     more: dict[str, Any] = {"metavar": flag.metavar, "help": next(iter(marks(hint, Doc)), Doc("")).text}
     if flag.panel is not None:
         more["rich_help_panel"] = flag.panel
     if flag.quantity:
-        more |= {"parser": Quantity(flag.quantity, limits.least)}
+        more |= {"parser": Quantity(flag.quantity)}
         more["metavar"] = flag.metavar or "|".join(UNITS_OF[flag.quantity]).upper()
     else:
         more |= {"min": limits.least, "max": limits.most}
+    if flag.unit is not None and isinstance(shown, float) and float(f"{shown:.6g}") != shown:
+        more["show_default"] = f"{shown:.4g}"
     if flag.positional:
         return typer.Argument(**more)
-    return typer.Option(*(flag.names.split() or [_written(name, flag)]), **more)
-
-
-def _written(name: str, flag: Flag) -> str:
-    """Return how a flag is written; of -o --out the short one, as messages have it.
-
-    Where Flag gives no name it is the field's with the person's unit: none of a quantity, whose unit may be written
-    behind the number, none of seconds, hertz and kelvin, and mm or deg of what is given in those.
-    """
-    if flag.names:
-        return flag.names.split()[0].split("/")[0]
-    if flag.unit is not None:
-        name = name.removesuffix("_m").removesuffix("_rad") + ("_deg" if flag.unit == DEG else "_mm")
-    elif flag.quantity:
-        name = name.removesuffix("_m_s").removesuffix("_m")
-    elif not name.endswith("_m_s"):
-        name = name.removesuffix("_s").removesuffix("_hz").removesuffix("_k")
-    return "--" + name.replace("_", "-")
+    return typer.Option(*(flag.names.split() or [flag.written(name)]), **more)
 
 
 def _kind(hint: Any, flag: Flag) -> Any:
     """Return the type that typer reads: text where an object is made of it."""
     if isinstance(flag.default, bool):
         return bool
+    if flag.repeated:
+        return list[str]
     kind = bare(hint)[0]
     return str if flag.read is not None or kind is Any else kind
 

@@ -37,7 +37,7 @@ def measure(
     job = replace(
         job,
         fps=settings.fps if job.fps is None else job.fps,
-        max_skew_s=job.max_skew_s or settings.max_skew_s,
+        max_skew_s=settings.max_skew_s if job.max_skew_s is None else job.max_skew_s,
         camera_settings=_zoomed(job) if set_zoom else job.camera_settings,
     )
     summary = run(job, face.progress("measuring"))

@@ -11,7 +11,7 @@ from armsight.app import requests
 from armsight.cli.command import command, path
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.kinematics import ArmFile
-from armsight.fields import Bounds, Doc, Flag
+from armsight.fields import Doc, Flag
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -28,20 +28,11 @@ def _say(face: CommandUI, done: PathChangeOutput) -> None:
 
 
 @command(path)
-def smooth(
-    face: CommandUI,
-    source: Source,
-    out: Out,
-    bound_m: Annotated[float, Doc("No row moves further, m.")] = 5e-4,
-    bound_rad: Annotated[float, Doc("No row turns further, degrees."), Flag(unit=DEG)] = DEG,
-    on_outliers: Annotated[
-        str, Doc("Rows off the path: refuse, drop, or keep (smooth over them)."), Flag("--outliers")
-    ] = "refuse",
-) -> None:
+def smooth(face: CommandUI, job: requests.files.SmoothJob) -> None:
     """Take the noise out, within a bound. Corners stay; outliers are named."""
     from armsight.app.path.tools import smooth as run
 
-    done = run(source, out, bound_m=bound_m, bound_rad=bound_rad, on_outliers=on_outliers)
+    done = run(job.source, job.out, bound_m=job.bound_m, bound_rad=job.bound_rad, on_outliers=job.on_outliers)
     for outlier in done.outliers:
         face.say(f"  {outlier.text}{'; left out' if done.dropped else ''}")
     face.say(f"moved by {done.moved_rms_m / MM:.3g} mm RMS, {done.moved_max_m / MM:.3g} mm at most")
@@ -106,21 +97,11 @@ def reverse(face: CommandUI, source: Source, out: Out) -> None:
 
 
 @command(path)
-def join(
-    face: CommandUI,
-    sources: Annotated[
-        list[Path], Doc("Two path.csv or more, in their order."), Flag(positional=True, metavar="PATH...")
-    ],
-    out: Out,
-    gap_m: Annotated[float, Doc("Widest gap between two ends, m."), Bounds(least=0.0)] = 1e-3,
-    gap_rad: Annotated[
-        float, Doc("Largest turn between them, degrees."), Bounds(least=0.0, most=180.0), Flag(unit=DEG)
-    ] = 5.0 * DEG,
-) -> None:
+def join(face: CommandUI, job: requests.files.JoinPathsJob) -> None:
     """Put paths one after the other."""
     from armsight.app.path.tools import join as run
 
-    _say(face, run(sources, out, gap_m=gap_m, gap_rad=gap_rad))
+    _say(face, run(job.sources, job.out, gap_m=job.gap_m, gap_rad=job.gap_rad))
 
 
 @command(path)

@@ -7,26 +7,20 @@ from typing import Annotated
 import typer
 
 from armsight.app import requests
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM
 from armsight.cli.command import app, command, robot
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag
+from armsight.fields import Doc
 
 
 @command(robot)
-def test(
-    face: CommandUI,
-    robot: requests.motion.RobotName,
-    for_s: Annotated[float, Doc("How many seconds to read it."), Flag(metavar="S")] = 5.0,
-    rsi_config: requests.motion.RsiConfig = None,
-) -> None:
+def test(face: CommandUI, job: requests.motion.RobotTestJob) -> None:
     """Read a robot once a cycle and tell how punctual that is. Nothing moves."""
     from armsight.app.robot.link_test import test_robot as run
 
-    done = run(robot, for_s=for_s, progress=face.progress("reading"), rsi_config=rsi_config)
+    done = run(job, face.progress("reading"))
     face.say(
         f"{done.driver}: {done.n_cycles} cycles of {1e3 * done.cycle_s:g} ms, {done.late} late, {done.missed} "
         f"missed; periods {done.period_ms.median:.3f} ms median, {done.period_ms.p99:.3f} p99, "
@@ -71,20 +65,11 @@ def jog(
 
 
 @command(app, json=False)
-def twin(
-    face: CommandUI,
-    name: Annotated[str, Doc("alter, rsi, egm or rtde."), Flag(positional=True, metavar="DRIVER")],
-    port: Annotated[
-        str | None, Doc("Where it listens; for alter a name for its serial line."), Flag(metavar="PORT")
-    ] = None,
-    connect: Annotated[str | None, Doc("Where the driver listens, for rsi and egm."), Flag(metavar="HOST:PORT")] = None,
-    arm: Annotated[str | None, Doc(f"{KNOWN_ARM}."), AN_ARM] = None,
-    cycle: Annotated[float | None, Doc("The controller's cycle in s."), Bounds(least=1e-4, most=1.0)] = None,
-) -> None:
+def twin(face: CommandUI, job: requests.motion.TwinJob) -> None:
     """Emulate a robot's controller, for tests without a robot; Ctrl-C ends it. Prints what --robot takes."""
     face.until_stopped = True
     from armsight.app.robot.twin import run_twin
 
     stop = face.progress("twin")
     on = lambda: not stop.cancelled()  # noqa: E731
-    run_twin(name, port=port, connect=connect, arm=arm, cycle_s=cycle, on=on, ready=typer.echo, warn=face.say)
+    run_twin(**vars(job), on=on, ready=typer.echo, warn=face.say)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from armsight.app.requests.motion import RobotJob, RobotSettings, RsiConfig
 from armsight.app.requests.plant import PLANT, PlantFlags
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, SRC
 from armsight.cli.command import app, command
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
     from armsight.server.web_server import ServeOptions
 
 Bind: TypeAlias = Annotated[str, Doc("Address to listen at; any but this machine's needs TLS and tokens.")]
+StopPort: TypeAlias = Annotated[
+    int | None,
+    Doc("Port of the line for stops; 0 takes a free one. [default: the next one]"),
+    Bounds(least=0, most=65535),
+]
 Tokens: TypeAlias = Annotated[Path | None, Doc("tokens.yaml: who may watch, acknowledge alarms, and drive.")]
 Certificate: TypeAlias = Annotated[Path | None, Doc("The server's certificate, PEM.")]
 Key: TypeAlias = Annotated[Path | None, Doc("The certificate's key, PEM.")]
@@ -38,19 +44,14 @@ def serve(
     ] = None,
     bind: Bind = "127.0.0.1",
     port: Annotated[int, Doc("Port to listen at; 0 takes a free one."), Bounds(least=0, most=65535)] = 8765,
-    stop_port: Annotated[
-        int | None,
-        Doc("Port of the line for stops; 0 takes a free one. [default: the next one]"),
-        Bounds(least=0, most=65535),
-    ] = None,
+    stop_port: StopPort = None,
     tokens: Tokens = None,
     tls_cert: Certificate = None,
     tls_key: Key = None,
     arm: Annotated[str | None, Doc(f"{KNOWN_ARM}; a simulated robot brings its own."), AN_ARM] = None,
     limits: Annotated[Path | None, Doc("limits.yaml: what the guard keeps. [default: its own]")] = None,
-    rsi_config: Annotated[
-        Path | None, Doc("Of rsi: the RSI Ethernet configuration, for its own tags."), Flag(metavar="FILE.xml")
-    ] = None,
+    robot_settings: RobotSettings = None,
+    rsi_config: RsiConfig = None,
     log: Annotated[
         Path | None,
         Doc("Recording of commands, events and readings. [default: a new file here]"),
@@ -92,7 +93,8 @@ def serve(
     at = {"bind": bind, "port": port, "stop_port": stop_port}
     options = ServeOptions(**at, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key, plant=told)  # type: ignore[arg-type]
     if console is not None:
-        _with_pages(face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log})
+        job = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
+        _with_pages(face, job, console, options, {"arm": arm, "limits": limits, "log": log})
         return
     kept = log or default_log()
 
@@ -105,19 +107,18 @@ def serve(
         face.say("This is no safety function: the emergency stop stands beside it.")
 
     serve_robot(
-        robot,
+        RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config),
         arm,
         options,
         kept,
         limits=limits,
-        rsi_config=rsi_config,
         terminal=Terminal(ready=ready, tell=face.say, cancelled=face.progress("starting").cancelled),
     )
 
 
 def _with_pages(
     face: CommandUI,
-    robot: str,
+    robot: RobotJob,
     folder: Path,
     options: ServeOptions,
     own: dict[str, object],
@@ -159,6 +160,8 @@ def console(
         Doc("The robot to move: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT."),
         Flag(metavar="DRIVER:DEVICE"),
     ] = None,
+    robot_settings: RobotSettings = None,
+    rsi_config: RsiConfig = None,
     folder: Annotated[Path, Doc("Where cell.yaml and all results are kept."), Flag(metavar="FOLDER")] = Path("cell"),
     left: Annotated[
         str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
@@ -171,9 +174,7 @@ def console(
     play_again: Annotated[bool, Doc("Files begin anew at their end.")] = False,
     bind: Bind = "127.0.0.1",
     port: Annotated[int, Doc("Of the web page."), Bounds(least=1, most=65535)] = 8080,
-    stop_port: Annotated[
-        int | None, Doc("Of the line for stops. [default: the next one]"), Bounds(least=0, most=65535)
-    ] = None,
+    stop_port: StopPort = None,
     tokens: Tokens = None,
     tls_cert: Certificate = None,
     tls_key: Key = None,
@@ -192,10 +193,24 @@ def console(
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
-        if robot is None:
+        job = _of_robot(robot, robot_settings, rsi_config)
+        if job is None:
             _without_robot(face, folder, changed, options, page)
         else:
-            serve_cell(face, robot, folder, changed, options, page)
+            serve_cell(face, job, folder, changed, options, page)
+
+
+def _of_robot(robot: str | None, settings: RobotSettings, rsi_config: Path | None) -> RobotJob | None:
+    """Return the robot, None where none is named. Raises UsageError for settings of none."""
+    if robot is not None:
+        return RobotJob(robot=robot, robot_settings=settings, rsi_config=rsi_config)
+    if settings is not None or rsi_config is not None:
+        raise UsageError(
+            "--robot-set and --rsi-config are of a robot, and none is named",
+            consequence="Nothing is served",
+            cure="Give --robot DRIVER:DEVICE",
+        )
+    return None
 
 
 @contextlib.contextmanager
@@ -234,7 +249,7 @@ def _without_robot(
 
 def serve_cell(
     face: CommandUI,
-    robot: str,
+    job: RobotJob,
     folder: Path,
     changed: dict[str, Any],
     options: ServeOptions,
@@ -253,14 +268,14 @@ def serve_cell(
     from armsight.server.auth import Authenticator
     from armsight.server.serving import serve_pages, told_to_plant
 
-    cancelled = face.progress("opening").cancelled
+    robot, cancelled = job.robot, face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
         stack.enter_context(one_console(folder))
         if not changed:
             prepare_simulated(robot, folder)
         face.say(f"{robot} is being opened")
         page.step(texts.OPENING["robot"].format(robot=robot))
-        cell = stack.enter_context(open_robot_cell(robot, folder))
+        cell = stack.enter_context(open_robot_cell(job, folder))
         if cancelled():
             raise Cancelled("stopped before the page was served")
         cell.service.pump()

@@ -21,6 +21,7 @@ from armsight.console import texts
 from armsight.console.state import Console
 from armsight.console.visitors import logged_in, page_name
 from armsight.errors import ArmsightError, UsageError
+from armsight.fields import DIGITS, Bounds, bounds_of, known_hints
 from armsight.units import DEG, MM
 
 STATIC = "/console/static"
@@ -183,6 +184,14 @@ LARGEST = 1e6
 """Of any figure of a page, in its unit: mm, deg, mm/s, a count."""
 LONGEST = 1000
 """Characters of a text: a source of frames is a path, of which systems take 4096 bytes."""
+
+
+def number_field(label: str, of: type, name: str, unit: float = 1.0, *, step: float | None = None) -> ui.number:
+    """Return a field for a number of a request, which says its default and bounds; unit: what one of it is in SI."""
+    bounds, value = (bounds_of(known_hints(of)[name]) or Bounds()).per(unit), getattr(of, name)
+    shown = value if value is None or isinstance(value, int) else round(value / unit, DIGITS)
+    least = bounds.above if bounds.least is None else bounds.least
+    return ui.number(label, value=shown, min=least, max=bounds.most, step=step)
 
 
 def number(field: ui.number, *, of: str = "", empty: float | None = None) -> float:

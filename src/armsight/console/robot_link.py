@@ -271,7 +271,7 @@ class RobotLink:
             "instance": session.service.authority.instance,
             "level": level,
             "words": f"{SIGNS[level]} {words}",
-            "refused": self._refused,
+            "refused": self._refused or not_recorded(session.service.recording_failed),
             "stopped": now.robot is RobotState.STOPPED,
             "mine": mine,
             "enabled": enabled,
@@ -280,6 +280,11 @@ class RobotLink:
             "line": session.service.stop_port,
             "key": self._key,
         }
+
+
+def not_recorded(failed: str) -> str:
+    """Return what an operator has to know of a disk that takes no more; empty while it does."""
+    return texts.NOT_RECORDED.format(why=failed) if failed else ""
 
 
 LEVELS = {RobotState.READY: "good", RobotState.MOVING: "warn"}

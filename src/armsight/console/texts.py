@@ -384,6 +384,7 @@ PATH_OK = "The arm can run this path: {n} places, {length:.1f} mm, {time:.1f} s.
 PATH_NOT_OK = "The arm cannot run this path:"
 PLAY_CARD = "Play"
 PLAY, PAUSE, RESUME = "Play", "Pause", "Go on"
+NOT_RECORDED = "Nothing is recorded any more: {why}"
 PLAY_SPEED = "Speed along the path, mm/s"
 PLAY_KEEP = "Keep the tool's attitude as it is at the start"
 PLAY_AT = "{stage}: {s:.1f} of {length:.1f} mm at {speed:.1f} mm/s"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import isfinite
 from typing import Protocol, TypeAlias
 
 import cv2
@@ -11,6 +10,7 @@ import cv2
 from armsight.clock import Clock
 from armsight.drivers.sources import Capture
 from armsight.errors import DeviceFailed, UsageError
+from armsight.records.checks import require_numbers
 
 READ_BACK = 0.05
 """Share by which a value may be read back otherwise than asked: cameras count exposures in lines or 0.1 ms, gains in
@@ -47,9 +47,10 @@ class CameraSettings:
     zoom: float | None = None
 
     def __post_init__(self) -> None:
+        require_numbers(self, "exposure_s", "gain", "focus", "white_balance_k", "zoom")
         for name in ("exposure_s", "gain", "focus", "white_balance_k", "zoom"):
             value = getattr(self, name)
-            if value is not None and not (isfinite(value) and (value > 0.0 or name in ("gain", "focus", "zoom"))):
+            if value is not None and not (value > 0.0 or name in ("gain", "focus", "zoom")):
                 raise UsageError(f"{FLAGS[name]} {value:g} cannot be", cure="Give a value that a camera can have")
 
     @property

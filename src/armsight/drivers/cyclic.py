@@ -10,17 +10,20 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, StandStill
+from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
-from armsight.drivers.protocols import RobotState, Sent
+from armsight.drivers.pace import LinkTimes, Pace
+from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
+from armsight.drivers.protocols import PROVING, RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
 from armsight.priority import bound_control
 from armsight.records import JointReading
@@ -33,6 +36,9 @@ LARGEST_RAD = 100.0
 
 LARGEST_M = 100.0
 """No flange is so far from its base."""
+
+END_S = 1.5
+"""Closing a link that something is wrong with waits so long at most for the arm to stand."""
 
 LARGEST_SPEED_RAD_S = 60.0
 """No joint of a robot moves so fast: a reading that says so is refused."""
@@ -47,45 +53,6 @@ REST = 2e-4
 
 ROUNDING = 1e-9
 """A pose this near to another, in m and rad, is the same."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkTimes:
-    """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost.
-
-    The last is the time after which the controller's own watchdog ends the motion: until then it may be late.
-    """
-
-    cycle_s: float
-    stale_s: float
-    silent_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pace:
-    """How far a controller is.
-
-    steps: so many it was given, one a cycle at most. asked: how many those were when the last command came; it is among
-    the next. cycles: of its own until the newest, those that were missed among them. t_s: when the newest was answered.
-    """
-
-    steps: int
-    asked: int
-    cycles: int
-    t_s: float
-
-
-@runtime_checkable
-class Paced(Protocol):
-    """A robot whose controller sets the pace: whoever moves it waits for each step to go out before the next."""
-
-    def wait_step(self, after: int, wait_s: float) -> Pace:
-        """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
-        ...
-
-    def slow_down(self, max_speed: Array) -> None:
-        """Let no joint go faster than max_speed (n,) in rad/s or m/s, whoever asks."""
-        ...
 
 
 class CyclicRobot(ABC):
@@ -121,6 +88,9 @@ class CyclicRobot(ABC):
         self._moved = False
         self._turns = StandStill(times.cycle_s)
         self._stood_s = 0.0
+        self._proof, self._standing = Proof(times.cycle_s), Standing(times.cycle_s)
+        self._base_q, self._wrong = self._goals.sent, False
+        self._controller_clock = ControllerClock(times.cycle_s, numbered=False)
 
     @property
     def n_joints(self) -> int:
@@ -148,7 +118,9 @@ class CyclicRobot(ABC):
         """Open the link and wait for the first reading. Raises DeviceFailed where that cannot be done."""
         if self._open:
             raise DeviceFailed(f"{self.name} is open already", consequence="It is not opened twice")
-        self._reading, self._stopped, self._lost, self._held = None, "", "", False
+        self._reading, self._stopped, self._lost, self._held, self._wrong = None, "", "", False, False
+        self._unprove()
+        self._controller_clock.start()
         self._moved, self._stood_s = False, 0.0
         self._turns.begin()
         bound_control()  # opened in the main thread, the link's thread may go first
@@ -161,6 +133,9 @@ class CyclicRobot(ABC):
     ) -> None:
         self.stop()
         if self._open:
+            if self._wrong:  # what makes the arm stand goes out until it does
+                with self._ticked:
+                    self._ticked.wait_for(lambda: self._standing.stands or bool(self._lost), END_S)
             self._open = False
             self._finish()
 
@@ -181,6 +156,8 @@ class CyclicRobot(ABC):
         with self._lock:  # a stop from another thread comes before it or after it, never into it
             reading = self._ready()
             q, limited = self._goals.step(step, reading.q)
+            if self._proving(asks=bool((q != self._goals.sent).any())):
+                return self._note(self._base_q, None, (PROVING, *limited))
             return self._note(q, None, limited)
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
@@ -193,6 +170,7 @@ class CyclicRobot(ABC):
         with self._lock:
             self._stopped = self._stopped or "it was told to stop"
             self._hold()
+            self._standing.begin()
 
     def reset(self) -> None:
         """Take commands again. Raises DeviceFailed where closed or where the controller takes no motion, DeviceLost."""
@@ -202,7 +180,7 @@ class CyclicRobot(ABC):
                 raise DeviceFailed(
                     f"{self.name}: {self._stopped}", consequence="It stays stopped", cure="Set its controller going"
                 )
-            self._stopped, self._moved = "", False
+            self._stopped, self._wrong, self._moved = "", False, False
 
     def wait_step(self, after: int, wait_s: float) -> Pace:
         """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
@@ -228,13 +206,76 @@ class CyclicRobot(ABC):
         taken: whether it took what it was sent last, as far as it tells; else that goes out again.
         """
         with self._lock:  # a step belongs to the cycle before or after, never into it
-            if taken:
+            proven = self._prove(cycles, taken=taken)
+            steps = proven and taken and self._controller_clock.take_step()
+            if steps:
                 self._goals.take()
                 self._poses.take()
+            self._watch_standing()
             pace = self._pace
-            self._pace = replace(pace, steps=pace.steps + taken, cycles=pace.cycles + cycles, t_s=self._clock.now_s())
+            self._pace = replace(pace, steps=pace.steps + steps, cycles=pace.cycles + cycles, t_s=self._clock.now_s())
         with self._ticked:
             self._ticked.notify_all()
+
+    def _proving(self, *, asks: bool) -> bool:
+        """Tell whether motion has to wait for the proof of the link, and forget it then; begin that where it asks."""
+        if self._proof.state is ProofState.PASSED:
+            return False
+        if asks and self._proof.state is ProofState.NEEDED:
+            self._proof.begin(self._probe())
+        running = self._proof.state is ProofState.RUNNING
+        if running:
+            self._hold()
+        return running
+
+    def _prove(self, cycles: int, *, taken: bool) -> bool:
+        """Do a cycle of the proof where one runs; tell whether none runs."""
+        if self._proof.state is not ProofState.RUNNING:
+            self._proof.rest(self._axes())
+            return True
+        offset, cause = self._proof.step(self._axes(), cycles, taken=taken)
+        self._put(np.zeros_like(offset) if self._stopped else offset)
+        if self._stopped:
+            self._unprove()
+        if cause:
+            self._refuse(cause)
+        return False
+
+    def _probe(self) -> Probe:
+        """Return what is moved to prove the link, and note from where."""
+        return joint_probe(*self._goals.room())
+
+    def _axes(self) -> Array:
+        """Return where what is moved to prove the link is read, (n,)."""
+        return np.zeros(self.n_joints) if self._reading is None else self._reading.q
+
+    def _put(self, offset: Array) -> None:
+        """Send the axes of the probe by (n,) away from where they stood."""
+        self._goals.start(self._base_q + offset)
+
+    def _refuse(self, why: str) -> None:
+        """Stop because of something that is wrong with the controller; what makes the arm stand goes out."""
+        with self._lock:
+            self._stopped, self._wrong = why, True
+            self._hold()
+            self._unprove()
+            self._standing.begin()
+
+    def _watch_standing(self) -> None:
+        """Answer no more where a stopped arm goes on moving: its controller then ends by itself what it does."""
+        if self._stopped and not self._held and self._standing.moves(self._axes()):
+            self._lose(f"{self._stopped}; the arm went on moving all the same, and is answered no more")
+
+    def _hear_clock(self, stamp_s: float, number: int) -> None:
+        """Note the controller's clock; stop where it jumps or its cycle is not what the link is set to."""
+        jump = self._controller_clock.hear(stamp_s, number, self._clock.now_s())
+        wrong = self._controller_clock.wrong if self._controller_clock.sure else ""
+        if self._open and not self._wrong and (jump or wrong):
+            self._refuse(jump or f"{wrong}: {self._controller_clock.cure}")
+
+    def _measured(self) -> bool:
+        """Tell whether the controller's cycle is known."""
+        return self._controller_clock.measured_s is not None
 
     def _hold(self) -> None:
         """Forget what was asked and not yet sent."""
@@ -242,8 +283,14 @@ class CyclicRobot(ABC):
         self._poses.hold()
 
     def _rebase(self, q: Array) -> None:
-        """Take the position where the arm stands, q (n,), for its goal."""
+        """Take the position where the arm stands, q (n,), for its goal; what was proven was so for another session."""
         self._goals.start(q)
+        self._unprove()
+
+    def _unprove(self) -> None:
+        """Take nothing for proven; where the axes are told to be is what the next probe leaves from."""
+        self._proof.forget()
+        self._base_q = self._goals.sent
 
     def _off(self, reading: JointReading) -> float:
         """Return how far it is from where it was last told to go, in rad or m."""
@@ -315,6 +362,7 @@ class CyclicRobot(ABC):
     def _stop_moved(self, why: str) -> None:
         """Stop an arm that was set in motion since it was opened or reset: nothing else was asked or enabled."""
         if self._moved and why not in self._stopped:
+            self._standing.begin()
             self._stopped = f"{self._stopped}, and {why}" if self._stopped else why
 
     def _silent(self) -> bool:

@@ -69,6 +69,10 @@ class JointGoals:
         """Where the controller was last told to go, (n,)."""
         return self._sent
 
+    def room(self) -> tuple[Array, Array]:
+        """Return how far it is to the lower (negative) and to the upper end of the range, each (n,)."""
+        return self._limits.lower - self._sent, self._limits.upper - self._sent
+
     def slow_down(self, max_speed: Array) -> None:
         """Allow no more than max_speed (n,) in rad/s or m/s, where that is less than the limits say."""
         with self._lock:
@@ -206,6 +210,13 @@ def between(start: RigidTransform, end: RigidTransform) -> tuple[np.ndarray, np.
     """Return the way (3,) in m and the turn (3,) in rad, both in base axes, from one pose to another."""
     turn = (end.rotation * start.rotation.inv()).as_rotvec()
     return np.asarray(end.translation) - np.asarray(start.translation), np.asarray(turn)
+
+
+def away(start: RigidTransform, offset: Array) -> RigidTransform:
+    """Return the pose that is a way in m and a turn in rad (6,), in base axes, from a start: between's reverse."""
+    return RigidTransform.from_components(
+        np.asarray(start.translation) + offset[:3], Rotation.from_rotvec(offset[3:]) * start.rotation
+    )
 
 
 Goal = NDArray[np.float64] | RigidTransform

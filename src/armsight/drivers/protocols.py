@@ -91,6 +91,11 @@ class RobotState(StrEnum):
     LOST = "lost"
 
 
+PROVING = "the link is being proven"
+"""What Sent.limited says while a probe shows what the controller makes of its commands: until then the arm is told to
+stand, whatever is asked for."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sent:
     """A command as it really went to the controller, after every limit.

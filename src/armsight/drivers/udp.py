@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.goals import PoseGoals, between
+from armsight.drivers.controller_clock import ENOUGH
+from armsight.drivers.cyclic import CyclicRobot
+from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.link_settings import LinkSettings, Positive
-from armsight.drivers.protocols import Sent
+from armsight.drivers.pace import LinkTimes
+from armsight.drivers.proof import Probe, flange_probe
+from armsight.drivers.protocols import PROVING, Sent
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -30,7 +33,13 @@ LARGEST_PACKET = 4096
 """Bytes of a packet at most: a controller's state has about 700."""
 
 RESTART_PACKETS = 3
-"""So many packets behind the newest, one behind the other in order, are those of a link that has started anew."""
+RESTART_CYCLES = 25
+RESTART_ROW = 10
+"""So many packets in order, all older than the newest by more than RESTART_CYCLES, are those of a link that has started
+anew; RESTART_ROW where they are less old. A network that doubles or delays packets brings newer ones between."""
+
+DEAF_ANSWERS = 50
+"""Where none of so many answers was taken, none will be: half of what a controller bears before it ends by itself."""
 
 
 NEW_SESSION_CYCLES = 9
@@ -120,6 +129,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         self.counts = UdpCounts()
         self._link_settings = settings
         self._last: State | None = None
+        self._base_pose = RigidTransform.identity()
 
     def step_joints(self, step: Array) -> Sent:
         """Move on by step (n,) in rad; in pose guidance only a step of zeros, which asks for nothing."""
@@ -148,12 +158,15 @@ class UdpRobot(CyclicRobot, Generic[State]):
             if here is None:
                 raise DeviceLost(f"{self.name} tells no pose", consequence="Nothing was sent")
             pose, limited = self._poses.go(T_base_flange, here)
+            if self._proving(asks=bool(np.concatenate(between(self._poses.sent, pose)).any())):
+                return self._note(reading.q, self._base_pose, (PROVING, *limited))
             return self._note(reading.q, pose, limited)
 
     def _start(self) -> None:
         self.counts = UdpCounts()
         self._last = None
-        self._behind = 0
+        self._behind, self._behind_number = 0, -1
+        self._answers = 0
         self._sender: Sender | None = None
         self._other: Sender | None = None
         self._closing = False
@@ -162,12 +175,9 @@ class UdpRobot(CyclicRobot, Generic[State]):
         self._first = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
-        if not self._first.wait(self._link_settings.open_s):
+        if not self._first.wait(self._link_settings.open_s) or self._unfit():
             self._finish()
-            wrong = f" ({self.counts.refused} packets were no state)" if self.counts.refused else ""
-            raise self._not_opened(
-                f"no controller has sent to UDP port {self.port} within {self._link_settings.open_s:g} s{wrong}"
-            )
+            raise self._not_opened()
 
     def _bind(self) -> socket.socket:
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -228,30 +238,30 @@ class UdpRobot(CyclicRobot, Generic[State]):
         last = self._last
         if last is None and not self._may_begin(state):
             return
-        self._sender = sender
-        if last is not None and self._cycles_between(last, state) <= 0:
+        self._sender, cycles = sender, 1 if last is None else self._cycles_between(last, state)
+        if last is not None and cycles <= 0:
             # a controller that repeats itself lives, though it tells nothing new: the link is not silent
             self.counts.repeated += 1
             self._heard_s = self._clock.now_s()
             self._hear_old(state, last, sender)
             return
-        cycles = 1 if last is None else self._cycles_between(last, state)
         if last is not None and not self._possible(state.q, last.q, cycles):
             self.counts.refused += 1
             return
-        self._last = state
+        self._last, taken = state, True
         if last is not None:
             self._check_session(state, last)
-        taken = last is None or self._taken(state)
+            taken = self._taken(state)
         self.counts.missed += cycles - 1
-        self._behind = 0
+        self._behind, self._behind_number = 0, -1
         self._hear(state)
         self._heard(state.q, self._clock.now_s())
+        self._hear_clock(*self._stamp(state))
         self.counts.heard += 1
         if newest and not self._lost:
             self._tick(cycles, taken=taken)
             self._answer(state, sender)
-        self._first.set()
+        self._first_heard()
 
     def _why_silent(self) -> str:
         other = f"; {self._other[0]}:{self._other[1]} sends instead" if self._other else ""
@@ -268,9 +278,40 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _check_session(self, state: State, last: State) -> None:
         """Begin anew, or lose the link, where a state may be of a session that has begun since the last one."""
 
-    def _not_opened(self, nobody: str) -> DeviceFailed:
-        """Return the error of a link on which no controller has spoken, which nobody tells, or none that may begin."""
-        return DeviceNotFound(nobody, consequence="The robot is not opened", cure=self.to_begin)
+    def _first_heard(self) -> None:
+        """Let the link be opened, or refused, where enough was heard."""
+        clock = self._controller_clock
+        if self._deaf(DEAF_ANSWERS) or (clock.wrong and clock.sure) or (self._measured() and not self._unfit()):
+            self._first.set()
+
+    def _unfit(self) -> tuple[str, str] | None:
+        """Return why the robot may not be opened, and the cure; None where nothing is known against it."""
+        if clock := self._controller_clock.wrong:
+            return clock, self._controller_clock.cure
+        return self._deaf(1)
+
+    def _deaf(self, answers: int) -> tuple[str, str] | None:
+        """Return that the controller has taken none of so many answers at least, and the cure; None: it has, or may."""
+        return None
+
+    def _not_opened(self) -> DeviceFailed:
+        """Return the error of a link on which no controller has spoken, or none that may be opened."""
+        if unfit := self._unfit():
+            return DeviceFailed(f"{self.name}: {unfit[0]}", consequence="The robot is not opened", cure=unfit[1])
+        wrong = f" ({self.counts.refused} packets were no state)" if self.counts.refused else ""
+        few = f", or fewer than {ENOUGH} packets" if self.counts.heard else ""
+        return DeviceNotFound(
+            f"no controller has sent to UDP port {self.port} within {self._link_settings.open_s:g} s{wrong}{few}",
+            consequence="The robot is not opened",
+            cure=self.to_begin,
+        )
+
+    def _restarted(self, number: int, newest: int, cycle: int) -> bool:
+        """Tell whether a packet older than the newest is of a link that started anew; cycle: what numbers go by."""
+        self._behind += number > self._behind_number
+        self._behind_number = number
+        far = newest - number > RESTART_CYCLES * cycle
+        return self._behind >= (RESTART_PACKETS if far else RESTART_ROW)
 
     def _answer(self, state: State, sender: Sender) -> None:
         """Answer a state with where the arm is told to go, where that can be said."""
@@ -279,6 +320,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
             return
         with contextlib.suppress(OSError):  # a controller that is gone is told by its silence
             self._socket.sendto(data, sender)
+            self._answers += 1
             self._answered(state)
 
     def _answered(self, state: State) -> None:
@@ -297,6 +339,10 @@ class UdpRobot(CyclicRobot, Generic[State]):
         """Return by how many of the controller's cycles a state is newer than the last; 0 or less: it is not."""
 
     @abstractmethod
+    def _stamp(self, state: State) -> tuple[float, int]:
+        """Return the controller's time in s and the number of a state, 0 where it has none."""
+
+    @abstractmethod
     def _taken(self, state: State) -> bool:
         """Tell whether the controller took the last answer, as far as this state tells."""
 
@@ -312,6 +358,26 @@ class UdpRobot(CyclicRobot, Generic[State]):
         super()._rebase(q)
         if self._last is not None and self._last.T_base_flange is not None:
             self._poses.start(self._last.T_base_flange)
+            self._unprove()
+
+    def _unprove(self) -> None:
+        super()._unprove()
+        self._base_pose = self._poses.sent
+
+    def _probe(self) -> Probe:
+        return flange_probe() if self.takes_poses else super()._probe()
+
+    def _axes(self) -> Array:
+        here = None if self._last is None else self._last.T_base_flange
+        if not self.takes_poses or here is None:
+            return super()._axes()
+        return np.concatenate(between(self._base_pose, here))
+
+    def _put(self, offset: Array) -> None:
+        if self.takes_poses:
+            self._poses.start(away(self._base_pose, offset))
+        else:
+            super()._put(offset)
 
     def _off(self, reading: JointReading) -> float:
         here = None if self._last is None else self._last.T_base_flange

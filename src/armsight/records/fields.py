@@ -9,6 +9,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from armsight.errors import Inconsistent
 from armsight.fields import Bounds
+from armsight.records.checks import require_number
 
 MOST = 1e6
 """No speed, length, time or count of a limit is larger: a unit gone wrong."""
@@ -40,15 +41,20 @@ def _in(hint: Any) -> Iterator[Bounds]:
 
 
 def require_bounds(record: object, of: str = "") -> None:
-    """Raise Inconsistent where a field of a record is not within its Bounds; None is let through."""
+    """Raise UsageError where a field of a record is no number, Inconsistent where it is not within its Bounds.
+
+    None is let through.
+    """
     kind: Any = type(record)  # a class can be hashed
     for name, limit in _bounds(kind):
         value = getattr(record, name)
-        if value is not None and not limit.holds(value):
-            least = "a positive number" if limit.above == 0.0 else f"a number from {limit.least:g} on"
-            most = "" if limit.most is None or not value > limit.most else f" up to {limit.most:g}"
+        if value is None:
+            continue
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            require_number(of + name, value)
+        if not limit.holds(value):
             raise Inconsistent(
-                f"{of}{name} is {value:g}, which is not {least}{most}",
+                f"{of}{name} is {value:g}, which must be {limit}",
                 consequence="It cannot be used",
                 cure="Give one, or leave the key away for the default",
             )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage
-from armsight.records.checks import require_number
+from armsight.records.checks import require_numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +35,7 @@ class Frame:
                 consequence="The frame cannot be searched",
                 cure="Give an array (h, w) or (h, w, 3) of uint8",
             )
-        require_number("t_s", self.t_s)
+        require_numbers(self, "t_s", "sequence", "exposure_s")
         if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
             raise BadImage(
                 f"{self.source}: an image of type {image.dtype} and shape {image.shape} is not 8-bit grey or BGR",

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, StaleData
-from armsight.records.checks import frozen_array
+from armsight.records.checks import frozen_array, require_kind, require_numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,6 +24,8 @@ class JointReading:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
+        require_numbers(self, "sequence")
+        require_kind("t_s", self.t_s, Real)
         if not np.isfinite(self.t_s):
             raise Inconsistent(f"{self.source}: the time {self.t_s} is not finite")
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
+from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.guarding import arm_model
-from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import driver_settings
-from armsight.app.robot.recorder import RecordingLog
+from armsight.app.robot.hosting import ProcessHost, spec_of
+from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.control.guard import Limits
 from armsight.control.session.service import Service
 from armsight.errors import Cancelled
@@ -141,35 +141,24 @@ def told_to_plant(
 
 
 def serve_robot(
-    robot: str,
-    arm: str | None,
-    options: ServeOptions,
-    log: Path,
-    *,
-    limits: Path | None = None,
-    rsi_config: Path | None = None,
-    terminal: Terminal,
+    job: RobotJob, arm: str | None, options: ServeOptions, log: Path, *, limits: Path | None = None, terminal: Terminal
 ) -> None:
-    """Serve DRIVER:DEVICE until SIGINT or SIGTERM.
+    """Serve a robot until SIGINT or SIGTERM.
 
-    arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what
-    check_options, arm_model, the driver, the disk and the plant's addresses refuse.
+    arm: its file or a preset's name. limits: limits.yaml of the guard. Raises what check_options, arm_model, the
+    driver, the disk and the plant's addresses refuse; DeviceFailed at the end where the disk took no more meanwhile.
     """
     check_options(options)
-    model = arm_model(robot, arm)
-    spec = RobotSpec(
-        robot=robot,
-        arm=model,
-        limits=Limits() if limits is None else read_limits(limits),
-        settings=driver_settings(robot, arm=model, rsi_config=rsi_config),
-    )
+    model = arm_model(job.robot, arm)
+    spec = spec_of(job, model, Limits() if limits is None else read_limits(limits))
     with RecordingLog(log) as kept, ProcessHost(spec) as host:
         if terminal.cancelled():
             raise Cancelled("stopped before the robot was served")
         service = Service(host, kept)
-        service.authority.note("info", f"{robot} is served")
+        service.authority.note("info", f"{job.robot} is served")
         service.pump()  # what the loop told as it took the arm over
         with told_to_plant(service, options.plant, terminal.tell):
             serve(service, options, ready=lambda url: terminal.ready(url, service.outside))
         service.authority.note("info", "the server ends")
         service.pump()
+    require_recorded(kept.failed)

@@ -3,6 +3,7 @@
 from armsight.testing.cameras import CameraCase, CameraContract
 from armsight.testing.checks import check, contract_tests, refused
 from armsight.testing.robots import RobotCase, RobotContract, RobotReadingContract
+from armsight.testing.wrong_controllers import WrongCase, WrongController
 
 __all__ = [
     "CameraCase",
@@ -10,6 +11,8 @@ __all__ = [
     "RobotCase",
     "RobotContract",
     "RobotReadingContract",
+    "WrongCase",
+    "WrongController",
     "check",
     "contract_tests",
     "refused",

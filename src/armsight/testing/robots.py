@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.drivers import Paced, Robot, RobotState
 from armsight.errors import DataRefused, DeviceFailed, StaleData, UsageError
 from armsight.testing.checks import check, refused
+from armsight.testing.wrong_controllers import WrongCase, WrongController, check_wrong, prove
 
 SETTLE_CYCLES = 400
 """Cycles after which a robot told to go a tenth of a cycle's way is at rest: 11 s at 28 ms."""
@@ -136,11 +137,25 @@ class RobotContract(RobotReadingContract):
     STAND_STILLS: ClassVar[tuple[tuple[float, bool], ...]] = ((0.1, False), (0.6, False), (1.5, False), (5.0, True))
     """How long it stands still in s, and whether at rest; fewer for a link that works in the time of the machine."""
 
+    def make_wrong(self, fault: WrongController) -> WrongCase | str:
+        """Return a robot whose controller is wrong, or, in words, why that cannot be behind this driver."""
+        raise NotImplementedError("return a WrongCase from make_wrong(), or why there is none")
+
+    def test_no_motion_on_a_wrong_premise(self) -> None:
+        """A controller that takes commands otherwise is found out by a probe of a few hundredths of a degree."""
+        for fault in WrongController:
+            case = self.make_wrong(fault)
+            if isinstance(case, str):
+                check(bool(case), f"it is said why {fault} cannot be")
+            else:
+                check_wrong(fault, case)
+
     def test_it_goes_where_it_says_it_was_sent(self) -> None:
         """What a command returns is where the robot then goes."""
         case = self.make()
         with case.robot as robot:
             case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
             start = robot.read().q
             sent = None
             for _ in range(20):
@@ -160,6 +175,7 @@ class RobotContract(RobotReadingContract):
         case = self.make()
         with case.robot as robot:
             case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
             start = robot.read().q
             sent = robot.step_joints(np.full(robot.n_joints, 100.0))
             check(bool(np.abs(sent.q - start).max() < 50.0), "a step of 100 rad within one cycle is cut")
@@ -175,6 +191,7 @@ class RobotContract(RobotReadingContract):
         case = self.make()
         with case.robot as robot:
             case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
             far = np.full(robot.n_joints, 100.0)
             first = robot.step_joints(far)
             for _ in range(5):
@@ -202,6 +219,7 @@ class RobotContract(RobotReadingContract):
         case = self.make()
         with case.robot as robot:
             case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
             step = np.full(robot.n_joints, 100.0)
             for _ in range(10):
                 robot.step_joints(step)
@@ -230,6 +248,7 @@ class RobotContract(RobotReadingContract):
             return
         with robot:
             case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
             step = np.full(robot.n_joints, 5.0 * case.tolerance)
             for _ in range(20):
                 robot.step_joints(step)
@@ -250,6 +269,7 @@ class RobotContract(RobotReadingContract):
             robot.reset()
             case.advance(10.0 * robot.cycle_s)
             check(_apart(where(), rest) <= case.tolerance, f"{told}a reset moves nothing")
+            prove(robot, case.advance)
             sent = robot.step_joints(step)
             case.advance(REST_CYCLES * robot.cycle_s)
             check(_apart(where(), sent.q) <= case.tolerance, f"{told}it goes where it says")
@@ -260,6 +280,7 @@ class RobotContract(RobotReadingContract):
         case = self.make()
         with case.robot as robot:
             case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
             for _ in range(10):
                 robot.step_joints(np.full(robot.n_joints, 100.0))
                 case.advance(robot.cycle_s)

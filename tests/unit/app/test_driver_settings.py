@@ -1,11 +1,20 @@
 """Drivers get what they need beyond their device: an arm where the link speaks of poses, the user's own tags."""
 
+import dataclasses
+import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armsight.app.robot.opening import LinkArm, driver_settings
+from armsight.app import requests
+from armsight.app.requests.motion import RobotJob, RobotTestJob, settings_of
+from armsight.app.robot import opening
+from armsight.app.robot.hosting import spec_of
+from armsight.app.robot.opening import LinkArm, driver_settings, robot_of
+from armsight.clock import ManualClock
+from armsight.control.guard import Limits
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
 from refusals import refuses
@@ -35,3 +44,46 @@ def test_only_the_driver_that_needs_it_gets_it() -> None:
     assert driver_settings("rsi:49152", rsi_config=Path("x.xml")) == {"rsi_config": Path("x.xml")}
     with pytest.raises(UsageError, match="RSI"):
         driver_settings("egm:6510", rsi_config=Path("x.xml"))
+
+
+def test_settings_of_the_command_line_reach_the_driver_and_its_words_name_what_it_knows() -> None:
+    texts = ["controller=192.168.0.10", "cycle_s=0.012", "lower_rad=-1,-1,-1,-1,-1,-1"]
+    job = RobotTestJob(robot="rsi:49152", robot_settings=settings_of(texts))
+    kept = robot_of(job, ManualClock()).settings  # type: ignore[attr-defined]  # the driver's own
+    assert (kept.controller, kept.cycle_s, kept.lower_rad) == ("192.168.0.10", 0.012, [-1.0] * 6)
+    served = spec_of(job, presets.ur10(), Limits())
+    assert served.settings["cycle_s"] == "0.012" and served.robot == "rsi:49152"
+    with refuses(UsageError, "nonsense", "controller", "bind", "cycle_s"):
+        robot_of(RobotTestJob(robot="egm:6510", robot_settings={"nonsense": 1}), ManualClock())
+    with refuses(UsageError, "cycle_s"):
+        robot_of(RobotTestJob(robot="rtde:192.0.2.1", robot_settings={"cycle_s": "fast"}), ManualClock())
+
+
+@pytest.mark.parametrize(("robot", "given"), [("sim:webcam-cell", {"cycle_s": 0.004}), ("alter:p", {"arm": "ur10"})])
+def test_settings_that_would_be_ignored_are_refused(robot: str, given: dict[str, object]) -> None:
+    with refuses(UsageError, next(iter(given)).replace("arm", "--arm")):
+        robot_of(RobotTestJob(robot=robot, robot_settings=given), ManualClock())
+
+
+@pytest.mark.parametrize("texts", [["cycle_s"], ["=1"], ["cycle_s="], ["cycle_s=1", "cycle_s=2"]])
+def test_what_is_no_setting_is_refused(texts: list[str]) -> None:
+    with refuses(UsageError, "--robot-set", texts[-1]):
+        settings_of(texts)
+
+
+def test_every_request_that_names_a_robot_takes_its_settings() -> None:
+    modules = (requests.motion, requests.identify, requests.verify, import_module("armsight.app.requests.cell_plan"))
+    kinds = {kind for module in modules for kind in vars(module).values() if dataclasses.is_dataclass(kind)}
+    named = {kind for kind in kinds if {"robot", "arm"} <= {one.name for one in dataclasses.fields(kind)}}
+    assert len(named) > 5 and all(issubclass(kind, RobotJob) for kind in named)  # type: ignore[arg-type]  # classes
+
+
+def test_robots_are_opened_in_one_place() -> None:
+    """A planted call elsewhere would open a link without the settings that a person gave."""
+    source = Path(opening.__file__).parents[2]
+    opened = {
+        path.name
+        for path in source.rglob("*.py")
+        if re.search(r"(?<!def )\bopen_robot\(|load\(ROBOTS", path.read_text(encoding="utf-8"))
+    }
+    assert opened == {"opening.py", "guarding.py", "hosting.py"}  # of these the second asks for an arm's model alone

@@ -107,7 +107,7 @@ def cell(tmp_path_factory):
         T_flange_target=handeye.T_parent_target,
         T_world_rig=arm.T_world_base * handeye.T_parent_camera,
         robot=SimpleNamespace(session=SimpleNamespace(arm=arm, override=1.0), joints=lambda: HOME.copy()),
-        asked=IsoRequest(folder=folder, cell=read_cell(folder), cycles=8, speed_mm_s=500.0, frames=3),
+        asked=IsoRequest(folder=folder, cell=read_cell(folder), cycles=8, speed_m_s=0.5, frames=3),
     )
 
 
@@ -173,9 +173,9 @@ def test_a_robot_that_does_not_go_on_is_told(cell):
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"side_mm": 900.0}, DataRefused),
+        ({"side_m": 0.9}, DataRefused),
         ({"cycles": 1}, UsageError),
-        ({"speed_mm_s": 0.0}, UsageError),
+        ({"speed_m_s": 0.0}, UsageError),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_moves(cell, change, error):

@@ -11,18 +11,23 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.operator.robot_cell import prepare_simulated
-from armsight.app.operator.supervise import StationSupervisor, limits_of
+from armsight.app.operator.supervise import Levels, StationSupervisor
 from armsight.errors import NotEnoughData, UsageError
 from armsight.publish.state import PlantState, conditions
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
-from armsight.verify.supervision import Level
+from armsight.units import MM
+from armsight.verify.supervision import Level, Limits
 from refusals import refuses
 
 HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
 STD = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)
+
+
+def levels(warn_mm: float, stop_mm: float) -> Limits:
+    return Levels(warn_m=warn_mm * MM, stop_m=stop_mm * MM).limits
 
 
 class Cell:
@@ -77,7 +82,11 @@ class Cell:
 
     def supervised(self, warn_mm=2.0, stop_mm=5.0):
         run = StationSupervisor(
-            self.folder, read_cell(self.folder), self.robot, lambda: self.station, limits_of(warn_mm, stop_mm)
+            self.folder,
+            read_cell(self.folder),
+            self.robot,
+            lambda: self.station,
+            levels(warn_mm, stop_mm),
         )
         assert self.heard.wait(10.0)
         return run
@@ -135,13 +144,13 @@ def test_without_a_stop_level_the_robot_is_never_stopped(cell):
 
 def test_what_cannot_be_supervised_is_refused(cell):
     with pytest.raises(UsageError, match="above"):
-        limits_of(5.0, 2.0)
+        levels(5.0, 2.0)
     unplaced = read_cell(cell.folder).model_copy(update={"handeye": ""})
     with refuses(NotEnoughData, "not known"):
-        StationSupervisor(cell.folder, unplaced, cell.robot, lambda: cell.station, limits_of(1.0, 2.0))
+        StationSupervisor(cell.folder, unplaced, cell.robot, lambda: cell.station, levels(1.0, 2.0))
     carried = read_cell(cell.folder).model_copy(update={"cameras": "carried"})
     with refuses(UsageError, "ride"):
-        StationSupervisor(cell.folder, carried, cell.robot, lambda: cell.station, limits_of(1.0, 2.0))
+        StationSupervisor(cell.folder, carried, cell.robot, lambda: cell.station, levels(1.0, 2.0))
     run = cell.supervised()
     with refuses(NotEnoughData, "showed"):
         run.end()

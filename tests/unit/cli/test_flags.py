@@ -33,9 +33,9 @@ class Asking:
 
     source: Annotated[Path, Doc("What."), Flag(positional=True, metavar="SRC")]
     wait_s: Annotated[float, Doc("How long."), Bounds(least=0.0)] = 1.5
-    length_m: Annotated[float, Doc("How far."), Flag(quantity="m")] = 0.6
-    plate_m: Annotated[float, Doc("How thick."), Bounds(least=1.0), Flag(unit=MM)] = 3.0 * MM
-    turn_rad: Annotated[float | None, Doc("How much."), Flag(unit=DEG)] = None
+    length_m: Annotated[float, Doc("How far."), Bounds(least=0.0), Flag(quantity="m")] = 0.6
+    plate_m: Annotated[float, Doc("How thick."), Bounds(least=1.0 * MM), Flag(unit=MM)] = 3.0 * MM
+    turn_rad: Annotated[float | None, Doc("How much."), Bounds(above=0.0, most=180.0 * DEG), Flag(unit=DEG)] = None
     speed_m_s: Annotated[float, Doc("How fast, m/s.")] = 0.1
     quiet: Annotated[bool, Doc("Say nothing.")] = False
     names: Annotated[tuple[str, ...], Doc("Which."), Flag("--named", read=lambda text: tuple(text.split(",")))] = ()
@@ -96,6 +96,9 @@ def test_a_request_is_made_of_its_flags() -> None:
         (("a", "--length", "600"), "write 600m or 600mm"),
         (("a", "--length", "3s"), "its units are m, mm"),
         (("a", "--plate-mm", "0.5"), "'--plate-mm'"),
+        (("a", "--turn-deg", "0"), "--turn-deg is 0, which must be above 0 and at most 180"),
+        (("a", "--turn-deg", "181"), "'--turn-deg'"),
+        (("a", "--length=-10mm"), "--length is -0.01, which must be at least 0"),
         (("a", "--untold", "3"), "No such option"),
         (("a", "--robot", "none"), "there is no such robot"),
     ],

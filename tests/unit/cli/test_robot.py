@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.requests.motion import JogJob
+from armsight.app.requests.motion import JogJob, RobotTestJob
 from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.link_test import test_robot as read_link
 from armsight.app.robot.opening import open_robot
@@ -34,7 +34,7 @@ def jog(clock: ManualClock | None = None, confirm=yes, progress=None, **job):
 
 
 def test_a_link_test_moves_nothing() -> None:
-    done = read_link(SIM, for_s=0.4, clock=ManualClock())
+    done = read_link(RobotTestJob(robot=SIM, for_s=0.4), clock=ManualClock())
     assert done.driver == "sim"
     assert done.cycle_s == pytest.approx(0.008)
     assert (done.n_cycles, done.late, done.missed) == (50, 0, 0)
@@ -48,7 +48,7 @@ def test_a_link_that_falls_silent_is_a_failure() -> None:
     robot = open_robot(SIM, clock)
     with pytest.raises(StaleData):
         robot.fault("frozen")
-        read_link(SIM, for_s=2.0, clock=clock, opened=robot)
+        read_link(RobotTestJob(robot=SIM, for_s=2.0), clock=clock, opened=robot)
 
 
 def test_readings_that_stop_for_a_moment_are_told_and_the_test_goes_on() -> None:
@@ -62,7 +62,7 @@ def test_readings_that_stop_for_a_moment_are_told_and_the_test_goes_on() -> None
         return read()
 
     robot.read = halting  # type: ignore[method-assign]
-    done = read_link(SIM, for_s=1.0, clock=clock, opened=robot)
+    done = read_link(RobotTestJob(robot=SIM, for_s=1.0), clock=clock, opened=robot)
     assert done.n_cycles == 125
     assert done.silence_ms == pytest.approx(304.0, abs=8.1)
 

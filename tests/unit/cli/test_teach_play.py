@@ -113,7 +113,6 @@ def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) 
         (("--robot", SIM, "--rig", "r.yaml", "--target", "t.yaml"), "--handeye are needed"),
         (("--from", "poses.csv", "--robot", SIM), "with --from, --robot means nothing"),
         (("--rig", "r.yaml", "--target", "t.yaml", "--hand", "circle"), "with no --robot, --hand means nothing"),
-        (("--from", "poses.csv", "--every", "0"), "every 0 frames"),
         (("--from", "poses.csv", "--path-speed", "-1"), "is no speed"),
     ],
 )

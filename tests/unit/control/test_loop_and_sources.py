@@ -22,11 +22,13 @@ from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.sources import ClientSource, Enable, GoalSource, JogFrame, JogSource
 from armsight.control.status import Jitter
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import JointLimits
+from armsight.drivers.pace import LinkTimes
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.recording import Recording
+from armsight.testing.wrong_controllers import prove
 from refusals import names_it
 
 
@@ -284,6 +286,7 @@ class Cyclic(CyclicRobot):
 
     def asks(self, *, taken: bool = True, cycles: int = 1) -> None:
         self._heard(self._goals.sent, self._clock.now_s())
+        self._hear_clock(self._clock.now_s(), 0)
         self._tick(cycles, taken=taken)
         self.goals.append(float(self._goals.sent[0]))
 
@@ -304,7 +307,13 @@ def paced(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(loop_module, "PATIENCE", 0.0)
     clock = ManualClock(10.0)
     robot = Cyclic(clock)
+
+    def ask(**how) -> None:
+        clock.advance(0.01)
+        robot.asks(**how)
+
     with robot:
+        prove(robot, lambda time_s: ask())
         loop = ControlLoop(robot, Guard(ARM, Limits(), 0.01), Steady(), clock, enabled=lambda: True)
         loop._begin()
 
@@ -312,10 +321,6 @@ def paced(monkeypatch: pytest.MonkeyPatch):
             waiting, _, due_s = loop._due(clock.now_s())
             loop._cycle(clock.now_s(), clock.now_s() - due_s, waiting=waiting)
             return waiting
-
-        def ask(**how) -> None:
-            clock.advance(0.01)
-            robot.asks(**how)
 
         yield robot, loop, ask, cycle
 
@@ -353,7 +358,7 @@ def test_a_command_that_came_late_waits_for_a_cycle_of_its_own(paced) -> None:
 
     def late(values):
         if not sent:
-            robot.asks()  # the controller asks while the loop still computes
+            ask()  # the controller asks while the loop still computes
         sent.append(values)
         return step(values)
 

@@ -185,7 +185,7 @@ def test_a_path_in_millimetres_is_refused_before_it_is_sampled(monkeypatch: pyte
     def sampled(*_: object) -> None:
         raise AssertionError("minutes of work")
 
-    monkeypatch.setattr("armsight.control.play.plan._rounded", sampled)
+    monkeypatch.setattr("armsight.control.play.plan.shaped", sampled)
     with pytest.raises(Inconsistent) as refused:
         plan_path(through(places), ARM, Limits(), Q, FAST)
     assert "millimetres" in refused.value.cure

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from armsight.clock import Clock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
-from armsight_sim.twins.base import note_silence, twin_arm, twin_drive, twin_home
+from armsight_sim.twins.base import RIGHT, Wrong, note_silence, twin_arm, twin_drive, twin_home
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,7 @@ class AlterController:
         self.messages: list[str] = []
         self._drive = drive
         self._modes = cumulative | tool << 1
+        self.wrong: Wrong = RIGHT
         self._servo = Servo(drive, home, keep=1000)
         self._faults: set[AlterFault] = set()
         self._cycles = 0
@@ -166,7 +167,8 @@ class AlterController:
     def _begin(self) -> None:
         """Start path control where the arm stands."""
         self._servo.halt()
-        self._start = self._pose = self.arm.frames(self._servo.goal)[-1]
+        self._home = self._reached = self._servo.goal
+        self._start = self._pose = self.arm.frames(self._home)[-1]
         self._connected = self._asked = False
         self._late_row = 0
 
@@ -206,7 +208,8 @@ class AlterController:
 
     def _goal(self, way: Array, turn: Array) -> tuple[Array, Array]:
         """Return the pose (4, 4) and the joints (6,) that an answer asks for. Raises Inconsistent where it cannot."""
-        start = self._pose if self._modes & 1 else self._start
+        way, turn = np.split(self.wrong.of(np.concatenate([way, turn])), 2)
+        start = self._pose if bool(self._modes & 1) is not self.wrong.adds else self._start
         R = Rotation.from_rotvec(turn).as_matrix()
         pose = start.copy()
         if self._modes & 2:
@@ -219,10 +222,11 @@ class AlterController:
         wide = np.linalg.norm(Rotation.from_matrix(pose[:3, :3] @ self._pose[:3, :3].T).as_rotvec())
         if far > LONGEST[0] or wide > LONGEST[1]:
             raise Inconsistent("an answer asks for more than a cycle's way")
-        q = self.arm.reach(pose, self._servo.goal)
+        q = self.arm.reach(pose, self._reached)
+        self._reached = q
         if any(not joint.lower <= value <= joint.upper for joint, value in zip(self.arm.joints, q, strict=True)):
             raise Inconsistent("an answer asks for joints beyond their range")
-        return pose, q
+        return pose, self.wrong.joints(q, self._home)
 
     def _state(self) -> bytes:
         """Return the frame of the controller's state."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -29,6 +30,47 @@ ENCODER_STEP = 1e-5
 
 HOME = (0.1, -0.4, 0.5, -0.8, 0.9, 0.4)
 """Joint values a twin stands at first, as far as its ranges allow."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wrong:
+    """What is wrong with how a controller takes what it is sent; joints and axes count from 0.
+
+    adds: it takes each correction as one to the last (relative mode); where that is its mode, as one to where it began.
+    reversed, exchanged: axes. scale: of all. gear: a joint and how many times as far it goes.
+    """
+
+    adds: bool = False
+    reversed: tuple[int, ...] = ()
+    exchanged: tuple[int, int] | None = None
+    scale: float = 1.0
+    gear: tuple[int, float] | None = None
+
+    def of(self, offset: Array) -> Array:
+        """Return what it makes of an offset (n,) from where it began, but for the gear and for what adds up."""
+        made = np.array(offset, dtype=float)
+        made[list(self.reversed)] *= -1.0
+        if self.exchanged is not None:
+            made[list(self.exchanged)] = made[list(self.exchanged[::-1])]
+        return self.scale * made
+
+    def guided(self, q: Array, first: Array, last: Array) -> Array:
+        """Return where joints go that are guided to q (n,), where they were guided first and where they are going."""
+        if self == RIGHT:
+            return q
+        start = last if self.adds else first
+        return self.joints(start + self.of(q - first), start)
+
+    def joints(self, q: Array, start: Array) -> Array:
+        """Return where joints told to go to q (n,) go, from a start (n,), by their gears."""
+        made = np.array(q, dtype=float)
+        if self.gear is not None:
+            j, ratio = self.gear
+            made[j] = start[j] + ratio * (made[j] - start[j])
+        return made
+
+
+RIGHT = Wrong()
 
 TABLE = (
     (0.0, -1, 0.29, 0),
@@ -129,12 +171,13 @@ def small_arm() -> SimArm:
     )
 
 
-def twin_drive(arm: SimArm, cycle_s: float) -> Drive:
-    """Return the motors of a twin. Raises UsageError for a cycle that cannot be."""
+def twin_drive(arm: SimArm, cycle_s: float, *, lag_s: float = LAG_S, noise: float = 0.0) -> Drive:
+    """Return the motors of a twin; noise: of readings, in rad or m. Raises UsageError for a cycle that cannot be."""
     if not 0.0 < cycle_s <= 1.0:
         raise UsageError(f"a cycle of {cycle_s} s cannot be", cure="Give 0.004 or 0.028, for instance")
     speed = np.array([joint.max_speed for joint in arm.joints])
-    return Drive(cycle_s=cycle_s, lag_s=LAG_S, max_speed=speed, encoder_step=np.full(arm.n, ENCODER_STEP))
+    step = np.full(arm.n, ENCODER_STEP)
+    return Drive(cycle_s=cycle_s, lag_s=lag_s, max_speed=speed, encoder_step=step, noise=noise)
 
 
 def twin_home(arm: SimArm) -> Array:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
-from armsight_sim.twins.base import host_port, note_silence, twin_arm, twin_drive, twin_home
+from armsight_sim.twins.base import RIGHT, Wrong, host_port, note_silence, twin_arm, twin_drive, twin_home
 from armsight_sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
 
 Array = NDArray[np.float64]
@@ -88,7 +88,9 @@ class EgmController:
         self._clock = clock
         self._origin_s = clock.now_s()
         self._servo = Servo(drive, home, keep=1000)
+        self.wrong: Wrong = RIGHT
         self._wanted = self._planned = self._servo.goal
+        self._first: Array | None = None
         self._faults: set[EgmFault] = set()
         self._sequence = 0
         self._started_cycle = 0
@@ -132,6 +134,7 @@ class EgmController:
         q = self.q + np.asarray(by, dtype=float)
         self._servo = Servo(self._drive, q, self._servo.t_s, keep=1000)
         self._wanted = self._planned = q
+        self._first = None
 
     def cycle(self) -> None:
         """Take what has come, move for one cycle, and send."""
@@ -164,6 +167,7 @@ class EgmController:
         self._servo.halt()
         if plan:
             self._wanted = self._planned = self._servo.goal
+            self._first = None
 
     def _plan(self) -> None:
         """Go on towards where the sensor has the arm; what holds it up does not hold up the plan."""
@@ -211,12 +215,27 @@ class EgmController:
             if len(degrees) != self.arm.n:
                 raise BadWire("another number of joints")
             q = np.radians(degrees)
+            self._first = q if self._first is None else self._first
+            q = self.wrong.guided(q, self._first, self._wanted)
         else:
-            q = self.arm.reach(_pose(planned[2][-1]), self._planned)
+            q = self._led(_pose(planned[2][-1]))
         if not np.isfinite(q).all():
             raise BadWire("a goal is not finite")
         low, high = (np.array([getattr(joint, end) for joint in self.arm.joints]) for end in ("lower", "upper"))
         return int(header[1][-1]), np.clip(q, low, high)
+
+    def _led(self, pose: Array) -> Array:
+        """Return the joints (n,) that bring the flange to where a pose (4, 4) of the sensor guides it."""
+        if self.wrong == RIGHT:
+            return self.arm.reach(pose, self._planned)
+        self._first = self.arm.reach(pose, self._planned) if self._first is None else self._first
+        first, last = (self.arm.frames(q)[-1] for q in (self._first, self._wanted))
+        turn = Rotation.from_matrix(pose[:3, :3] @ first[:3, :3].T).as_rotvec()
+        made = self.wrong.of(np.concatenate([pose[:3, 3] - first[:3, 3], turn]))
+        goal = (last if self.wrong.adds else first).copy()
+        goal[:3, 3] += made[:3]
+        goal[:3, :3] = Rotation.from_rotvec(made[3:]).as_matrix() @ goal[:3, :3]
+        return self.wrong.joints(self.arm.reach(goal, self._first), self._first)
 
     def _packet(self) -> bytes:
         """Return the controller's state as an EgmRobot message."""

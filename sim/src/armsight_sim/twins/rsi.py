@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
-from armsight_sim.twins.base import clipped, host_port, note_silence, twin_arm, twin_drive, twin_home
+from armsight_sim.twins.base import RIGHT, Wrong, clipped, host_port, note_silence, twin_arm, twin_drive, twin_home
 
 Array = NDArray[np.float64]
 
@@ -69,6 +69,7 @@ class RsiController:
         self.counts = RsiTwinCounts()
         self.messages: list[str] = []
         self.late_limit = LATE_LIMIT
+        self.wrong: Wrong = RIGHT
         self._late_row = 0
         self._driver = driver
         self._drive = drive
@@ -193,12 +194,12 @@ class RsiController:
             raise ValueError("no Sen of this type")
         ipocs = re.findall(r"<IPOC>\s*(\d+)\s*</IPOC>", whole[1])
         joint, pose = (_attributes(whole[1], *what) for what in (("AK", "A1 A2 A3 A4 A5 A6"), ("RKorr", "X Y Z A B C")))
-        q = self._start
+        start = q = self._servo.goal if self.wrong.adds else self._start
         if joint is not None:
-            q = q + np.deg2rad(joint)
+            q = q + np.deg2rad(self.wrong.of(joint))
         if pose is not None:
-            q = self.arm.reach(_corrected(self.arm.frames(self._start)[-1], pose), self._servo.goal)
-        return int(ipocs[-1]), clipped(self.arm, q)
+            q = self.arm.reach(_corrected(self.arm.frames(start)[-1], self.wrong.of(pose)), self._servo.goal)
+        return int(ipocs[-1]), clipped(self.arm, self.wrong.joints(q, start))
 
     def _packet(self) -> bytes:
         """Return the controller's state."""

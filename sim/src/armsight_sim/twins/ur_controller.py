@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight_sim.arms import Drive, Servo, SimArm
+from armsight_sim.twins.base import RIGHT, Wrong
 from armsight_sim.twins.rtde_wire import INPUTS, OUTPUTS, REGISTERS
 from armsight_sim.twins.urscript import Program, Routine, ScriptError
 
@@ -35,8 +36,10 @@ class UrController:
         self.arm = arm
         self.messages: list[str] = []
         """Why a program was refused or stopped."""
+        self.wrong: Wrong = RIGHT
         self._drive = drive
         self._servo = Servo(drive, home, keep=1000)
+        self._first: Array | None = None
         self._cycles = 0
         self._program: Program | None = None
         self._inputs: dict[str, list[float]] = {}
@@ -69,6 +72,7 @@ class UrController:
     def play(self, text: str) -> None:
         """Run a program in place of the one before; a text that is none is told in messages."""
         self.halt("another program came")
+        self._first = None
         try:
             self._program = Program(text, self._calls(), self._waits())
         except ScriptError as error:
@@ -193,6 +197,8 @@ class UrController:
         goal = np.asarray(q, dtype=float)
         if goal.shape != (self.arm.n,) or not np.isfinite(goal).all():
             raise ScriptError(f"no joint positions: {q}")
+        self._first = goal if self._first is None else self._first
+        goal = self.wrong.guided(goal, self._first, self._servo.goal)
         low, high = (np.array([getattr(joint, end) for joint in self.arm.joints]) for end in ("lower", "upper"))
         if not ((low <= goal) & (goal <= high)).all():
             raise ScriptError(f"joint positions out of range: {np.round(goal, 3).tolist()}")

@@ -18,6 +18,7 @@ from armsight.app.identify.results import IdentifyOutput, PlannedSweepOutput, Pl
 from armsight.app.identify.sweep_files import identified, joint_std
 from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob, LiveJob
+from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
@@ -25,7 +26,7 @@ from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, 
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
-from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
+from armsight.drivers import PairSource, Robot, is_live
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
@@ -226,6 +227,7 @@ def in_radians(limits: Array, text: str = "") -> Array:
 def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, PairSource]:
     """Return the robot and the pairs that the job names; nothing is opened yet. Raises UsageError, DeviceNotFound."""
     if job.robot.startswith(SIM):
+        refuse_settings(job)
         name = job.robot.removeprefix(SIM)
         for view, text in (("left", job.left), ("right", job.right)):
             if text != f"camera:sim:{name}:{view}":
@@ -237,9 +239,9 @@ def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, Pai
         return cell.robot, cell.pairs
     if not (is_live(job.left) and is_live(job.right)):
         raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")
-    driver, _, device = job.robot.partition(":")
-    robot = cast(Robot, load(ROBOTS, driver)(device, settings={}, clock=clock))
-    return robot, open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
+    return robot_of(job, clock), open_pairs(
+        job.left, job.right, colour=target.colour is not None, settings=job.camera_settings
+    )
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:

@@ -64,15 +64,15 @@ class Range:
         return self.lower * unit, self.upper * unit
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class IdentifyRequest:
     """What a page asks: the cell, the ranges of all joints, readings of a sweep, frames of a reading."""
 
     folder: Path
     cell: CellFile
     ranges: tuple[Range, ...]
-    readings: int = 10
-    frames: int = 3
+    readings: int = LiveJob.readings
+    frames: int = Pace().frames
 
     @property
     def left_out(self) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, DataRefused, DeviceFailed, NotEnoughData, UsageError
+from armsight.fields import Bounds
 from armsight.kinematics import Arm, singularity_distance, track_path
 from armsight.records import Progress, TargetPose
 from armsight.store import World, read_rig, write_text, write_world
@@ -53,16 +55,16 @@ FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
 """What a page shows, each with its poses."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class IsoRequest:
-    """What a page asks. side_mm: of the cube, 0 for the largest that fits; cycles: visits of each pose; frames: poses
+    """What a page asks. side_m: of the cube, None for the largest that fits; cycles: visits of each pose; frames: poses
     that are seen at each."""
 
     folder: Path
     cell: CellFile
-    side_mm: float = 0.0
-    cycles: int = 10
-    speed_mm_s: float = 100.0
+    side_m: Annotated[float | None, Bounds(least=0.01, most=1.0)] = None
+    cycles: Annotated[int, Bounds(least=FEWEST_VISITS, most=100)] = 10
+    speed_m_s: Annotated[float, Bounds(least=0.001, most=1.0)] = 0.1
     frames: int = 5
 
 
@@ -96,8 +98,8 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
     """
     if asked.cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Put them beside it: they have to see where the arm goes")
-    if not (asked.cycles >= FEWEST_VISITS and asked.speed_mm_s > 0.0 and asked.side_mm >= 0.0):
-        raise UsageError(f"at least {FEWEST_VISITS} cycles, and a speed above 0, are needed")
+    if not (asked.cycles >= FEWEST_VISITS and asked.speed_m_s > 0.0 and (asked.side_m is None or asked.side_m > 0.0)):
+        raise UsageError(f"at least {FEWEST_VISITS} cycles, and a speed and a side above 0, are needed")
     arm, T_world_rig = read_placement(asked.folder, asked.cell).on_robot(robot.session.arm, "Nothing is planned")
     files = [cell_path(asked.folder, getattr(asked.cell, name), name) for name in ("rig", "target")]
     if files[0] is None or files[1] is None:
@@ -105,7 +107,7 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
     q = robot.joints()
     why: list[str] = []
     rig, target = read_rig(files[0]), target_of(files[1])
-    for side_m in (asked.side_mm * MM,) if asked.side_mm else (*SIDES_M, *SMALL_SIDES_M):
+    for side_m in (asked.side_m,) if asked.side_m else (*SIDES_M, *SMALL_SIDES_M):
         for plane in PLANES:
             cube = TestCube(centre_m=_here(arm, q).translation, side_m=side_m, plane=plane)
             poses = _poses(arm, q, cube)
@@ -168,7 +170,7 @@ def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig:
         cube=cube,
         quat_xyzw=np.asarray(corners["P1"].rotation.as_quat(canonical=True)),
         motions=(poses,),
-        speed_m_s=asked.speed_mm_s * MM,
+        speed_m_s=asked.speed_m_s,
         branch=(),
         singularity_distance=float(singularity_distance(arm, arm.values(q_poses)).min()),
         limit_margin=float(np.minimum(arm.values(q_poses) - arm.lower, arm.upper - arm.values(q_poses)).min()),
@@ -190,9 +192,7 @@ def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Leg:
     if len(readings) < 2:
         return Leg(name=name, q=readings, t_s=np.zeros(1))
     steps = len(readings) - 1
-    each = np.maximum(
-        length_m / steps / (asked.speed_mm_s * MM), np.abs(np.diff(readings, axis=0)).max(axis=1) / JOINT_SPEED
-    )
+    each = np.maximum(length_m / steps / (asked.speed_m_s), np.abs(np.diff(readings, axis=0)).max(axis=1) / JOINT_SPEED)
     return Leg(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 

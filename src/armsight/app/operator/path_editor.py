@@ -187,15 +187,17 @@ class PathEditor:
         self._path = path
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PlayRequest:
-    """How the path is run: its speed where it leaves that open, rounding of corners, and whether the tool is turned."""
+    """How the path is run: its speed where it leaves that open, and whether the tool keeps its rotation.
+
+    A page proposes that it does: it teaches with a target whose axes are seldom the tool's.
+    """
 
     folder: Path
     cell: CellFile
-    speed_mm_s: float = 10.0
-    blend_mm: float = 3.0
-    keep_rotation: bool = False
+    speed_m_s: float = PlayJob.path_speed_m_s
+    keep_rotation: bool = True
 
 
 def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> PathCheckOutput:
@@ -207,7 +209,7 @@ def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> Path
         editor.require(),
         arm,
         robot.limits,
-        speed_m_s=asked.speed_mm_s * MM,
+        speed_m_s=asked.speed_m_s,
         start=robot.joints(),
         out=asked.folder / "path-check.html",
         name=FILE,
@@ -231,10 +233,8 @@ def play(
         out=asked.folder / time.strftime("played-%Y%m%d-%H%M%S"),
         limits=cell_path(asked.folder, asked.cell.limits, "limits"),
         override=session.override,
-        path_speed_m_s=asked.speed_mm_s * MM,
-        blend_m=asked.blend_mm * MM,
+        path_speed_m_s=asked.speed_m_s,
         keep_rotation=asked.keep_rotation,
-        retract_m=0.0,
     )
 
     def begun(source: PathSource) -> None:

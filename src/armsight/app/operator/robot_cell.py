@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
+from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.guarding import arm_model
-from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import SIM, driver_settings
-from armsight.app.robot.recorder import RecordingLog, default_log
+from armsight.app.robot.hosting import ProcessHost, spec_of
+from armsight.app.robot.opening import SIM
+from armsight.app.robot.recorder import RecordingLog, default_log, require_recorded
 from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
 from armsight.control.guard import Limits
@@ -57,18 +58,19 @@ class RobotCell:
 
 
 @contextmanager
-def open_robot_cell(robot: str, folder: Path) -> Iterator[RobotCell]:
-    """Run the loop of DRIVER:DEVICE with arm and limits of the folder's cell, until the block ends.
+def open_robot_cell(job: RobotJob, folder: Path) -> Iterator[RobotCell]:
+    """Run the loop of a robot with arm and limits of the folder's cell, until the block ends.
 
     Raises what arm_model, the driver, the files and the disk refuse.
     """
     cell = read_cell(folder)
     arm, limits = (cell_path(folder, getattr(cell, name), name) for name in ("arm", "limits"))
+    robot = job.robot
     model = arm_model(robot, None if arm is None else str(arm))
     kept = Limits() if limits is None else read_limits(limits)
     scenario = scenario_of(robot)
     track = None if scenario is None else JointTrack(model.n)
-    spec = RobotSpec(robot=robot, arm=model, limits=kept, settings=driver_settings(robot, arm=model))
+    spec = spec_of(job, model, kept)
     folder.mkdir(parents=True, exist_ok=True)
     with RecordingLog(folder / default_log()) as log, ProcessHost(spec, track) as host:
         service = Service(host, log)
@@ -86,6 +88,7 @@ def open_robot_cell(robot: str, folder: Path) -> Iterator[RobotCell]:
             made.jobs.close()
             service.authority.note("info", "the console ends")
             service.pump()
+    require_recorded(log.failed)
 
 
 def scenario_of(robot: str) -> str | None:

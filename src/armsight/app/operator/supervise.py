@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 from scipy.spatial.transform import RigidTransform
 
@@ -20,6 +21,7 @@ from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.control.session.operator_session import Person
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
+from armsight.fields import Bounds
 from armsight.publish.state import Seen
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
@@ -38,6 +40,7 @@ SHOWN = 600
 """Moments kept for the curves of a page."""
 BLIND_S = 0.5
 """Nothing compared for so long is told."""
+NO_LEVEL_BELOW_0 = Bounds(least=0.0)
 SUPERVISION = Person(who="supervision")
 DOUBTS = (
     "where the cameras and the target are is of the hand-eye calibration, whose uncertainty is not counted",
@@ -198,6 +201,14 @@ def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
     return Expectation(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)
 
 
-def limits_of(warn_mm: float, stop_mm: float) -> Limits:
-    """Return the levels of a page's figures, 0 for none. Raises UsageError where the arm would stop before it warns."""
-    return Limits(warn_m=warn_mm * MM or None, stop_m=stop_mm * MM or None)
+@dataclass(frozen=True, kw_only=True)
+class Levels:
+    """The levels that a page proposes, which asks for none of rotation; 0: none."""
+
+    warn_m: Annotated[float, NO_LEVEL_BELOW_0] = 2.0 * MM
+    stop_m: Annotated[float, NO_LEVEL_BELOW_0] = 5.0 * MM
+
+    @property
+    def limits(self) -> Limits:
+        """As the supervision takes them. Raises UsageError where the arm would stop before it warns."""
+        return Limits(warn_m=self.warn_m or None, stop_m=self.stop_m or None)

@@ -16,7 +16,7 @@ from armsight.app.play.target_monitor import TargetMonitor, Watcher
 from armsight.app.requests.motion import PlayJob
 from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.servo.run_servo import LAG_CYCLES
@@ -27,6 +27,7 @@ from armsight.control.events import QueueSink
 from armsight.control.guard import Guard
 from armsight.control.loop import ControlLoop
 from armsight.control.play import PathPlan, PathSource, PlayProgress, PlayWatch, WatchFigures
+from armsight.control.play.plan import TURNS_RAD
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolPose
 from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot
@@ -79,6 +80,11 @@ class PlayOutput(Output):
         float, Doc("Largest speed that tip or flange reach, also on the way to the path, at full override, m/s.")
     ]
     rounded_m: Annotated[float, Doc("How far rounding corners moved the path, at most, m.")]
+    rounded_rad: Annotated[float, Doc("How far rounding corners turned the tool, at most, rad.")]
+    turns: Annotated[str, Doc("Where the tool turns though the tip hardly moves, and how far; empty: nowhere.")]
+    turned_rad: Annotated[
+        float, Doc("How far the tool is turned from what was asked, at most, by an arm that cannot turn it, rad.")
+    ]
     measured: Annotated[PlayMeasuredOutput | None, Doc("What the cameras saw; null: none watched.")]
     outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
@@ -170,6 +176,9 @@ def play_output(
         slowest=plan.slowest,
         planned_fastest_m_s=plan.fastest_m_s,
         rounded_m=plan.rounded_m,
+        rounded_rad=plan.rounded_rad,
+        turns=plan.turns,
+        turned_rad=plan.turned_rad,
         measured=None if watch is None or counts is None else _measured(watch, counts),
         outside=outside,
         holds=tally.holds,
@@ -320,16 +329,16 @@ def run_play(
         raise UsageError(
             f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
-    monitor = TargetMonitor(job, devices) if job.watched else None
-    watcher: Watcher | None = monitor
     model, path = given_arm(job.arm), None
+    monitor = TargetMonitor(job, devices, model) if job.watched else None
+    watcher: Watcher | None = monitor
     if monitor is not None:
         robot, clock = monitor.devices.robot, monitor.devices.clock
     elif opened is not None:
         robot, clock, watcher, path = opened
     else:
         clock = SystemClock()
-        robot = open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=None))
+        robot = robot_of(job, clock, model)
     guard = guard_for(robot, model, job.limits, share=job.speed)
     if arm_of(robot, model) is None:
         raise UsageError(
@@ -355,10 +364,15 @@ def question(robot: Robot, guard: Guard, plan: PathPlan, watched: bool) -> str:
         ways.append(f"joints turn over up to {float(way[revolute].max()) / DEG:.1f} deg")
     if not revolute.all():
         ways.append(f"joints slide over up to {float(way[~revolute].max()) / MM:.1f} mm")
+    notes = [f"corners are rounded by up to {plan.rounded_m / MM:.2f} mm and {plan.rounded_rad / DEG:.1f} deg"]
+    if plan.turns:
+        notes.append(plan.turns)
+    if plan.turned_rad > TURNS_RAD:
+        notes.append(f"{guard.arm.n} joints let the tool turn by up to {plan.turned_rad / DEG:.1f} deg")
     slowed = f" It is slowed to {plan.slowest}." if plan.slowest else ""
     seen = "cameras watch" if watched else "no camera watches"
     return (
         f"{robot.name} brings the tip over {legs / MM:.1f} mm to the path and along {plan.length_m / MM:.1f} mm of it, "
         f"at up to {plan.fastest_m_s / MM:.1f} mm/s ({plan.fastest}), in about {plan.time_s:.0f} s; {', '.join(ways)}; "
-        f"corners are rounded by up to {plan.rounded_m / MM:.2f} mm; {seen}.{slowed} Move?"
+        f"{'; '.join(notes)}; {seen}.{slowed} Move?"
     )

@@ -15,6 +15,7 @@ from armsight.app.servo.vision import Vision, VisionThread, open_servo, probe
 from armsight.control.events import QueueSink
 from armsight.control.play import CameraPlacement
 from armsight.errors import ArmsightError
+from armsight.kinematics import Arm
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_rig
 from armsight.store.handeye_file import read_handeye
@@ -45,12 +46,12 @@ class Watcher(Protocol):
 class TargetMonitor:
     """Cameras that watch: robot and cameras of one clock, and what measuring needs. Nothing is open."""
 
-    def __init__(self, job: PlayJob, devices: ServoDevices | None) -> None:
-        """Raises UsageError, BadFile, DeviceNotFound."""
+    def __init__(self, job: PlayJob, devices: ServoDevices | None, arm: Arm | None) -> None:
+        """devices: in place of those that the job names; arm: as given. Raises UsageError, BadFile, DeviceNotFound."""
         cameras = job.cameras()
         rig, target = read_rig(cameras.rig), target_of(cameras.target)
         self.sight = sight_of(read_handeye(cameras.handeye))
-        self.devices = devices or open_servo(cameras, rig, target)
+        self.devices = devices or open_servo(cameras, rig, target, arm=arm)
         self.setup = measuring(rig, target, self.devices)
         self.latency_s = job.latency_s
         self.stepped = self.devices.stepped is not None

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
+    from armsight.app.requests import simulate as simulate
     from armsight.app.requests import verify as verify
 else:
     _MODULES = (
@@ -31,6 +32,7 @@ else:
         "identify",
         "measure",
         "motion",
+        "simulate",
         "verify",
     )
 

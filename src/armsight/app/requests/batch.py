@@ -11,7 +11,7 @@ from armsight.fields import Bounds, Doc, Flag
 NAMED = "{name}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class BatchJob:
     """Jobs of a file, or, with each, a command for each file that fits; and who does them: workers or scheduler."""
 

@@ -49,7 +49,7 @@ Lens: TypeAlias = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ZoomValue:
     """The zoom that a camera is calibrated at; pupil_m, pupil_std_m: the centre of projection's place, if known."""
 
@@ -58,7 +58,7 @@ class ZoomValue:
     pupil_std_m: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ZoomFlags:
     """A setting of a zoom lens, where one is named."""
 
@@ -93,7 +93,7 @@ def zoom_missing() -> UsageError:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CameraJob:
     """Images of a board, for one camera; or with noise alone its still frames (source and board are then empty).
 
@@ -161,7 +161,7 @@ class CameraJob:
         return image_reading(self.bits, strict=self.strict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class StereoJob:
     """Pairs of images of a board, for both cameras of a rig. folds: of the left-out error."""
 
@@ -215,7 +215,7 @@ def image_reading(bits: int | None, *, strict: bool) -> ImageReading:
     return ImageReading(bits=bits, strict=strict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class NoiseJob:
     """Still frames (a source as on the command line), or a camera.yaml or rig.yaml that holds the noise; where it goes.
 
@@ -225,12 +225,12 @@ class NoiseJob:
     frames: str
     out: Path
     side: str | None = None
-    every: int = 1
-    limit: int | None = None
+    every: Every = 1
+    limit: Limit = None
     camera_settings: CameraSettings = field(default_factory=automatic)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ZoomRigJob:
     """A rig, the settings of its lenses, the zooms it was calibrated at, and where the result goes."""
 
@@ -242,7 +242,7 @@ class ZoomRigJob:
     zoom_right: Annotated[float | None, Doc("Where the right lens stood.")] = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class MirrorsJob:
     """What shows the mirror rig, and how it was built. left_only, right_only: of the same moments.
 
@@ -265,11 +265,13 @@ class MirrorsJob:
         Flag("--plate-mm", unit=MM),
     ] = None
     index: Annotated[float, Doc("Refractive index of the plate."), Bounds(least=1.0, most=3.0)] = GLASS
-    baseline_m: Annotated[float | None, Doc("Baseline as designed."), Bounds(least=1.0), Flag(unit=MM)] = None
-    near_m: Annotated[float, Doc("From the lens to the plate, along the axis."), Bounds(least=1.0), Flag(unit=MM)] = (
-        0.06
+    baseline_m: Annotated[float | None, Doc("Baseline as designed."), Bounds(least=1.0 * MM), Flag(unit=MM)] = None
+    near_m: Annotated[
+        float, Doc("From the lens to the plate, along the axis."), Bounds(least=1.0 * MM), Flag(unit=MM)
+    ] = 0.06
+    gap_m: Annotated[float, Doc("From the plate to the mirror behind it."), Bounds(least=1.0 * MM), Flag(unit=MM)] = (
+        0.04
     )
-    gap_m: Annotated[float, Doc("From the plate to the mirror behind it."), Bounds(least=1.0), Flag(unit=MM)] = 0.04
     target: Annotated[Path | None, Doc("Instead of a board: target.yaml of the lit target in the images.")] = None
     camera: Annotated[
         Path | None, Doc("With --target, or with --check in place of --rig: camera.yaml of the lens.")
@@ -281,7 +283,7 @@ class MirrorsJob:
     folds: int = FOLDS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TargetJob:
     """Frames of a lit target: pairs of them, or images that hold both views."""
 
@@ -300,7 +302,7 @@ class TargetJob:
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TimingJob:
     """Frames of two cameras that run free, or tables of spots; each camera by itself."""
 

@@ -35,7 +35,7 @@ def compliance_called(name: str) -> bool | None:
     return COMPLIANCE[name]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CellJob:
     """One recording of a moving arm: its joints' log, and frames of two cameras that run free, or tables of spots."""
 
@@ -60,11 +60,11 @@ class CellJob:
     tool: Annotated[
         str, Doc("The tool's tip in target axes, X,Y,Z in m or with units, or tip.yaml."), Flag("--tip", metavar="TIP")
     ] = ""
-    tolerance_m: Annotated[float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6), Flag(unit=MM)] = (
-        1e-3
-    )
+    tolerance_m: Annotated[
+        float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6 * MM), Flag(unit=MM)
+    ] = 1e-3
     tolerance_rad: Annotated[
-        float, Doc("Standard deviation of nominal zeros and angles."), Bounds(least=1e-6), Flag(unit=DEG, default=1.72)
+        float, Doc("Standard deviation of nominal zeros and angles."), Bounds(least=1e-6 * DEG), Flag(unit=DEG)
     ] = 0.03
     prior: Annotated[
         list[Path] | None,

@@ -40,11 +40,11 @@ PointStd: TypeAlias = Annotated[
     float,
     Doc("Standard deviation of one coordinate of the measured point."),
     Bounds(least=1e-9),
-    Flag("--point-sigma", quantity="m", default=POINT_STD_M),
+    Flag("--point-sigma", quantity="m"),
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class HandEyeJob:
     """One of: pairs; images with camera, board and robot; robot_stream with camera_stream."""
 
@@ -73,7 +73,7 @@ class HandEyeJob:
     table: Table = field(default_factory=ours)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PivotJob:
     """A target on a tool that is turned about its end before the cameras."""
 
@@ -93,11 +93,11 @@ class PivotJob:
         Doc("The point in rig axes, m or with units (200mm), if measured."),
         Flag(metavar="X,Y,Z", read=point_of),
     ] = None
-    sigma_m: PointStd = 0.0
+    sigma_m: PointStd = POINT_STD_M
     camera_settings: Cameras = field(default_factory=automatic)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ArmJob:
     """A nominal arm and what was measured of it; rig and world: for proposals that both cameras see."""
 
@@ -106,11 +106,11 @@ class ArmJob:
     out: Annotated[Path, Doc("arm.yaml to write."), OUT]
     holdout: Annotated[Path | None, Doc("Further points, only for judging.")] = None
     scale: Annotated[bool, Doc("Try joint scales too."), Flag("--scale/--no-scale")] = True
-    tolerance_m: Annotated[float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6), Flag(unit=MM)] = (
-        2e-3
-    )
+    tolerance_m: Annotated[
+        float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6 * MM), Flag(unit=MM)
+    ] = 2e-3
     tolerance_rad: Annotated[
-        float, Doc("Standard deviation of nominal angles."), Bounds(least=1e-6), Flag(unit=DEG, default=1.72)
+        float, Doc("Standard deviation of nominal angles."), Bounds(least=1e-6 * DEG), Flag(unit=DEG)
     ] = 0.03
     propose: Annotated[int, Doc("Propose so many further joint positions."), Bounds(least=0)] = 0
     rig: Annotated[Path | None, Doc("rig.yaml, for proposals both cameras see; with --world.")] = None

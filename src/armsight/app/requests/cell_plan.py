@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app.requests.design import Box, mount_of, volume_of
-from armsight.app.requests.motion import LIVE_SRC, GuardLimits, RobotName, RsiConfig, Speed
+from armsight.app.requests.motion import LIVE_SRC, GuardLimits, Override, RobotJob, Speed
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, CameraFlags, OutFolder, automatic
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.units import DEG, MM
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 KNOWN, MOTION = "What is known beforehand; without it reaches about --start", "The motion"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CellPlanJob:
     """An arm, and what is known of the cell; rig, world, target and volume together, or none of them.
 
@@ -57,12 +57,12 @@ class CellPlanJob:
         Flag(unit=MM, panel=KNOWN),
     ] = 20.0 * MM
     rough_rad: Annotated[
-        float, Doc("How far they may be turned."), Bounds(least=0.0, most=30.0), Flag(unit=DEG, panel=KNOWN)
+        float, Doc("How far they may be turned."), Bounds(least=0.0, most=30.0 * DEG), Flag(unit=DEG, panel=KNOWN)
     ] = 2.0 * DEG
     facing_rad: Annotated[
         float,
         Doc("How far the target's z axis may be turned from the way to each camera."),
-        Bounds(above=0.0, most=180.0),
+        Bounds(above=0.0, most=180.0 * DEG),
         Flag(unit=DEG, panel=KNOWN),
     ] = 50.0 * DEG
     limits: GuardLimits = None
@@ -72,7 +72,7 @@ class CellPlanJob:
     swing_rad: Annotated[
         float,
         Doc("How far a joint may turn from where it stands: with which links the arm hits itself is not known."),
-        Bounds(above=0.0, most=720.0),
+        Bounds(above=0.0, most=720.0 * DEG),
         Flag(unit=DEG, panel=MOTION),
     ] = 90.0 * DEG
     clearance_m: Annotated[
@@ -96,18 +96,16 @@ class CellPlanJob:
     seed: Annotated[int, Doc("The same seed gives the same motion."), Bounds(least=0), Flag(panel=MOTION)] = 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunMotionJob:
+@dataclass(frozen=True, kw_only=True)
+class RunMotionJob(RobotJob):
     """A motion of the joints, and the robot that runs it; both cameras that are recorded meanwhile, or none."""
 
-    robot: RobotName
     motion: Annotated[Path, Doc("joints.csv of the motion: t_s,q1,...,qn."), Flag(metavar="MOTION.csv")]
     out: OutFolder
     arm: Annotated[Path | None, Doc(f"{KNOWN_ARM}; needed unless the robot tells it."), AN_ARM] = None
     limits: GuardLimits = None
-    override: Annotated[float, Doc("Share of the motion's own speed, 0.01 to 1."), Flag(metavar="SHARE")] = 1.0
+    override: Override = 1.0
     speed: Speed = 1.0
-    rsi_config: RsiConfig = None
     left: Annotated[str | None, Doc("Left camera, camera:NAME, recorded meanwhile: frames.mcap."), LIVE_SRC] = None
     right: Annotated[str | None, Doc("Right camera; both, or none."), LIVE_SRC] = None
     camera_settings: Annotated[PairSettings, Flags(CameraFlags)] = field(default_factory=automatic)

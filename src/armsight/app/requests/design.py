@@ -57,7 +57,7 @@ def mount_of(text: str) -> tuple[float, ...]:
     return values
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DesignJob:
     """A rig, a target and a volume, and how the rig will be calibrated.
 
@@ -81,12 +81,15 @@ class DesignJob:
         Flag(metavar="WxH", read=size_of, panel=RIG),
     ] = None
     focal_m: Annotated[
-        float | None, Doc("Focal length of both lenses, with --pixel-um."), Bounds(least=1e-3), Flag(unit=MM, panel=RIG)
+        float | None,
+        Doc("Focal length of both lenses, with --pixel-um."),
+        Bounds(least=1e-3 * MM),
+        Flag(unit=MM, panel=RIG),
     ] = None
     pixel_m: Annotated[
         float | None,
         Doc("Width of a pixel, in micrometres."),
-        Bounds(least=1e-3),
+        Bounds(least=1e-3 * UM),
         Flag("--pixel-um", unit=UM, panel=RIG),
     ] = None
     focal_px: Annotated[float | None, Doc("Or the focal length in px."), Bounds(least=1.0), Flag(panel=RIG)] = None
@@ -109,7 +112,7 @@ class DesignJob:
     wanted_m: Annotated[
         float | None,
         Doc("Wanted deviation of the position in 95 % of the volume: tell what to change."),
-        Bounds(least=1e-6),
+        Bounds(least=1e-6 * MM),
         Flag(unit=MM),
     ] = None
     spot_noise_px: Annotated[

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, Table, on_hand, ours, setup_called
 from armsight.fields import Bounds, Doc, Flag
+from armsight.units import DEG
 
 if TYPE_CHECKING:
     from armsight.calibrate.handeye import Setup
@@ -21,7 +22,7 @@ ToolTip: TypeAlias = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CompareJob:
     """Two results of one kind; distance_m: of rigs."""
 
@@ -40,7 +41,7 @@ class CompareJob:
     ] = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class JoinJob:
     """Measurements, and joints with arm or robot_stream (T_base_flange) on another clock. kind: one of KINDS."""
 
@@ -62,7 +63,36 @@ class JoinJob:
     table: Table = field(default_factory=ours)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
+class SmoothJob:
+    """A path whose noise is taken out, within bounds."""
+
+    source: PathFile
+    out: PathOut
+    bound_m: Annotated[float, Doc("No row moves further, m."), Bounds(above=0.0)] = 5e-4
+    bound_rad: Annotated[
+        float, Doc("No row turns further, degrees."), Bounds(above=0.0, most=180.0 * DEG), Flag(unit=DEG)
+    ] = DEG
+    on_outliers: Annotated[
+        str, Doc("Rows off the path: refuse, drop, or keep (smooth over them)."), Flag("--outliers")
+    ] = "refuse"
+
+
+@dataclass(frozen=True, kw_only=True)
+class JoinPathsJob:
+    """Paths that are put one after the other."""
+
+    sources: Annotated[
+        list[Path], Doc("Two path.csv or more, in their order."), Flag(positional=True, metavar="PATH...")
+    ]
+    out: PathOut
+    gap_m: Annotated[float, Doc("Widest gap between two ends, m."), Bounds(least=0.0)] = 1e-3
+    gap_rad: Annotated[
+        float, Doc("Largest turn between them, degrees."), Bounds(least=0.0, most=180.0 * DEG), Flag(unit=DEG)
+    ] = 5.0 * DEG
+
+
+@dataclass(frozen=True, kw_only=True)
 class PicksJob:
     """Two pictures of a rig, and places picked in one of them."""
 
@@ -93,7 +123,7 @@ class PicksJob:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ExportJob:
     """A path and the program it becomes; parent: the frame of the path. arm, tip, limits, start: for the check."""
 

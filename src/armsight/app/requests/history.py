@@ -23,7 +23,7 @@ OfCommand: TypeAlias = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class AddJob:
     """A result of an earlier run."""
 
@@ -40,7 +40,7 @@ class AddJob:
     history: APlace = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ListJob:
     """Runs, the newest first."""
 
@@ -52,7 +52,7 @@ class ListJob:
     history: APlace = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ShowJob:
     """One run."""
 
@@ -62,7 +62,7 @@ class ShowJob:
     history: APlace = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CompareRunsJob:
     """Two runs."""
 
@@ -71,7 +71,7 @@ class CompareRunsJob:
     history: APlace = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ExportRunsJob:
     """Every number of every run as a table."""
 
@@ -83,7 +83,7 @@ class ExportRunsJob:
     history: APlace = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TrendJob:
     """The runs of a cell, and which figures to judge."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
+from armsight.app.requests.motion import RobotJob
 from armsight.app.requests.shared import A_SRC, KNOWN_ARM, OUT, SRC, Cameras, Table, automatic, ours
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
@@ -32,7 +33,7 @@ MASK = Doc("With frames or --live: image that is black where no light may be loo
 NOMINAL = Doc(f"{KNOWN_ARM} to put beside, in the report.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class IdentifyJob:
     """A sweep file; or frames (left, right) of a beacon (target) before a rig, with the joints of each.
 
@@ -57,7 +58,7 @@ class IdentifyJob:
     held: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PaceFlags:
     """How fast a robot is swept."""
 
@@ -87,8 +88,8 @@ def limits_of(text: str) -> Array:
     return read_limits(text)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LiveJob:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LiveJob(RobotJob):
     """A robot that is moved before live cameras; of sim:SCENARIO those are camera:sim:SCENARIO:left and :right.
 
     A model takes the place of the probe, and needs world. around_px: as propose_sweeps takes it. limits (n, 2)
@@ -107,7 +108,7 @@ class LiveJob:
     nominal: Annotated[str | None, NOMINAL, Flag(metavar="ARM")] = None
     robot: Annotated[
         str,
-        Doc("Move this robot: DRIVER[:DEVICE], or sim:SCENARIO with its own cameras."),
+        Doc("Move this robot: DRIVER:DEVICE, or sim:SCENARIO with its own cameras."),
         Flag("--live", metavar="ROBOT"),
     ]
     limits: Annotated[
@@ -115,7 +116,7 @@ class LiveJob:
         Doc("With --live: lo:hi,lo:hi ... in rad or m (or -90deg:90deg,0mm:500mm), or limits.yaml. Never left."),
         Flag(metavar="LIMITS", read=limits_of),
     ]
-    readings: Annotated[int, Doc("With --live: readings of a sweep."), Bounds(least=4)] = 10
+    readings: Annotated[int, Doc("With --live: readings of a sweep."), Bounds(least=4, most=1000)] = 10
     pace: Annotated[Pace, Flags(PaceFlags)] = field(default_factory=loaded("armsight.control.joint_sweep:Pace()"))
     propose: Annotated[bool, Doc("With --live: probe and tell the plan only; with --model do not move.")] = False
     model: Annotated[

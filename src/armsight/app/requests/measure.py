@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from armsight.store.recording import ImageFormat
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ZoomsFlags:
     """Where the zoom lenses of a rig stand."""
 
@@ -45,7 +45,7 @@ class ZoomsFlags:
         return self.zoom_left, self.zoom_right
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class MeasureJob:
     """What to measure, with what, and where to put it: left and right, or image, or tables of spots.
 
@@ -114,7 +114,7 @@ def image_format(text: str) -> ImageFormat:
         raise UsageError(f"frames are not kept as {text!r}", cure=f"Choose one of {known}") from None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class RecordJob:
     """What to record: left and right, or a simulated cell; rig and target go into the recording. limit: pairs."""
 
@@ -133,7 +133,7 @@ class RecordJob:
     colour: Annotated[bool, Doc("Keep the colours; else grey is recorded.")] = False
     fps: Fps = None
     limit: Limit = None
-    seconds_s: Annotated[float | None, Doc("Stop after so many seconds."), Bounds(least=0.0)] = None
+    seconds_s: Annotated[float | None, Doc("Stop after so many seconds."), Bounds(above=0.0)] = None
     max_skew_s: MaxSkew = None
     overwrite: Annotated[bool, Doc("Replace a file of this name.")] = False
     camera_settings: Cameras = field(default_factory=automatic)

@@ -19,7 +19,7 @@ _FOLDER = Flag(metavar="FOLDER", panel=PLANT)
 _FILE = Flag(metavar="FILE", panel=PLANT)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PlantFlags:
     """Where state, pose, errors and alarms are published; nothing by default."""
 

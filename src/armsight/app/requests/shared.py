@@ -54,6 +54,9 @@ Tip: TypeAlias = Annotated[str | None, Doc("Of a URDF that branches: the last li
 Base: TypeAlias = Annotated[
     str | None, Doc("Of a URDF: the arm's base link. [default: the root]"), Flag(metavar="LINK")
 ]
+UnitLength: TypeAlias = Annotated[
+    float, Doc("Length of an OpenCV file's unit in m."), Bounds(least=1e-9), Flag("--unit")
+]
 MaxSkew: TypeAlias = Annotated[
     float | None,
     Doc("Largest time in s between live frames of a pair. [default: 1/60]"),
@@ -61,12 +64,20 @@ MaxSkew: TypeAlias = Annotated[
     Flag("--max-skew"),
 ]
 
+
+@dataclass(frozen=True, kw_only=True)
+class FileUnits:
+    """What the unit of a file of another program is."""
+
+    unit_m: UnitLength = 1.0
+
+
 CAMERAS = "Live cameras (both the same)"
 LIVE, MASTERING = "With --live", "With --mastering"
 TABLES = "Tables that are not armsight's own (see the guide: tables)"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CameraFlags:
     """The settings of live cameras."""
 
@@ -98,7 +109,7 @@ class CameraFlags:
         return CameraSettings(**asdict(self))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TableFlags:
     """What is said about tables that are not ours."""
 

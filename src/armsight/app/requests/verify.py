@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
+from armsight.app.requests.motion import LATENCY_S, RobotJob
 from armsight.app.requests.plant import PlantFlags
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, LIVE, MASTERING, OutFolder, automatic, ours
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 
 JOINT_STD = 2e-5
 """Of a joint reading in rad or m: a step of a 17-bit encoder is 5e-5 rad."""
-LATENCY_S, LATENCY_STD_S = 0.03, 0.01
-"""From the middle of an exposure to the frame in memory, of cameras nobody has measured: two frames at 60 a second."""
+LATENCY_STD_S = 0.01
+"""Of motion.LATENCY_S, of cameras nobody has measured."""
 
 ARM = Doc(f"{KNOWN_ARM}.")
 WORLD = Doc("world.yaml: where the measuring rig stands.")
@@ -37,7 +38,7 @@ Joints: TypeAlias = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class VerifyJob:
     """What was measured, and what it is held against: an arm at joints, or commanded poses."""
 
@@ -68,7 +69,7 @@ class VerifyJob:
     table: TableFormat = field(default_factory=ours)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PlanJob:
     """The plan of a test by ISO 9283. part: cube (all motions), poses (all but paths), paths, or a motion's name."""
 
@@ -86,7 +87,7 @@ class PlanJob:
     plane: str = "a"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LimitsFlags:
     """The levels of a supervision."""
 
@@ -102,8 +103,8 @@ class LimitsFlags:
         return Limits(warn_m=self.warn_m, stop_m=self.stop_m, warn_rad=self.warn_rad, stop_rad=self.stop_rad)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveVerifyJob:
+@dataclass(frozen=True, kw_only=True)
+class LiveVerifyJob(RobotJob):
     """A running arm before live cameras; of sim:SCENARIO those are camera:sim:SCENARIO:left and :right.
 
     world: where the rig stands, of the base or of the world that the arm's base is given in. limit: pairs.
@@ -134,7 +135,7 @@ class LiveVerifyJob:
     latency_std_s: Annotated[
         float, Doc("How well that is known, s. [default: 0.01]"), Flag(default=None, panel=LIVE)
     ] = LATENCY_STD_S
-    seconds_s: Annotated[float | None, Doc("End after so long."), Bounds(least=0.0), Flag(panel=LIVE)] = None
+    seconds_s: Annotated[float | None, Doc("End after so long."), Bounds(above=0.0), Flag(panel=LIVE)] = None
     limit: Annotated[int | None, Doc("End after so many pairs."), Bounds(least=1), Flag("--frames", panel=LIVE)] = None
     frames: Annotated[bool, Doc("Keep the images in the recording too."), Flag("--keep-frames", panel=LIVE)] = False
     play: Annotated[bool, Doc("A simulated robot goes its scenario's way by itself."), Flag(panel=LIVE)] = False
@@ -142,7 +143,7 @@ class LiveVerifyJob:
     camera_settings: CameraSettings = field(default_factory=automatic)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class MasteringJob:
     """An arm after a crash. world: where the rig stood before it; without it base and tool are free.
 

@@ -19,7 +19,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.opening import open_robot
+from armsight.app.requests.motion import RobotJob
+from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
 from armsight.control.session.channels import TURN_S, Grant, JointTrack, LineChannels, Serves, error_of, put_error
@@ -54,6 +55,12 @@ class RobotSpec:
     arm: Arm
     limits: Limits = field(default_factory=Limits)
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def spec_of(job: RobotJob, arm: Arm, limits: Limits) -> RobotSpec:
+    """Return the robot of a job with its driver's settings. Raises UsageError for settings that it has no use for."""
+    settings = driver_settings(job.robot, job.robot_settings, arm=arm, rsi_config=job.rsi_config)
+    return RobotSpec(robot=job.robot, arm=arm, limits=limits, settings=settings)
 
 
 class _SharedMemoryHost:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import JogJob
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock, SystemClock
@@ -92,8 +92,7 @@ def jog_robot(
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     model = given_arm(job.arm)
-    settings = driver_settings(job.robot, arm=model, rsi_config=job.rsi_config)
-    robot = opened or open_robot(job.robot, clock, settings)
+    robot = opened or robot_of(job, clock, model)
     guard = _checked(job, robot, model)
     with robot:
         start, outside = robot.read().q, standing_outside(guard, robot)

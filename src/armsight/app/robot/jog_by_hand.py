@@ -13,7 +13,7 @@ from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob
 from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, JogOutput, recording
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.opening import robot_of
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard, GuardState
@@ -46,7 +46,7 @@ def jog_by_hand(
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     model = given_arm(job.arm)
-    robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
+    robot = opened or robot_of(job, clock, model)
     guard = guard_for(robot, model, job.limits, share=job.speed)
     _check(job, arm_of(robot, model) is not None, robot.name)
     source = JogSource(robot.n_joints, job.frame, speed_m_s=guard.limits.speed_m_s)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated
 
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.requests.motion import RobotTestJob
+from armsight.app.robot.opening import robot_of
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock, SystemClock
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
 from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
-from armsight.errors import Cancelled, DeviceFailed, StaleData, UsageError
+from armsight.errors import Cancelled, DeviceFailed, StaleData
 from armsight.fields import Doc
 from armsight.records import JointReading, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import MS
 
-FOR_S = 5.0
 GONE_S = 1.0
 GONE_CYCLES = 20.0
 """A link without a new reading for longer than both is not there; what is shorter is told as its longest silence."""
@@ -49,23 +48,15 @@ class RobotTestOutput(Output):
 
 
 def test_robot(
-    robot: str,
-    *,
-    for_s: float = FOR_S,
-    progress: Progress | None = None,
-    clock: Clock | None = None,
-    opened: Robot | None = None,
-    rsi_config: Path | None = None,
+    job: RobotTestJob, progress: Progress | None = None, *, clock: Clock | None = None, opened: Robot | None = None
 ) -> RobotTestOutput:
     """Read a robot once a cycle for a time, and return how punctual that was and where it stands.
 
-    rsi_config: of an rsi link. opened: in place of the robot that the text names. Raises UsageError, DeviceNotFound,
+    opened: in place of the robot that the job names. Raises UsageError, DeviceNotFound,
     BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
     """
-    if not 0.0 < for_s <= 1e5:
-        raise UsageError(f"a test of {for_s:g} s cannot be", cure="Give the seconds it shall take, for instance 5")
     clock, progress = clock or SystemClock(), progress or Silent()
-    arm = opened or open_robot(robot, clock, driver_settings(robot, rsi_config=rsi_config))
+    arm, for_s = opened or robot_of(job, clock), job.for_s
     with arm:
         start_s, shown = clock.now_s(), progress
         jitter, reading, silence_s = run_with_progress(
@@ -76,7 +67,7 @@ def test_robot(
     timing = jitter.timing()
     median, p99, most = (value / MS for value in timing.period_s)
     return RobotTestOutput(
-        driver=robot.partition(":")[0],
+        driver=job.robot.partition(":")[0],
         cycle_s=arm.cycle_s,
         n_cycles=timing.n_cycles,
         late=timing.late,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.requests.motion import RobotJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import Clock
 from armsight.drivers import ROBOTS, Robot, known, load
@@ -65,20 +66,44 @@ class LinkArm:
         return self.arm.readings(found[0].q)
 
 
-def driver_settings(robot: str, *, arm: Arm | None = None, rsi_config: Path | None = None) -> dict[str, Any]:
-    """Return the settings of the driver that DRIVER:DEVICE names.
+def robot_of(job: RobotJob, clock: Clock, arm: Arm | None = None) -> Robot:
+    """Return the robot that a job names, with its driver's settings; nothing is opened yet. Raises as open_robot."""
+    settings = driver_settings(job.robot, job.robot_settings, arm=arm, rsi_config=job.rsi_config)
+    return open_robot(job.robot, clock, settings)
+
+
+def refuse_settings(job: RobotJob) -> None:
+    """Raise UsageError where a simulated robot, which is as its scenario says, is told its driver's settings."""
+    driver_settings(job.robot, job.robot_settings, rsi_config=job.rsi_config)
+
+
+def driver_settings(
+    robot: str, given: Mapping[str, Any] | None = None, *, arm: Arm | None = None, rsi_config: Path | None = None
+) -> dict[str, Any]:
+    """Return the settings of the driver that DRIVER:DEVICE names: those given, and what it needs beside them.
 
     arm: alter sends poses and needs it for joints. rsi_config: the RSI Ethernet XML file with the tags of
-    the user's own configuration. Raises UsageError for a file that the driver has no use for.
+    the user's own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself
+    says that, and what it knows.
     """
     driver = robot.partition(":")[0]
-    settings: dict[str, Any] = {}
+    settings = dict(given or {})
+    if settings and driver == SIM:
+        raise UsageError(
+            f"{robot} takes no settings ({', '.join(settings)})",
+            consequence="The robot is not opened",
+            cure="Omit --robot-set: a simulated robot is as its scenario says",
+        )
+    if "arm" in settings:
+        raise UsageError(
+            "the arm is not a setting of a driver",
+            consequence="The robot is not opened",
+            cure="Give it with --arm",
+        )
     if driver == NEEDS_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
     if rsi_config is not None:
         if driver != TAKES_TAGS:
-            raise UsageError(
-                f"{robot} takes no RSI configuration", cure="Leave --rsi-config away, or give rsi:UDP_PORT"
-            )
+            raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")
         settings["rsi_config"] = rsi_config
     return settings

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
-from armsight.errors import ArmsightError
+from armsight.errors import ArmsightError, RecordingFailed
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter
 
@@ -110,6 +110,16 @@ class RecordingLog:
     def joints(self, reading: JointReading) -> None:
         """Keep a reading."""
         self._recorder.sink.joints(reading)
+
+
+def require_recorded(failed: str) -> None:
+    """Raise RecordingFailed where the disk took no more, failed in words: told again at the end, by an exit code."""
+    if failed:
+        raise RecordingFailed(
+            f"the recording ended before the robot's session: {failed}",
+            consequence="What was done after that is not kept; what was written until then can be read",
+            cure="Make room, or name another disk (--log), before the next session",
+        )
 
 
 def default_log() -> Path:

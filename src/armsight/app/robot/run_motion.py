@@ -14,7 +14,7 @@ from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJo
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing, standing_outside
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock, SystemClock
@@ -86,7 +86,7 @@ def run_motion(
                 f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
             )
     motion, model = read_joints(job.motion), given_arm(job.arm)
-    robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
+    robot = opened or robot_of(job, clock, model)
     guard = guard_for(robot, model, job.limits, share=job.speed)
     source = JointMotionSource(_checked(job, motion, guard), override=job.override)
     with robot:

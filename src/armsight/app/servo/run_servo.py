@@ -48,8 +48,8 @@ def run_servo(
     progress = progress or Silent()
     _check(job)
     rig, target, handeye = read_rig(job.rig), target_of(job.target), _handeye(job)
-    devices = devices or open_servo(job, rig, target)
     arm = given_arm(job.arm)
+    devices = devices or open_servo(job, rig, target, arm=arm)
     guard = guard_for(devices.robot, arm, job.limits, share=job.speed)
     if arm_of(devices.robot, arm) is None:
         raise UsageError(

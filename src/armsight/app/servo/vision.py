@@ -14,7 +14,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from armsight.app.requests.motion import ServoJob
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
@@ -165,9 +165,12 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
 SIM = "sim:"
 
 
-def open_servo(job: ServoJob, rig: Rig, target: Target, clock: Clock | None = None) -> ServoDevices:
+def open_servo(
+    job: ServoJob, rig: Rig, target: Target, clock: Clock | None = None, arm: Arm | None = None
+) -> ServoDevices:
     """Return what the job names; nothing is opened yet. Raises UsageError, DeviceNotFound, BadFile."""
     if job.robot.startswith(SIM):
+        refuse_settings(job)
         return _simulated(job)
     if job.hand is not None:
         raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
@@ -177,7 +180,7 @@ def open_servo(job: ServoJob, rig: Rig, target: Target, clock: Clock | None = No
         _check_live(job.image)
         source = partial(open_source, job.image, colour=colour, settings=settings, clock=clock)
         pairs, overlaid = complex_pairs(source, rig)
-        return ServoDevices(robot=open_robot(job.robot, clock), pairs=pairs, clock=clock, overlaid=overlaid)
+        return ServoDevices(robot=robot_of(job, clock, arm), pairs=pairs, clock=clock, overlaid=overlaid)
     if job.image is not None or job.left is None or job.right is None:
         raise UsageError(
             "which cameras see the target is not said", cure="Give --left and --right, or --image for a mirror rig"
@@ -185,7 +188,7 @@ def open_servo(job: ServoJob, rig: Rig, target: Target, clock: Clock | None = No
     _check_live(job.left)
     _check_live(job.right)
     both = open_pairs(job.left, job.right, colour=colour, settings=settings)
-    return ServoDevices(robot=open_robot(job.robot, clock), pairs=both, clock=clock)
+    return ServoDevices(robot=robot_of(job, clock, arm), pairs=both, clock=clock)
 
 
 def _check_live(text: str) -> None:

@@ -11,6 +11,7 @@ from typing import Any, Protocol, Self, cast
 
 import cv2
 
+from armsight.app.arm_files import refuse_file_called
 from armsight.drivers import CELLS, Skew, load
 from armsight.errors import DeviceFailed, UsageError
 from armsight.records import Frame
@@ -51,6 +52,7 @@ def load_cell(name: str, *, seed: int, frames: int, room: str | None = None, zoo
     zoom: zoom lenses before the cameras, at this setting; UsageError for a cell that knows none.
     """
     make = load(CELLS, name)
+    refuse_file_called(name, "a simulated cell")
     chosen: dict[str, Any] = {} if room is None else {"room": room_choice(room)}
     if zoom is not None:
         if "zoom" not in inspect.signature(make).parameters:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from armsight.app.arm_files import refuse_file_called
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, folder, known, load
 from armsight.errors import DeviceNotFound
@@ -33,7 +34,7 @@ def scenario_names() -> tuple[str, ...]:
 def scenario_text(name: str) -> tuple[bytes, str] | None:
     """Return the content of a built-in scenario or of a file, and what to call it; None where it is neither.
 
-    Raises DeviceNotFound for a name where the simulation is not installed.
+    Raises DeviceNotFound for a name where the simulation is not installed, UsageError for one of both.
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
@@ -41,6 +42,7 @@ def scenario_text(name: str) -> tuple[bytes, str] | None:
     inside = folder(SCENARIOS, FILES) / f"{name}.yaml"
     if name not in scenario_names():
         return None
+    refuse_file_called(name, "a built-in scenario")
     return read_bytes(inside, limit=MAX_BYTES), f"the scenario {name}"
 
 

@@ -12,7 +12,7 @@ from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.verify import LiveVerifyJob
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.app.verify.live_output import LiveLog, live_output
@@ -52,7 +52,7 @@ def run_verify_live(
     clock, progress = clock or SystemClock(), progress or Silent()
     rig, target, arm, world = read_rig(job.rig), target_of(job.target), load_arm(job.arm), read_world(job.world)
     _check(job)
-    devices = devices or open_supervised(job, target, clock)
+    devices = devices or open_supervised(job, target, clock, arm)
     expectation = Expectation(
         arm=arm if world.parent == "world" else arm.based(),
         T_parent_rig=world.T_parent_rig,
@@ -171,16 +171,17 @@ def _inputs(job: LiveVerifyJob) -> list[tuple[str, str]]:
 SIM = "sim:"
 
 
-def open_supervised(job: LiveVerifyJob, target: Target, clock: Clock) -> Supervised:
+def open_supervised(job: LiveVerifyJob, target: Target, clock: Clock, arm: Arm) -> Supervised:
     """Return what the job names; nothing is opened yet. Raises UsageError, DeviceNotFound, BadFile."""
     if job.robot.startswith(SIM):
+        refuse_settings(job)
         return _simulated(job, clock)
     if job.play:
         raise UsageError(f"--play is of simulated robots, and {job.robot} is none", cure="Leave --play away")
     for text in (job.left, job.right):
         if not is_live(text) or text.startswith("camera:sim:"):
             raise UsageError(f"{text} does not see {job.robot} now", cure="Give camera:NAME for --left and --right")
-    robot = open_robot(job.robot, clock)
+    robot = robot_of(job, clock, arm)
     pairs = open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
     return Supervised(robot=robot, pairs=pairs)
 

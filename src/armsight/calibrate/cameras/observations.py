@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import LensKind
 from armsight.optics.camera import INTRINSICS_OF
-from armsight.records import BoardView, Target
+from armsight.records import BoardView, Target, require_count
 
 Array = NDArray[np.float64]
 
@@ -158,5 +158,7 @@ class BoardOptions:
                 f"no intrinsic is called {', '.join(sorted(unknown))}; there are {', '.join(names)}",
                 consequence="Nothing was calibrated",
             )
-        if self.folds < 0 or self.folds == 1 or self.max_iterations < 1:
-            raise UsageError(f"{self.folds} folds with {self.max_iterations} iterations make no sense")
+        require_count("folds", self.folds)
+        require_count("max_iterations", self.max_iterations, least=1)
+        if self.folds == 1:
+            raise UsageError("1 fold leaves nothing to fit", cure="Give folds=0 for no left-out error, or 2 and more")

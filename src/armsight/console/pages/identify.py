@@ -12,6 +12,7 @@ from armsight.app.identify.results import IdentifyOutput, JointStd, PlanOutput
 from armsight.app.operator import identify_run as sweeps
 from armsight.app.operator.identify_run import FOLDER, JOB_NAME, Entry, IdentifyRequest, Range, SweepFit
 from armsight.app.operator.job_runner import BackgroundJob
+from armsight.app.requests.identify import LiveJob
 from armsight.console import texts
 from armsight.console.layout import (
     Working,
@@ -19,6 +20,7 @@ from armsight.console.layout import (
     card,
     jog_card,
     number,
+    number_field,
     set_attribute,
     set_text,
     text_of,
@@ -58,7 +60,7 @@ class _Identify:
             )
             self._fields = [self._row(one) for one in ranges]
             with ui.element("div").classes("row"):
-                self._readings = ui.number(texts.READINGS, value=10, min=4, max=100, step=1)
+                self._readings = number_field(texts.READINGS, LiveJob, "readings", step=1)
                 button(texts.EXPECT, self._expect, kind="act quiet", testid="expect")
                 button(texts.IDENTIFY_RUN, self._run, testid="identify-run")
             self._said = text_of("p", role="alert", testid="identify-said").classes("hint")

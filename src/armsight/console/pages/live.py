@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from armsight.app.live.measurement import COMPLEX, DetectionSettings
 from armsight.app.live.station import Shown
 from armsight.app.live.views import SideView
+from armsight.app.requests.measure import MeasureJob
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
@@ -22,6 +23,7 @@ from armsight.console.layout import (
     card,
     jog_card,
     number,
+    number_field,
     set_attribute,
     set_text,
     text_of,
@@ -246,9 +248,8 @@ def _draw(curves: list[Plot], moments: list[NDArray[np.float64]]) -> None:
 
 def _search(console: Console) -> None:
     with ui.element("div").classes("row"):
-        threshold = ui.number(texts.THRESHOLD, value=console.look.threshold, min=0, max=254, step=1).style(
-            "min-width: 20rem"
-        )
+        threshold = number_field(texts.THRESHOLD, MeasureJob, "threshold", step=1).style("min-width: 20rem")
+        threshold.value = console.look.threshold
         inverted = ui.checkbox(texts.INVERTED, value=console.look.inverted)
         masking = ui.checkbox(texts.MASK)
         button(texts.UNMASK, lambda: console.set_look(replace(console.look, masked={})), kind="act quiet")

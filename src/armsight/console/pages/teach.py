@@ -13,6 +13,8 @@ from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayR
 from armsight.app.operator.teach_controller import TeachController
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.play.play_path import PlayOutput
+from armsight.app.requests.files import SmoothJob
+from armsight.app.requests.motion import PlayJob
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
@@ -21,6 +23,7 @@ from armsight.console.layout import (
     card,
     jog_card,
     number,
+    number_field,
     set_attribute,
     set_text,
     text,
@@ -36,6 +39,9 @@ from armsight.units import MM
 
 SLOW_S = 0.5
 """Time between two drawings of the tracks."""
+FIGURE = 2.0
+"""Of a tool for paths, mm or deg, where the command has no default of its own."""
+FIGURES = {"smooth": SmoothJob.bound_m / MM}
 LISTED = 100
 """Rows of a path that a page lists."""
 
@@ -160,7 +166,8 @@ class _Path:
             with ui.element("div").classes("row"):
                 names = {name: texts.PATH_TOOLS[name] for name in TOOLS}
                 self._tool = ui.select(names, value="resample", label=texts.PATH_TOOL).style("min-width: 14rem")
-                self._figure = ui.number(texts.PATH_FIGURE, value=2.0)
+                self._figure = figure = ui.number(texts.PATH_FIGURE, value=FIGURE)
+                self._tool.on_value_change(lambda event: figure.set_value(FIGURES.get(event.value, FIGURE)))
                 button(texts.PATH_USE, self._change, kind="act quiet", testid="change")
 
     def pick(self, row: int) -> None:
@@ -238,8 +245,8 @@ class _Play:
         self._browser = page_name()
         with card(texts.PLAY_CARD):
             with ui.element("div").classes("row"):
-                self._speed = ui.number(texts.PLAY_SPEED, value=10.0, min=0.1)
-                self._keep = ui.checkbox(texts.PLAY_KEEP, value=True)
+                self._speed = number_field(texts.PLAY_SPEED, PlayJob, "path_speed_m_s", MM)
+                self._keep = ui.checkbox(texts.PLAY_KEEP, value=PlayRequest.keep_rotation)
             with ui.element("div").classes("row"):
                 button(texts.PATH_CHECK, self._check, kind="act quiet", testid="check")
                 button(texts.PLAY, self._play, testid="play")
@@ -254,7 +261,7 @@ class _Play:
         return PlayRequest(
             folder=self._console.folder,
             cell=self._console.cell,
-            speed_mm_s=number(self._speed),
+            speed_m_s=number(self._speed) * MM,
             keep_rotation=ticked(self._keep),
         )
 

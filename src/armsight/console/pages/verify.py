@@ -12,7 +12,7 @@ from nicegui import run, ui
 from armsight.app.operator import iso_run
 from armsight.app.operator.iso_run import JOB_NAME, IsoDone, IsoPlan, IsoRequest
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.supervise import StationSupervisor, SupervisedState, limits_of
+from armsight.app.operator.supervise import Levels, StationSupervisor, SupervisedState
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.run import run_verify
 from armsight.console import texts
@@ -24,6 +24,7 @@ from armsight.console.layout import (
     file_name,
     jog_card,
     number,
+    number_field,
     set_attribute,
     set_text,
     text_of,
@@ -61,8 +62,8 @@ class _Supervision:
         with card(texts.SUPERVISION):
             text_of("p", texts.SUPERVISION_HELP).classes("hint")
             with ui.element("div").classes("row"):
-                self._warn = ui.number(texts.SUPERVISION_WARN, value=2.0, min=0.0, step=0.5)
-                self._stop = ui.number(texts.SUPERVISION_STOP, value=5.0, min=0.0, step=0.5)
+                self._warn = number_field(texts.SUPERVISION_WARN, Levels, "warn_m", MM, step=0.5)
+                self._stop = number_field(texts.SUPERVISION_STOP, Levels, "stop_m", MM, step=0.5)
                 self._begin = button(texts.SUPERVISE, self._toggle, testid="supervise")
             self._said = text_of("p", role="status", testid="supervision").style("font-size: 1.3rem; font-weight: 700")
             self._words = text_of("p", role="alert").classes("hint")
@@ -79,7 +80,7 @@ class _Supervision:
                     self._console.cell,
                     self._console.require_robot(),
                     lambda: self._console.station,
-                    limits_of(number(self._warn), number(self._stop)),
+                    Levels(warn_m=number(self._warn) * MM, stop_m=number(self._stop) * MM).limits,
                 )
                 self._say("", "good")
             else:
@@ -146,9 +147,9 @@ class _Iso:
         with card(texts.ISO):
             text_of("p", texts.ISO_HELP).classes("hint")
             with ui.element("div").classes("row"):
-                self._side = ui.number(texts.ISO_SIDE, value=None, min=10, max=1000, step=10)
-                self._cycles = ui.number(texts.ISO_CYCLES, value=10, min=iso_run.FEWEST_VISITS, max=100, step=1)
-                self._speed = ui.number(texts.ISO_SPEED, value=100, min=1, max=1000, step=10)
+                self._side = number_field(texts.ISO_SIDE, IsoRequest, "side_m", MM, step=10)
+                self._cycles = number_field(texts.ISO_CYCLES, IsoRequest, "cycles", step=1)
+                self._speed = number_field(texts.ISO_SPEED, IsoRequest, "speed_m_s", MM, step=10)
             with ui.element("div").classes("row"):
                 button(texts.ISO_PLAN, self._plan, kind="act quiet", testid="iso-plan")
                 button(texts.ISO_RUN, self._run, testid="iso-run")
@@ -160,9 +161,9 @@ class _Iso:
         return IsoRequest(
             folder=self._console.folder,
             cell=self._console.cell,
-            side_mm=number(self._side, empty=0.0),
+            side_m=number(self._side, empty=0.0) * MM or None,
             cycles=whole_number(self._cycles),
-            speed_mm_s=number(self._speed),
+            speed_m_s=number(self._speed) * MM,
         )
 
     async def _plan(self) -> None:

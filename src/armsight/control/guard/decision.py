@@ -41,10 +41,10 @@ class TargetState(StrEnum):
 class Inputs:
     """All but set point and reading that the guard decides by.
 
-    now_s: on the loop's clock. enabled: whether the operator's enable is alive. robot: what its link says, robot_why:
-    in words, where it takes no commands. late_s: by how much this cycle began too late. stop: why a stop is asked for,
-    empty where none is. target, target_age_s: of the target that the source depends on and of the frame it was seen in;
-    None where there is none. waiting: the controller has not taken the last step yet, so that none can be sent.
+    now_s: on the loop's clock. enabled: whether the operator's enable is alive. robot, robot_why: what its link says,
+    and why it does not go on. late_s: by how much this cycle began too late. stop: why a stop is asked for, empty where
+    none is. target, target_age_s: of the target that the source depends on and of the frame it was seen in; None where
+    there is none. waiting: the controller has not taken the last step yet, so that none can be sent.
     """
 
     now_s: float

@@ -103,8 +103,8 @@ class Watch:
         """The robot's own word that it takes no commands."""
         if inputs.robot in (RobotState.READY, RobotState.MOVING):
             return None
-        why = f"the robot is {inputs.robot.value}" + (f": {inputs.robot_why}" if inputs.robot_why else "")
-        return Fault(GuardState.STOPPED, "link", why, without_robot=True)
+        why = f": {inputs.robot_why}" if inputs.robot_why else ""
+        return Fault(GuardState.STOPPED, "link", f"the robot is {inputs.robot.value}{why}", without_robot=True)
 
     def silence(self, reading: JointReading | None, now_s: float) -> Fault | None:
         """No new reading for too long: readings that stay away, and the same one again and again.

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.clock import STALL_S
+from armsight.control.guard.plausible import check_corners, check_units
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm
-from armsight.records import Saveable, frozen_array
+from armsight.records import Saveable, frozen_array, require_kind
 from armsight.records.fields import NotNegative, Positive, Shape, require_bounds
 from armsight.units import DEG, MM
 
@@ -204,6 +206,8 @@ class JointLimit:
     jerk: Positive | None = None
 
     def __post_init__(self) -> None:
+        for name in ("lower", "upper"):  # endless is as good a number
+            require_kind(f"a joint's {name}", getattr(self, name), Real)
         if not self.lower < self.upper:
             raise Inconsistent(
                 f"a joint's limits are {self.lower:g} to {self.upper:g}",
@@ -258,8 +262,11 @@ class Limits(Saveable):
 
     def __post_init__(self) -> None:
         require_bounds(self)
-        object.__setattr__(self, "joints", tuple(self.joints))
-        object.__setattr__(self, "forbidden", tuple(self.forbidden))
+        for key, kind in (("joints", JointLimit), ("forbidden", Box)):
+            require_kind(key, getattr(self, key), list, tuple)
+            object.__setattr__(self, key, tuple(getattr(self, key)))
+            for one in getattr(self, key):
+                require_kind(f"an entry of {key}", one, kind)
         if self.retreat is not None:
             object.__setattr__(self, "retreat", frozen_array("retreat", self.retreat, (None,)))
         if self.enable_age_s > ENABLE_AGE_S:
@@ -268,6 +275,11 @@ class Limits(Saveable):
                 consequence="A hand that lets go would stop the arm too late, and the robot is not moved",
                 cure="Give less, or leave it away; a line too slow for that is none to drive over",
             )
+        check_units(self)
+        named = [("workspace", self.workspace), *((f"forbidden[{k}]", box) for k, box in enumerate(self.forbidden))]
+        for key, box in named:
+            if box is not None:
+                check_corners(box, key)
         if self.retreat_speed > 1.0:
             raise Inconsistent(f"retreat_speed is {self.retreat_speed:g}, which is no share of the speed up to 1")
 

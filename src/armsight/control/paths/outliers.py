@@ -183,11 +183,16 @@ class PathJump:
     cure: str
 
 
-def distinct_rows(path: TaughtPath) -> list[int]:
-    """Return the rows of a path without those at the place of the one before; of two the tagged one stays."""
+def distinct_rows(path: TaughtPath, *, turn_m: float = 0.0) -> list[int]:
+    """Return the rows of a path without those at the place of the one before; of two the tagged one stays.
+
+    turn_m: a turn by a radian counts as so much of a way.
+    """
     keep = [0] if len(path) else []
+    # the Frobenius norm of the difference of two rotations a little apart is the square root of 2 times their angle
+    scaled = np.concatenate([path.xyz_m, turn_m / math.sqrt(2.0) * path.T_world_tip[:, :3, :3].reshape(-1, 9)], axis=1)
     for row in range(1, len(path)):
-        if np.linalg.norm(path.xyz_m[row] - path.xyz_m[keep[-1]]) > SAME_M:
+        if np.linalg.norm(scaled[row] - scaled[keep[-1]]) > SAME_M:
             keep.append(row)
         elif path.tags[row] and not path.tags[keep[-1]]:
             keep[-1] = row
@@ -223,7 +228,7 @@ def path_jumps(path: TaughtPath) -> tuple[PathJump, ...]:
         )
         for off in (outliers(kept, least_m=LEAST_M, least_rad=TURN_RAD) if len(kept) >= LEAST_ROWS else ())
     ]
-    return (*found, *_long_step(kept, rows), *_wide_turn(kept, rows))
+    return (*found, *_long_step(kept, rows), *_wide_turn(path))
 
 
 def _long_step(path: TaughtPath, rows: list[int]) -> list[PathJump]:
@@ -236,15 +241,15 @@ def _long_step(path: TaughtPath, rows: list[int]) -> list[PathJump]:
     return [PathJump(row=rows[step + 1], size=size_m, text=text, cure=cure)]
 
 
-def _wide_turn(path: TaughtPath, rows: list[int]) -> list[PathJump]:
+def _wide_turn(path: TaughtPath) -> list[PathJump]:
     R = path.poses.rotation
     turns = np.asarray((R[1:] * R[:-1].inv()).magnitude())
     worst = int(np.argmax(turns))
     if turns[worst] <= TURN_RAD:
         return []
-    text = f"the tool turns by {turns[worst] / DEG:.0f} deg before row {rows[worst + 1]}"
+    text = f"the tool turns by {turns[worst] / DEG:.0f} deg before row {worst + 1}"
     cure = "Correct the row, or put rows between; armsight play --keep-rotation runs the path without turning"
-    return [PathJump(row=rows[worst + 1], size=float(turns[worst]), text=text, cure=cure)]
+    return [PathJump(row=worst + 1, size=float(turns[worst]), text=text, cure=cure)]
 
 
 def jump_step(xyz_m: Array, t_s: Array) -> int | None:

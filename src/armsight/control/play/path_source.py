@@ -9,17 +9,19 @@ from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.play.plan import PathPlan
-from armsight.control.play.track import ARM_M, PATH_ACCELERATION_M_S2, PATH_JERK_M_S3, Leg, Way
+from armsight.control.play.track import ARM_M, Leg, Way
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, ToolPose
 from armsight.errors import UsageError
-from armsight.geometry import pose_difference
+from armsight.geometry.kernels import rotvec
 from armsight.units import MM
 
 AT_REST = 1e-6
 """Joints slower than this (rad/s or m/s) stand."""
-ARRIVED_M = 1e-7
-BEHIND_M, CLOSE_M = 5e-4, 1e-4
-"""An arm that is further behind the set point than the first makes the path wait until it is nearer than the second."""
+NEAR_M = 1e-6
+"""From within this of its path an arm goes on along it as it is."""
+BEHIND_M = 1e-5
+"""An arm further from the set point than this has not followed: the path stands until it is NEAR_M and rests, so that
+no corner is cut. Set points that the guard need not limit are met to 0.1 um."""
 REJOIN_M = 0.02
 """An arm further from the path than this is not brought back to it by itself."""
 REJOIN_SPEED_M_S = 0.01
@@ -52,8 +54,9 @@ class PlayProgress:
 class PathSource:
     """Runs a plan: to the path's start, then along it. next is for the loop; all else may be called from any thread.
 
-    Speed along each way changes with bounded acceleration and jerk. Where the guard did not follow, the path stands
-    still, and goes on from the same position once the arm was brought back to it, slowly and straight.
+    An override and a pause change how fast the plan's time passes, within rates that the plan has room for, and never
+    where the tip goes. Where the guard did not follow, time stands, and goes on from there once the arm was brought
+    back to the path, slowly and straight.
     """
 
     name = "path"
@@ -66,8 +69,8 @@ class PathSource:
         self._paused = False
         self._stage = 0
         self._rejoin: Leg | None = None
-        self._state = (0.0, 0.0, 0.0)  # length, speed, acceleration along the way that is run
-        self._kept_m = 0.0  # where on its way the path waits while the arm comes back to it
+        self._clock = (0.0, self._override, 0.0)  # time of the way that is run, its rate, and how that changes
+        self._kept_s = 0.0  # where on its way the path waits while the arm comes back to it
         self._sent: RigidTransform | None = None
         self._stood = True
         self._waiting = False
@@ -97,18 +100,20 @@ class PathSource:
     def progress(self) -> PlayProgress:
         """Where the path is."""
         last = len(self._ways) - 1
-        stage = self._stage
-        s_m = (self._kept_m if self._rejoin is not None else self._state[0]) if stage == last else 0.0
-        s_m = self.plan.length_m if stage > last else s_m
+        stage, rejoins, (t_s, rate, _) = self._stage, self._rejoin is not None, self._clock
+        s_m, speed = (0.0, 0.0) if stage > last else self._ways[stage].along(self._kept_s if rejoins else t_s)
+        if rejoins or self._stood:
+            rate = 0.0
+        s_m = self.plan.length_m if stage > last else s_m if stage == last else 0.0
         return PlayProgress(
             stage="finished" if stage > last else "path" if stage == last else "approach",
             share=s_m / self.plan.length_m,
             s_m=s_m,
             length_m=self.plan.length_m,
-            speed_m_s=self._state[1],
+            speed_m_s=rate * speed,
             paused=self._paused,
             waiting=self._waiting,
-            welding=stage == last and self._moves_along and self._welds_at(s_m),
+            welding=stage == last and rate * speed > AT_REST and self._welds_at(s_m),
         )
 
     def next(self, now: CycleState) -> SetPoint:
@@ -125,24 +130,18 @@ class PathSource:
                 return Hold(why=why)
         way = self._way
         self._advance(way, now)
-        pose = way.pose(self._state[0])
+        pose = way.pose(self._clock[0])
         self._sent = pose
-        if self._state[0] >= way.length_m - ARRIVED_M and self._state[1] <= ARRIVED_M:
+        if self._clock[0] >= way.duration_s:
             self._arrived()
         return ToolPose(T_base_tool=pose)
 
     def warm_up(self) -> None:
         """Run once what a cycle runs."""
-        trajectory = Trajectory(1)
-        Ruckig(1, 0.01).calculate(_along(self._ways[0], (0.0, 0.0, 0.0), 1.0, wait=False), trajectory)
+        Ruckig(1, 0.01).calculate(_rate(self._ways[0], (0.0, 0.0, 0.0), 1.0), Trajectory(1))
         for way in self._ways:
             way.pose(0.0)
-            way.speed_at(0.0)
-
-    @property
-    def _moves_along(self) -> bool:
-        """Whether the tip goes along the path now: one that rests, or comes back to it, does not weld."""
-        return self._rejoin is None and not self._stood and self._state[1] > 0.0
+            way.along(0.0)
 
     @property
     def _way(self) -> Way:
@@ -158,13 +157,14 @@ class PathSource:
             self._tries = 0
         self._waiting = True
         if self._rejoin is None:
-            self._kept_m = self._state[0]
-        self._state = (self._state[0], 0.0, 0.0)
+            self._kept_s = self._clock[0]
+        self._clock = (self._clock[0], 0.0, 0.0)
         return Hold(why=self._given_up) if self._given_up else Hold()
 
     def _count_try(self) -> None:
         """Count that the path's own set point was refused; an enable that was let go of is no refusal."""
-        position = (self._stage, self._state[0] if self._rejoin is None else self._kept_m)
+        kept_s = self._clock[0] if self._rejoin is None else self._kept_s
+        position = (self._stage, self._ways[self._stage].along(kept_s)[0])
         further = position[0] != self._tried_at[0] or abs(position[1] - self._tried_at[1]) > TRIED_M
         self._tries = 1 if further else self._tries + 1
         self._tried_at = position
@@ -178,43 +178,50 @@ class PathSource:
         if self._given_up:
             return self._given_up
         way = self._ways[self._stage]
-        back = Leg(now.T_base_tool, way.pose(self._kept_m), REJOIN_SPEED_M_S)
+        back = Leg(now.T_base_tool, way.pose(self._kept_s), REJOIN_SPEED_M_S)
         if back.length_m > REJOIN_M:
             return f"the tip is {back.length_m / MM:.0f} mm from the path: begin it anew"
-        self._rejoin = back if back.length_m > 1e-5 else None
-        self._state = (0.0 if self._rejoin is not None else self._kept_m, 0.0, 0.0)
+        self._rejoin = back if back.length_m > NEAR_M else None
+        # a way begins from rest by itself, in the midst of one its time gathers speed
+        at_s = self._kept_s if self._rejoin is None else 0.0
+        self._clock = (at_s, 0.0 if at_s > 0.0 or self._paused else self._override, 0.0)
         self._stood, self._sent = False, None
         return ""
 
     def _advance(self, way: Way, now: CycleState) -> None:
-        """Go on along the way by a cycle."""
+        """Go on along the way by a cycle; an arm that did not follow is waited for."""
         if self._ruckig is None or now.cycle_s != self._cycle_s:
             self._ruckig, self._cycle_s = Ruckig(1, now.cycle_s), now.cycle_s
         self._waiting = self._behind(now)
-        wanted = _along(way, self._state, self._override, wait=self._paused or self._waiting)
         trajectory = Trajectory(1)
-        if self._ruckig.calculate(wanted, trajectory) not in (Result.Working, Result.Finished):
-            self._state = (self._state[0], 0.0, 0.0)
+        wanted = _rate(way, self._clock, 0.0 if self._paused else self._override)
+        if self._waiting or self._ruckig.calculate(wanted, trajectory) not in (Result.Working, Result.Finished):
+            self._clock = (self._clock[0], 0.0, 0.0)
             return
-        s, v, a = (float(value[0]) for value in trajectory.at_time(now.cycle_s))
-        self._state = (min(max(s, self._state[0]), way.length_m), max(v, 0.0), a)
+        t_s, rate, change = (float(value[0]) for value in trajectory.at_time(now.cycle_s))
+        rate = rate if rate > AT_REST else 0.0
+        self._clock = (min(max(t_s, self._clock[0]), way.duration_s), rate, change)
 
     def _behind(self, now: CycleState) -> bool:
-        """Tell whether the arm is too far from the newest set point for the path to go on."""
+        """Tell whether the arm did not follow the newest set point, or has not come to it since."""
         if self._sent is None:
             return False
-        off = pose_difference(now.T_base_tool, self._sent)
-        off_m = max(float(np.linalg.norm(off[:3])), ARM_M * float(np.linalg.norm(off[3:])))
-        return off_m > (CLOSE_M if self._waiting else BEHIND_M)
+        here, there = now.T_base_tool.as_matrix(), self._sent.as_matrix()
+        off_m = float(np.linalg.norm(here[:3, 3] - there[:3, 3]))
+        if len(now.q) >= 6:  # joints too few to turn the tool at will meet the position
+            off_m = max(off_m, ARM_M * float(np.linalg.norm(rotvec(here[:3, :3] @ there[:3, :3].T))))
+        if self._waiting:
+            return off_m > NEAR_M or float(np.abs(now.qd_sent).max()) > AT_REST
+        return off_m > BEHIND_M
 
     def _arrived(self) -> None:
         """Go on to the next way, from rest."""
         if self._rejoin is not None:
             self._rejoin = None
-            self._state = (self._kept_m, 0.0, 0.0)
+            self._clock = (self._kept_s, 0.0, 0.0)
             return
         self._stage += 1
-        self._state, self._kept_m = (0.0, 0.0, 0.0), 0.0
+        self._clock, self._kept_s = (0.0, *self._clock[1:]), 0.0
 
     def _welds_at(self, s_m: float) -> bool:
         on = False
@@ -224,18 +231,14 @@ class PathSource:
         return on
 
 
-def _along(way: Way, state: tuple[float, float, float], override: float, *, wait: bool) -> InputParameter:
-    """Return what ruckig is asked for one way: to its end, or to rest where it is to wait."""
-    wanted = InputParameter(1)
-    wanted.current_position, wanted.current_velocity, wanted.current_acceleration = ([value] for value in state)
-    wanted.target_velocity = wanted.target_acceleration = [0.0]
-    wanted.max_velocity = [max(override * way.speed_at(state[0]), 1e-5)]
-    wanted.max_acceleration, wanted.max_jerk = [PATH_ACCELERATION_M_S2], [PATH_JERK_M_S3]
-    if wait:
-        wanted.control_interface = ControlInterface.Velocity
-    else:
-        wanted.target_position = [way.length_m]
-    return wanted
+def _rate(way: Way, clock: tuple[float, float, float], wanted: float) -> InputParameter:
+    """Return what ruckig is asked for: the way's time to pass at the rate wanted."""
+    asked = InputParameter(1)
+    asked.control_interface = ControlInterface.Velocity
+    asked.current_position, asked.current_velocity, asked.current_acceleration = ([value] for value in clock)
+    asked.target_velocity, asked.target_acceleration = [wanted], [0.0]
+    asked.max_acceleration, asked.max_jerk = ([value] for value in way.rates)
+    return asked
 
 
 def _checked_override(share: float) -> float:

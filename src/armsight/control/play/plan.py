@@ -1,4 +1,4 @@
-"""A taught path made ready to be run: rounded, woven, checked for the arm, and timed within its limits."""
+"""A taught path made ready to be run: checked for the arm and timed within its limits, before anything moves."""
 
 from __future__ import annotations
 
@@ -6,35 +6,39 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
+from armsight.control.paths import PathCheck, PathTrouble, check_path
 from armsight.control.paths.outliers import SAME_M, distinct_rows, of_rows, path_jumps
-from armsight.control.play.track import SPEED_SHARE, Leg, Track, Way, Weave, WeaveKind, quats, timed
+from armsight.control.play.shape import TURN_M, Shape, shaped, steps, welds_of
+from armsight.control.play.timing import SPEED_SHARE, timed
+from armsight.control.play.track import ARM_M, Samples, Track
+from armsight.control.play.weave import Weave
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import Arm
+from armsight.geometry import pose_difference
+from armsight.kinematics import Arm, fk_jacobian
 from armsight.kinematics.target import target_matrices
-from armsight.records import WELD_OFF, WELD_ON, TaughtPath
-from armsight.units import MM
+from armsight.records import TaughtPath
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
-STEP_M = 2.5e-4
-"""Between two samples of a path."""
-MOST_SAMPLES = 40_000
-"""Ten metres at STEP_M; longer paths are sampled more coarsely."""
-PER_WAVE = 40
-"""Least samples of a wave of a weave."""
-LEG_PLACES = 33
-"""Positions of a leg at which the flange's speed is looked at: it differs along a leg that turns about the tip."""
+LEG_STEP_M = 1e-3
+"""Between two samples of the way to a path, and at least LEG_SAMPLES."""
+LEG_SAMPLES = 33
 CHECK_M = 1e-3
 """Between two poses that are checked for the arm; also half a millimetre and less where a weave is narrow."""
-BLEND_SHARE = 0.5
-"""Of a path, over which its corners may be rounded."""
+REST_M, REST_SHARE = 1e-4, 1.05
+"""What a path keeps from walls, and of singularities, beyond what the guard does: ways to rest lead off the path."""
+NEWTON_STEPS = 5
+MET = 1e-9
+"""m or rad: joint readings that put the tip so near a sample are its readings."""
 LEAST_SPEED_M_S = 2e-4
 """A path that allows no more than this somewhere has a corner there that nobody can run through."""
+TURNS_RAD = 1e-3
+"""Of an arm that cannot turn its tool at will: a path's rotation is met that is no further from the arm's own."""
 SLOWED = frozenset({PathTrouble.SPEED, PathTrouble.TURN, PathTrouble.JOINT_SPEED})
 """What is no trouble: the plan goes slower there."""
 
@@ -72,14 +76,16 @@ class PlaySettings:
 class PathPlan:
     """A path ready to be run, in base axes.
 
-    approach: legs from where the tip stood to the start. track: the path with its weave. s_m (n,), seam_m (n, 3),
-    tip_m (n, 3): samples of the length, of the path without and with weave. welds: lengths at which a weld is switched
-    on or off. rounded_m: how far rounding moves the path at most. speed_m_s (n,): as planned. time_s: of all, without
-    pauses, at full override. slowest: the place of the least planned speed, in words. fastest_m_s, fastest: the largest
-    speed that tip or flange reach anywhere, the way to the path included, and which of them where.
+    approach: the way from where the tip stood to the start, in straight parts. track: the path with its weave.
+    s_m (n,), seam_m (n, 3), tip_m (n, 3): samples of the length, of the path without and with weave. speed_m_s (n,):
+    along the seam, as planned. welds: lengths at which a weld is switched on or off. rounded_m, rounded_rad: how far
+    rounding moves and turns the path at most. slowest: the place of the least planned speed, in words. turns: where the
+    tool turns though the tip hardly moves, and turned_rad how far it turns from what was asked at most, of an arm that
+    cannot turn it at will. fastest_m_s, fastest: the largest speed that tip or flange reach anywhere, the way to the
+    path included, and which of them where.
     """
 
-    approach: tuple[Leg, ...]
+    approach: tuple[Track, ...]
     track: Track
     s_m: Array
     seam_m: Array
@@ -87,13 +93,16 @@ class PathPlan:
     speed_m_s: Array
     welds: tuple[tuple[float, bool], ...]
     rounded_m: float
+    rounded_rad: float
     slowest: str
+    turns: str
+    turned_rad: float
     fastest_m_s: float
     fastest: str
     check: PathCheck
 
     @property
-    def ways(self) -> tuple[Way, ...]:
+    def ways(self) -> tuple[Track, ...]:
         """All that is run, one after the other, with a rest between."""
         return (*self.approach, self.track)
 
@@ -104,10 +113,8 @@ class PathPlan:
 
     @property
     def time_s(self) -> float:
-        """About how long it takes, without pauses and at full override."""
-        mean = 0.5 * (self.speed_m_s[1:] + self.speed_m_s[:-1])
-        legs = sum(leg.length_m / leg.speed_at(0.0) for leg in self.approach)
-        return float(np.sum(np.diff(self.s_m) / mean)) + legs
+        """How long it takes, without pauses and at full override."""
+        return float(sum(way.duration_s for way in self.ways))
 
 
 def plan_path(
@@ -127,30 +134,26 @@ def plan_path(
     target_matrices(arm, _in_world(path, arm))  # millimetres are told before they are sampled, for minutes
     T_base_stand = arm.T_world_base.inv() * RigidTransform.from_matrix(arm.fk(arm.values(stand)))
     path = _usable(_in_base(path, arm), settings, T_base_stand)
-    s, T_seam, rounded_m = _rounded(path, settings)
-    T_tip = _woven(T_seam, s, settings.weave, _welded(path, s))
-    legs = _approach(T_base_stand, RigidTransform.from_matrix(T_tip[0]), settings, limits)
-    check, q_track, rows = _checked(arm, limits, stand, legs, s, T_tip, keeps=settings.keep_rotation)
-    wanted = _wanted_speed(path, s, settings)
-    speed = timed(s, T_tip, (s[rows], q_track), wanted, limits, joint_bounds(arm, limits))
-    slow = int(np.argmin(speed))
-    if speed[slow] < LEAST_SPEED_M_S:
-        raise Inconsistent(
-            f"the path turns so sharply at {s[slow]:.4f} m that no speed is slow enough",
-            consequence="Nothing is moved",
-            cure="Round its corners more (--blend), smooth it (armsight path smooth), or give a wider weave",
-        )
-    fastest_m_s, fastest = _fastest(arm, legs, s, T_tip, speed)
+    shape = shaped(path, settings.blend_m, settings.weave, settings.speed_m_s)
+    legs = _legs(T_base_stand, RigidTransform.from_matrix(shape.T[0]), settings, limits)
+    check, found = _checked(arm, limits, stand, legs, shape, keeps=settings.keep_rotation)
+    bounds = joint_bounds(arm, limits)
+    *approach, track = (Track(samples, *timed(samples, limits, bounds)) for samples in found)
+    speed = np.asarray(track.speeds * np.maximum(np.gradient(shape.s_m, shape.u), 0.0))
+    fastest_m_s, fastest = _fastest(arm, tuple(approach), track)
     return PathPlan(
-        approach=legs,
-        track=Track(T_tip, s, speed),
-        s_m=s,
-        seam_m=T_seam[:, :3, 3],
-        tip_m=T_tip[:, :3, 3],
+        approach=tuple(approach),
+        track=track,
+        s_m=shape.s_m,
+        seam_m=shape.seam_m,
+        tip_m=shape.T[:, :3, 3],
         speed_m_s=speed,
-        welds=_welds(path),
-        rounded_m=rounded_m,
-        slowest=f"{speed[slow] / MM:.1f} mm/s at {s[slow]:.3f} m" if speed[slow] < 0.99 * wanted[slow] else "",
+        welds=welds_of(path),
+        rounded_m=shape.rounded_m,
+        rounded_rad=shape.rounded_rad,
+        slowest=_slowest(track, speed),
+        turns=shape.turns,
+        turned_rad=_turned(arm, shape, track.samples, keeps=settings.keep_rotation),
         fastest_m_s=fastest_m_s,
         fastest=fastest,
         check=check,
@@ -174,147 +177,170 @@ def _in_world(path: TaughtPath, arm: Arm) -> Array:
 
 
 def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransform) -> TaughtPath:
-    """Return the path without rows at one position and with the rotations to run. Raises for jumps and too few rows."""
-    keep = distinct_rows(path)
-    if len(keep) < 2:
-        raise NotEnoughData(
-            f"the path has {len(keep)} places", consequence="Nothing is moved", cure="Give at least two"
-        )
+    """Return the path with the rotations to run, no two rows alike. Raises for jumps and too few positions."""
     if settings.keep_rotation:
         T = path.T_world_tip.copy()
         T[:, :3, :3] = T_base_stand.rotation.as_matrix()
         path = replace(path, T_world_tip=T)
+    if len(distinct_rows(path)) < 2:
+        turn = steps(path)[1]
+        only = f" at which the tool turns by {turn.sum() / DEG:.0f} deg" if turn.sum() > TURNS_RAD else ""
+        raise NotEnoughData(
+            f"the path has {min(len(path), 1)} positions{only}",
+            consequence="Nothing is moved",
+            cure="Give at least two positions",
+        )
     for jump in path_jumps(path):
         raise Inconsistent(jump.text, consequence="Nothing is moved", cure=jump.cure)
-    return of_rows(path, keep)
+    return of_rows(path, distinct_rows(path, turn_m=TURN_M))
 
 
-def _rounded(path: TaughtPath, settings: PlaySettings) -> tuple[Array, Array, float]:
-    """Return lengths (n,), poses (n, 4, 4) of the path with its corners rounded, and how far that moves it, in m.
-
-    Three running means (a cubic B-spline) over blend_m in all: curvature has no jump, both ends stay. The path is
-    continued beyond its ends by its mirror image in the point. Raises UsageError where blend_m is most of the path.
-    """
-    total = float(path.length_m[-1])
-    if settings.blend_m > BLEND_SHARE * total:
-        raise UsageError(
-            f"corners shall be rounded over {settings.blend_m / MM:.1f} mm of a path of {total / MM:.1f} mm",
-            consequence="Little of the path would be left, and nothing is moved",
-            cure="Round them less (--blend, in m)",
-        )
-    step = max(STEP_M, total / MOST_SAMPLES)
-    if settings.weave.kind is not WeaveKind.NONE:
-        step = min(step, settings.weave.wavelength_m / PER_WAVE)
-    count = max(8, int(np.ceil(total / step)))
-    s = np.linspace(0.0, total, count + 1)
-    T = poses_at(path, s)
-    width = max(3, 2 * round(settings.blend_m / (s[1] - s[0]) / 6.0) + 1)
-    rows = np.concatenate([T[:, :3, 3], quats(T)], axis=1)
-    pad = min(3 * width, count)
-    long = np.concatenate([2.0 * rows[0] - rows[pad:0:-1], rows, 2.0 * rows[-1] - rows[-2 : -pad - 2 : -1]])
-    for _ in range(3):
-        long = uniform_filter1d(long, width, axis=0, mode="nearest")
-    smooth = long[pad : pad + len(s)]
-    out = T.copy()
-    out[:, :3, 3] = smooth[:, :3]
-    out[:, :3, :3] = Rotation.from_quat(smooth[:, 3:]).as_matrix()
-    at_rows = np.stack([np.interp(path.length_m, s, smooth[:, k]) for k in range(3)], axis=1)
-    moved = np.concatenate([smooth[:, :3] - T[:, :3, 3], at_rows - path.xyz_m])
-    return s, out, float(np.linalg.norm(moved, axis=1).max())
-
-
-def _welds(path: TaughtPath) -> tuple[tuple[float, bool], ...]:
-    """Return lengths at which a weld is switched, and whether on."""
-    s = path.length_m
-    return tuple((float(s[row]), tag == WELD_ON) for row, tag in enumerate(path.tags) if tag in (WELD_ON, WELD_OFF))
-
-
-def _welded(path: TaughtPath, s: Array) -> Array:
-    """Return 1 where the tip welds and 0 elsewhere (n,); 1 everywhere on a path without such tags."""
-    welds = _welds(path)
-    if not welds:
-        return np.ones_like(s)
-    on = np.full(len(s), not welds[0][1], dtype=bool)
-    for at_m, state in welds:
-        on[s >= at_m - 1e-9] = state
-    return on.astype(np.float64)
-
-
-def _woven(T: Array, s: Array, weave: Weave, welded: Array) -> Array:
-    """Return the poses woven across the path in the tool's plane; it grows and fades where welds are switched."""
-    if weave.kind is WeaveKind.NONE:
-        return T
-    tangent = np.gradient(T[:, :3, 3], s, axis=0)
-    across = np.cross(T[:, :3, 2], tangent)
-    size = np.linalg.norm(across, axis=1)
-    if size.min() < 0.2 * np.linalg.norm(tangent, axis=1).max():
-        raise Inconsistent(
-            f"at {s[int(np.argmin(size))]:.3f} m the path runs along the tool's own axis",
-            consequence="There is no direction to weave in, and nothing is moved",
-            cure="Tilt the tool (armsight path angle), or leave --weave out",
-        )
-    width = max(3, round(0.5 * weave.wavelength_m / (s[1] - s[0])))
-    share = welded
-    for _ in range(3):
-        share = uniform_filter1d(share, width, mode="nearest")
-    out = T.copy()
-    out[:, :3, 3] += (share * weave.offset_m(s) / size)[:, None] * across
-    return out
-
-
-def _approach(stand: RigidTransform, start: RigidTransform, settings: PlaySettings, limits: Limits) -> tuple[Leg, ...]:
+def _legs(stand: RigidTransform, start: RigidTransform, settings: PlaySettings, limits: Limits) -> list[Samples]:
     """Return the legs from where the tip stands to the path's start, by way of one before it on the tool's axis."""
     before = start * RigidTransform.from_translation([0.0, 0.0, -settings.retract_m])
     speed = min(settings.approach_speed_m_s, SPEED_SHARE * limits.speed_m_s)
-    legs = (Leg(stand, before, speed), Leg(before, start, speed))
-    return tuple(leg for leg in legs if leg.length_m > SAME_M)
+    legs = (_leg(stand, before, speed), _leg(before, start, speed))
+    return [leg for leg in legs if leg.u[-1] > SAME_M]
 
 
-def _fastest(arm: Arm, legs: tuple[Leg, ...], s: Array, T: Array, speed: Array) -> tuple[float, str]:
-    """Return the largest speed that tip or flange reach in m/s, and which of them where; lengths count no weave."""
-    ways = [(T, s, speed, "along it")]
-    for leg in legs:
-        at = np.linspace(0.0, leg.length_m, LEG_PLACES)
-        poses = np.array([leg.pose(s).as_matrix() for s in at])
-        ways.append((poses, at, np.full(LEG_PLACES, leg.speed_at(0.0)), "on the way to it"))
+def _leg(start: RigidTransform, end: RigidTransform, speed_m_s: float) -> Samples:
+    """Return a straight way that turns evenly; its length, of which the speed is, counts turning too (ARM_M)."""
+    way = pose_difference(end, start)
+    length_m = max(float(np.linalg.norm(way[:3])), ARM_M * float(np.linalg.norm(way[3:])))
+    share = np.linspace(0.0, 1.0, max(LEG_SAMPLES, int(np.ceil(length_m / LEG_STEP_M)) + 1))
+    turns = Rotation.from_rotvec(share[:, None] * way[3:]) * start.rotation
+    u = share * length_m
+    return Samples(
+        u=u,
+        T=RigidTransform.from_components(start.translation + share[:, None] * way[:3], turns).as_matrix(),
+        s_m=u,
+        paced_m=u[:, None],
+        wanted_m_s=np.full(len(u), speed_m_s),
+    )
+
+
+def _fastest(arm: Arm, approach: tuple[Track, ...], track: Track) -> tuple[float, str]:
+    """Return the largest speed that tip or flange reach in m/s, and which of them where."""
     T_tool_flange = arm.T_flange_tool.inv().as_matrix()
     found = []
-    for poses, at, allowed, where in ways:
-        for name, xyz in (("tip", poses[:, :3, 3]), ("flange", (poses @ T_tool_flange)[:, :3, 3])):
-            per_m = np.linalg.norm(np.gradient(xyz, at, axis=0), axis=1)
-            found.append((float((allowed * per_m).max()), f"the {name}, {where}"))
+    for way in (track, *approach):
+        u, T = way.samples.u, way.samples.T
+        rate = way.speeds
+        where = "along it" if way is track else "on the way to it"
+        for name, xyz in (("tip", T[:, :3, 3]), ("flange", (T @ T_tool_flange)[:, :3, 3])):
+            speed = rate * np.linalg.norm(np.gradient(xyz, u, axis=0), axis=1)
+            found.append((float(speed.max()), f"the {name}, {where}"))
     return max(found, key=lambda one: round(one[0], 6))  # where both are as fast, the tip along the path is told
 
 
+def _slowest(track: Track, speed: Array) -> str:
+    """Return where the speed along the seam (n,) is furthest below the one asked for, in words; empty nowhere.
+
+    Between its first and its last largest value, which leaves out how it gathers and gives up speed at the ends, and
+    not where the tip hardly moves but the tool turns. Raises Inconsistent where no speed is slow enough.
+    """
+    s, share = track.samples.s_m, speed / track.samples.wanted_m_s
+    up, down = np.flatnonzero(np.diff(share) <= 0.0), np.flatnonzero(np.diff(share) >= 0.0)
+    within = slice(int(up[0]), int(down[-1]) + 2)
+    along = np.gradient(s, track.samples.u)[within] > 0.5
+    if not along.any():
+        return ""
+    slow = within.start + int(np.argmin(np.where(along, share[within], np.inf)))
+    if track.speeds[slow] < LEAST_SPEED_M_S:
+        raise Inconsistent(
+            f"the path turns so sharply at {s[slow]:.4f} m that no speed is slow enough",
+            consequence="Nothing is moved",
+            cure="Round its corners more (--blend), smooth it (armsight path smooth), or give a wider weave",
+        )
+    return f"{speed[slow] / MM:.1f} mm/s at {s[slow]:.3f} m" if share[slow] < 0.98 else ""
+
+
+def _turned(arm: Arm, shape: Shape, samples: Samples, *, keeps: bool) -> float:
+    """Return how far the tool is turned from what was asked for at most, rad: an arm of less than six joints turns it.
+
+    Raises Inconsistent where the path's own rotation is not met.
+    """
+    R = Rotation.from_matrix(samples.T[:, :3, :3]) * Rotation.from_matrix(shape.T[:, :3, :3]).inv()
+    off = np.asarray(R.magnitude())
+    worst = int(np.argmax(off))
+    turned = float(off[worst])
+    if turned > TURNS_RAD and not keeps:
+        raise Inconsistent(
+            f"{arm.name} has {arm.n} joints and cannot turn its tool as the path asks: it would be off by "
+            f"{turned / DEG:.1f} deg at {samples.s_m[worst]:.3f} m",
+            consequence="Nothing is moved",
+            cure="Run the positions alone (--keep-rotation)",
+        )
+    return turned
+
+
 def _checked(
-    arm: Arm, limits: Limits, stand: Array, legs: tuple[Leg, ...], s: Array, T: Array, *, keeps: bool
-) -> tuple[PathCheck, Array, Array]:
-    """Return the check of all that is run, and readings (k, n) at the track's rows (k,). Raises Inconsistent.
+    arm: Arm, limits: Limits, stand: Array, legs: list[Samples], shape: Shape, *, keeps: bool
+) -> tuple[PathCheck, list[Samples]]:
+    """Return the check of all that is run, and the ways with their readings. Raises Inconsistent.
 
     keeps: whether the tool's rotation is kept already.
     """
-    every = max(1, min(int(CHECK_M / (s[1] - s[0])), 8))
-    rows = np.unique(np.append(np.arange(0, len(s), every), len(s) - 1))
-    poses, parts = [], []
-    for k, leg in enumerate(legs):
-        count = max(2, int(np.ceil(leg.length_m / (2.0 * CHECK_M))))
-        poses += [leg.pose(at).as_matrix() for at in np.linspace(0.0, leg.length_m, count + 1)[:-1]]
-        parts += [f"on the way to the path (leg {k + 1})"] * count
-    n = len(poses)
-    joined = TaughtPath.of_poses(RigidTransform.from_matrix(np.array([*poses, *T[rows]])), parent="base")
-    check = check_path(joined, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
+    track = Samples(u=shape.u, T=shape.T, s_m=shape.s_m, paced_m=shape.seam_m, wanted_m_s=shape.wanted_m_s)
+    ways = [*legs, track]
+    rows = [_rows(way) for way in ways]
+    joined = np.concatenate([way.T[at] for way, at in zip(ways, rows, strict=True)])
+    path = TaughtPath.of_poses(RigidTransform.from_matrix(joined), parent="base")
+    kept = replace(limits, margin_m=limits.margin_m + REST_M, singularity=REST_SHARE * limits.singularity)
+    check = check_path(path, arm, kept, speed_m_s=limits.speed_m_s, start=stand, taught=False)
+    ends = np.cumsum([len(at) for at in rows])
     for issue in check.issues:
         if issue.trouble in SLOWED:
             continue
-        where = parts[issue.row] if issue.row < n else f"at {s[rows[issue.row - n]]:.3f} m of the path"
+        k = int(np.searchsorted(ends, issue.row, side="right"))
+        at_m = ways[k].s_m[rows[k][issue.row - ends[k]]]
+        where = f"at {at_m:.3f} m of the path" if ways[k] is track else f"on the way to the path (leg {k + 1})"
         raise Inconsistent(
-            f"{arm.name} cannot run it: {issue.trouble.value} {where}: {issue.text}",
+            f"{arm.name} cannot run it: {issue.trouble.value} {where}: {issue.text}"
+            + (f"; {shape.turns}" if shape.turns and not keeps else ""),
             consequence="Nothing is moved",
             cure="Move the path or the arm's stand"
             + ("" if keeps else ", or keep the tool's rotation (--keep-rotation)"),
         )
     _check_branch(check, arm, stand)
-    return check, np.asarray(check.q[n:]), rows
+    found = np.split(np.asarray(check.q), ends[:-1])
+    return check, [with_readings(way, arm, at, q) for way, at, q in zip(ways, rows, found, strict=True)]
+
+
+def _rows(way: Samples) -> NDArray[np.intp]:
+    """Return the samples of a way that are checked, the last one among them."""
+    every = max(1, min(int(CHECK_M / way.u[1]), 8))
+    return np.unique(np.append(np.arange(0, len(way.u), every), len(way.u) - 1))
+
+
+def with_readings(way: Samples, arm: Arm, rows: NDArray[np.intp], q: Array) -> Samples:
+    """Return a way with readings at all its samples, from those q (k, joints) at rows (k,), and the poses they give.
+
+    An arm of less than six joints meets the positions, and turns the tool as it does. Raises Inconsistent where samples
+    between are not met.
+    """
+    values = np.asarray(CubicSpline(way.u[rows], arm.values(q))(way.u))
+    T_world = arm.T_world_base.as_matrix() @ way.T
+    free = slice(0, 6 if arm.n >= 6 else 3)
+    lengths = np.array([arm.length_m] * 3 + [1.0] * 3)[free]
+    for _ in range(NEWTON_STEPS):
+        T, J = fk_jacobian(arm, values)
+        turn = Rotation.from_matrix(T_world[:, :3, :3]) * Rotation.from_matrix(T[:, :3, :3]).inv()
+        off = np.concatenate([T_world[:, :3, 3] - T[:, :3, 3], turn.as_rotvec()], axis=1)[:, free]
+        if np.abs(off).max() < MET:
+            break
+        scaled = J[:, free] / lengths[:, None]
+        square = scaled @ scaled.transpose(0, 2, 1)
+        values = values + (scaled.transpose(0, 2, 1) @ np.linalg.solve(square, (off / lengths)[..., None]))[..., 0]
+    else:
+        worst = int(np.argmax(np.abs(off).max(axis=1)))
+        raise Inconsistent(
+            f"{arm.name} does not meet the path at {way.s_m[worst]:.3f} m",
+            consequence="Nothing is moved",
+            cure="Move the path away from the arm's singularities",
+        )
+    T_base = way.T if arm.n >= 6 else arm.T_world_base.inv().as_matrix() @ T
+    return replace(way, T=T_base, q=np.asarray(arm.readings(values)))
 
 
 def _check_branch(check: PathCheck, arm: Arm, stand: Array) -> None:
@@ -326,11 +352,3 @@ def _check_branch(check: PathCheck, arm: Arm, stand: Array) -> None:
             consequence="Nothing is moved",
             cure="Move the arm away from the singularity it stands at",
         )
-
-
-def _wanted_speed(path: TaughtPath, s: Array, settings: PlaySettings) -> Array:
-    """Return the speed (n,) asked for along the path."""
-    at = path.length_m
-    row = np.clip(np.searchsorted(at, s + 1e-12, side="right") - 1, 0, len(at) - 2)
-    own = path.speed_m_s[row]
-    return np.where(np.isfinite(own), own, settings.speed_m_s)

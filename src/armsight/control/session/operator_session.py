@@ -39,6 +39,8 @@ LOST_S = 1.0
 
 SLOWEST = 0.01
 """Smallest override."""
+FIRST_OVERRIDE = 0.5
+"""Before anybody moves the slider: the share at which `robot jog` moves an arm, too."""
 
 FRESH_S = 1.0
 """An enable counts that answers a state no older than this."""
@@ -88,7 +90,7 @@ class OperatorSession:
         """How often a jog key was followed: whoever moves the robot besides has to look anew where it stands."""
         self._lost: set[str] = set()
         self._vain: set[str] = set()
-        self._override = 0.5
+        self._override = FIRST_OVERRIDE
 
     @property
     def arm(self) -> Arm | None:

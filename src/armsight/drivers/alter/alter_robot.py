@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.alter.frames import SEQUENCES, FrameSplitter, StateFrame, answer
+from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, FrameSplitter, StateFrame, answer
 from armsight.drivers.alter.settings import AlterSettings, ArmOnLink
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
-from armsight.drivers.goals import PoseGoals, between
-from armsight.drivers.protocols import Sent
+from armsight.drivers.controller_clock import ControllerClock
+from armsight.drivers.cyclic import CyclicRobot
+from armsight.drivers.goals import PoseGoals, away, between
+from armsight.drivers.pace import LinkTimes
+from armsight.drivers.proof import Probe, Proof, ProofState, flange_and_joint_probe, flange_probe
+from armsight.drivers.protocols import PROVING, Sent
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -46,23 +48,6 @@ OTHER_ARM = (5.0 * MM, 0.5 * DEG)
 """An arm's file whose flange is farther from the controller's than this, in m or rad, is of another arm."""
 
 
-@dataclass(slots=True)
-class AlterCounts:
-    """Frames since the link was opened.
-
-    heard: good ones. missed: numbers that never came. repeated: with a number that was there, or an older one.
-    refused: whole, with values that cannot be. late: answers that the controller counted as late. garbage_bytes:
-    that belong to no frame.
-    """
-
-    heard: int = 0
-    missed: int = 0
-    repeated: int = 0
-    refused: int = 0
-    late: int = 0
-    garbage_bytes: int = 0
-
-
 class AlterRobot(CyclicRobot):
     """An arm whose controller sends a state each cycle over a serial line and takes the way to go as its answer.
 
@@ -84,7 +69,9 @@ class AlterRobot(CyclicRobot):
         self._arm: ArmOnLink | None = self.settings.arm
         self.counts = AlterCounts()
         self._last: StateFrame | None = None
-        self._nominal = self._model_offset = RigidTransform.identity()
+        self._nominal = self._model_offset = self._base_pose = self._in_force = RigidTransform.identity()
+        self._controller_clock = ControllerClock(cycle_s, numbered=True, own=True)
+        self._proof = Proof(cycle_s, lags=False)
 
     def step_joints(self, step: Array) -> Sent:
         """Move on by step (6,) in rad; without the arm's geometry only a step of zeros, which asks for nothing."""
@@ -99,6 +86,8 @@ class AlterRobot(CyclicRobot):
                     )
                 return self._note(reading.q, self._poses.next, ())
             asked, limited = self._goals.step(step, reading.q)
+            if self._proving(asks=bool((asked != self._goals.sent).any())):
+                return self._note(self._base_q, self._base_pose, (PROVING, *limited))
             asked, pose, cut = self._agreed(self._arm, asked, reading)
             return self._note(asked, pose, (*limited, *cut))
 
@@ -109,7 +98,10 @@ class AlterRobot(CyclicRobot):
         """
         with self._lock:
             reading = self._ready()
-            pose, limited = self._poses.go(T_base_flange, self._measured(reading))
+            pose, limited = self._poses.go(T_base_flange, self._flange_read(reading))
+            if self._proving(asks=bool(np.concatenate(between(self._poses.sent, pose)).any())):
+                q = reading.q if self._arm is None else self._base_q
+                return self._note(q, self._base_pose, (PROVING, *limited))
             if self._arm is None:
                 return self._note(reading.q, pose, limited)
             try:
@@ -127,7 +119,7 @@ class AlterRobot(CyclicRobot):
         """Return T_base_flange as the controller has it, by the arm's file laid onto it where the link was opened."""
         return self._model_offset.inv() * arm.fk(q)
 
-    def _measured(self, reading: JointReading) -> RigidTransform:
+    def _flange_read(self, reading: JointReading) -> RigidTransform:
         """Return where the flange is by the newest reading; without the arm's geometry, where it is told to be."""
         if self._arm is not None:
             return self._flange(self._arm, reading.q)
@@ -140,7 +132,7 @@ class AlterRobot(CyclicRobot):
 
         The pose is what goes out; it belongs to the joints exactly. Where no part of the step will do, none is taken.
         """
-        start, here, q = self._goals.sent, self._measured(reading), asked
+        start, here, q = self._goals.sent, self._flange_read(reading), asked
         words: tuple[str, ...] = ()
         for _ in range(PARTS):
             goal = self._flange(arm, q)
@@ -158,18 +150,21 @@ class AlterRobot(CyclicRobot):
 
     def _start(self) -> None:
         self.counts = AlterCounts()
-        self._last, self._wrong = None, ""
+        self._last, self._mismatch = None, ""
         self._behind, self._first_late = 0, 0
         self._answered: int | None = None
+        self._numbers, self._answers, self._obeyed = 0, 0, False
         self._splitter = FrameSplitter()
         self._closing = False
         self._line = self._open_line()
         self._first = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
-        if not self._first.wait(self.settings.open_s):
+        if not self._first.wait(self.settings.open_s) or self._unfit():
             self._finish()
-            why = self._wrong or f"no controller has sent a state within {self.settings.open_s:g} s"
+            if unfit := self._unfit():
+                raise DeviceFailed(f"{self.name}: {unfit[0]}", consequence="The robot is not opened", cure=unfit[1])
+            why = self._mismatch or f"no controller has sent a state within {self.settings.open_s:g} s"
             heard = f" ({self.counts.garbage_bytes} bytes were none)" if self.counts.garbage_bytes else ""
             raise DeviceNotFound(
                 f"{self.name}: {why}{heard}",
@@ -234,29 +229,45 @@ class AlterRobot(CyclicRobot):
         self._hear(state)
         if unheard_s > self._times.silent_s:
             self._check_session(state)
+        self._numbers += cycles
+        self._hear_clock(self._clock.now_s(), self._numbers)
         if newest and not self._lost:
+            self._obeyed = self._obeyed or self._answered == state.taken
             self._tick(cycles, taken=self._answered in (None, state.taken))
             self._answered = None
             if state.on:
                 self._answer(state)
         self.counts.heard += 1
-        self._first.set()
+        clock = self._controller_clock
+        if (clock.wrong and clock.sure) or (self._measured() and not self._unfit()):
+            self._first.set()
+
+    def _unfit(self) -> tuple[str, str] | None:
+        """Return why the robot may not be opened, and the cure; None where nothing is known against it."""
+        if clock := self._controller_clock.wrong:
+            return clock, self._controller_clock.cure
+        if self._obeyed or not self._answers:
+            return None
+        return (
+            f"its controller takes none of our answers, {self._answers} so far",
+            "Each comes after its cycle, or does not get through: check the line, its baud, and what is between",
+        )
 
     def _may_begin(self, state: StateFrame) -> bool:
         """Note where the ways begin; False where that cannot be told from this state."""
         if (state.cumulative, state.tool) != (self.settings.cumulative, self.settings.axes == "tool"):
             how = f"{'' if state.cumulative else 'not '}cumulative, {'tool' if state.tool else 'world'} axes"
-            self._wrong = f"path control is {how} on the controller, and set otherwise here"
+            self._mismatch = f"path control is {how} on the controller, and set otherwise here"
             return False
         if not state.on or state.corrected:
             # a whole way that another program has given would be taken back by an answer of zero
-            self._wrong = "path control is off on the controller, or still holds another program's way"
+            self._mismatch = "path control is off on the controller, or still holds another program's way"
             return False
         if self._arm is not None:
             model = self._arm.fk(state.q)
             way_m, turn = between(state.T_base_flange, model)
             if float(np.linalg.norm(way_m)) > OTHER_ARM[0] or float(np.linalg.norm(turn)) > OTHER_ARM[1]:
-                self._wrong = "the arm's file is of another arm: its flange is elsewhere than the controller says"
+                self._mismatch = "the arm's file is of another arm: its flange is elsewhere than the controller says"
                 return False
             self._model_offset = model * state.T_base_flange.inv()
         self._nominal = state.T_base_flange
@@ -303,8 +314,11 @@ class AlterRobot(CyclicRobot):
     def _answer(self, state: StateFrame) -> None:
         """Answer with the way from where the controller is told to be to the goal, no longer than a cycle allows."""
         with self._lock:
-            goal = self._within_a_cycle(state.T_base_flange, self._poses.sent)
-            start = state.T_base_flange if self.settings.cumulative else self._nominal
+            # a controller that is not proven may go the other way: what leads back from where it says it is leads on
+            heres = {ProofState.PASSED: state.T_base_flange, ProofState.RUNNING: self._in_force}
+            here = heres.get(self._proof.state, self._poses.sent)
+            goal = self._within_a_cycle(here, self._poses.sent)
+            start = here if self.settings.cumulative else self._nominal
             tool = self.settings.axes == "tool"
             way_m, turn = between(start, goal)
             if tool:
@@ -316,6 +330,7 @@ class AlterRobot(CyclicRobot):
                 answer(state.sequence, way_m, turn, cumulative=self.settings.cumulative, tool=tool, hold=hold)
             )
             self._answered = state.sequence
+            self._answers += 1
 
     def _within_a_cycle(self, here: RigidTransform, goal: RigidTransform) -> RigidTransform:
         way_m, turn = between(here, goal)
@@ -332,8 +347,39 @@ class AlterRobot(CyclicRobot):
         super()._rebase(q)
         if self._last is not None:
             self._poses.start(self._last.T_base_flange)
+            self._unprove()
             if self._arm is not None:
                 self._model_offset = self._arm.fk(q) * self._last.T_base_flange.inv()
+
+    def _unprove(self) -> None:
+        super()._unprove()
+        self._base_pose = self._in_force = self._poses.sent
+
+    def _probe(self) -> Probe:
+        """Move the flange by what the controller tells of it; with the arm's geometry the joints, and watch both."""
+        arm, base = self._arm, self._base_pose
+        if arm is None:
+            return flange_probe(self.n_joints)
+        return flange_and_joint_probe(
+            *self._goals.room(), lambda by: np.concatenate(between(base, self._flange(arm, self._base_q + by)))
+        )
+
+    def _axes(self) -> Array:
+        """Return the flange's way and turn as the controller tells them, and the joints (12,)."""
+        here = self._base_pose if self._last is None else self._last.T_base_flange
+        return np.concatenate([*between(self._base_pose, here), super()._axes()])
+
+    def _put(self, offset: Array) -> None:
+        self._in_force = self._pose_of(self._proof.in_force)
+        if self._arm is not None:
+            super()._put(offset[6:])
+        self._poses.start(self._pose_of(offset))
+
+    def _pose_of(self, offset: Array) -> RigidTransform:
+        """Return the flange's pose of a probe moved by (12,)."""
+        if self._arm is None:
+            return away(self._base_pose, offset[:6])
+        return self._flange(self._arm, self._base_q + offset[6:])
 
     def _off(self, reading: JointReading) -> float:
         if self._arm is not None:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock
+from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import Positive
-from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, UdpSettings
+from armsight.drivers.udp import Sender, UdpRobot, UdpSettings
 from armsight.units import MS
 
 Array = NDArray[np.float64]
@@ -47,10 +48,8 @@ class EgmRobot(UdpRobot[ControllerPacket]):
         kept = self.settings = EgmSettings.checked(settings)
         super().__init__(device, kept, n=kept.joints, silent_s=kept.silent_s, guidance=kept.guidance, clock=clock)
         self._given = GivenGoals()
-        self._answers = 0
-
-    def _begin(self) -> None:
-        self._behind_sequence = -1
+        self._number = 0
+        self._controller_clock = ControllerClock(kept.cycle_s, numbered=True)
 
     def _rebase(self, q: Array) -> None:
         super()._rebase(q)
@@ -67,13 +66,15 @@ class EgmRobot(UdpRobot[ControllerPacket]):
         if self._unheard_s() > self._times.silent_s:
             self._begin_anew("EGM on its controller has started anew meanwhile", state.q)
 
+    def _stamp(self, state: ControllerPacket) -> tuple[float, int]:
+        return state.tm_ms * MS, state.sequence
+
     def _taken(self, state: ControllerPacket) -> bool:
         taken = self._given.taken(state.T_planned if self.takes_poses else state.q_planned)
         self.counts.late += not taken
         return taken
 
     def _hear(self, state: ControllerPacket) -> None:
-        self._behind_sequence = -1
         if state.why_still or self._held:
             self._halt(state.why_still, state.q)
 
@@ -82,15 +83,13 @@ class EgmRobot(UdpRobot[ControllerPacket]):
 
         None is answered: after a new start the arm may stand elsewhere, and the old goal must not pull it back.
         """
-        self._behind = self._behind + 1 if state.sequence > self._behind_sequence else 0
-        self._behind_sequence = state.sequence
-        if state.tm_ms > newest.tm_ms or self._behind >= RESTART_PACKETS:
+        if state.tm_ms > newest.tm_ms or self._restarted(state.sequence, newest.sequence, 1):
             self._lose("its controller, or EGM on it, has started anew")
 
     def _encode(self, state: ControllerPacket) -> bytes:
         tm_ms = int(self._clock.now_s() / MS)
         q, pose = self._goals.sent, self._poses.sent
         self._given.give(pose if self.takes_poses else q)
-        data = answer_pose(self._answers, tm_ms, pose) if self.takes_poses else answer_joints(self._answers, tm_ms, q)
-        self._answers += 1
+        data = answer_pose(self._number, tm_ms, pose) if self.takes_poses else answer_joints(self._number, tm_ms, q)
+        self._number += 1
         return data

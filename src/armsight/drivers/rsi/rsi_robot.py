@@ -16,7 +16,7 @@ from armsight.clock import Clock
 from armsight.drivers.goals import between
 from armsight.drivers.link_settings import Positive
 from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correction, parse, read_tags
-from armsight.drivers.udp import NEW_SESSION_CYCLES, RESTART_PACKETS, Sender, UdpRobot, UdpSettings
+from armsight.drivers.udp import NEW_SESSION_CYCLES, Sender, UdpRobot, UdpSettings
 from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
 
@@ -81,17 +81,28 @@ class RsiRobot(UdpRobot[RobMessage]):
     def _begin(self) -> None:
         self._refusal = ""
         self._set_point_tells = False  # that joints are away from their set point by the correction in force
+        self._obeyed = False
         self._first_late: int | None = None
         self._late_when_answered: int | None = None
 
-    def _not_opened(self, nobody: str) -> DeviceFailed:
+    def _not_opened(self) -> DeviceFailed:
         if self._refusal:
             return DeviceFailed(
                 self._refusal,
                 consequence="The robot is not opened: an answer from zero on would pull the arm back",
                 cure="End RSI on the controller and start it again",
             )
-        return super()._not_opened(nobody)
+        return super()._not_opened()
+
+    def _deaf(self, answers: int) -> tuple[str, str] | None:
+        if self._obeyed or self._answers < answers or self._late_when_answered is None:
+            return None
+        return (
+            f"its controller takes none of our answers: its Delay counted every one of {self._answers}",
+            f"The Sen type ({self.tags.sen_type}) or the tags ({self.tags.joint}, {self.tags.pose}) are not its own: "
+            "give its RSI Ethernet file (--rsi-config). Where they are, each answer comes after its cycle: connect "
+            "this computer to it without a network between",
+        )
 
     def _decode(self, data: bytes) -> RobMessage:
         return parse(data)
@@ -99,6 +110,9 @@ class RsiRobot(UdpRobot[RobMessage]):
     def _cycles_between(self, last: RobMessage, state: RobMessage) -> int:
         ahead_ms = state.ipoc - last.ipoc
         return max(round(ahead_ms * MS / self.cycle_s), 1) if ahead_ms > 0 else min(ahead_ms, 0)
+
+    def _stamp(self, state: RobMessage) -> tuple[float, int]:
+        return state.ipoc * MS, 0
 
     def _may_begin(self, message: RobMessage) -> bool:
         """Note where the corrections begin; False where that cannot be told from this packet.
@@ -122,6 +136,7 @@ class RsiRobot(UdpRobot[RobMessage]):
     def _taken(self, state: RobMessage) -> bool:
         """Tell whether the answer given last was in time."""
         late = self._late_since(state)
+        self._obeyed = self._obeyed or (late is not None and late < 1)
         return late is None or late < 1
 
     def _check_session(self, state: RobMessage, last: RobMessage) -> None:
@@ -178,8 +193,7 @@ class RsiRobot(UdpRobot[RobMessage]):
         if state.ipoc == newest.ipoc:
             self._answer(state, sender)
             return
-        self._behind += 1
-        if self._behind >= RESTART_PACKETS:
+        if self._restarted(state.ipoc, newest.ipoc, round(self.cycle_s / MS)):
             self._lose("its controller, or RSI on it, has started anew (IPOC went back)")
 
     def _encode(self, state: RobMessage) -> bytes | None:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import LARGEST_RAD, CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import LARGEST_RAD, CyclicRobot
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.drivers.lock import DeviceLock
+from armsight.drivers.pace import LinkTimes
 from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent
@@ -80,6 +81,7 @@ class RtdeRobot(CyclicRobot):
         self._given = GivenGoals()
         self._stamp_s = -math.inf
         self._closing = False
+        self._first = threading.Event()
 
     def _start(self) -> None:
         settings = self.settings
@@ -92,9 +94,23 @@ class RtdeRobot(CyclicRobot):
             self._hear_first(self._first_state())
             self.missed, self.late, self._closing = 0, 0, False
             self._given.start()
+            self._first.clear()
             self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
             self._thread.start()
+            undo.callback(self._end_thread)
+            measured = self._first.wait(settings.open_s)
+            if not measured or self._controller_clock.wrong:
+                self._lost = self._lost or "its cycle is not what is set"  # it is ended at once
+                raise self._not_timed()
             self._undo = undo.pop_all()
+
+    def _not_timed(self) -> DeviceFailed:
+        clock = self._controller_clock
+        return DeviceFailed(
+            f"{self.name}: {clock.wrong or self._lost}",
+            consequence="The robot is not opened",
+            cure=clock.cure if clock.wrong else "Look at the controller, and open it again",
+        )
 
     def _first_state(self) -> ControllerState:
         """Wait for the controller's program to run. Raises DeviceFailed."""
@@ -127,9 +143,11 @@ class RtdeRobot(CyclicRobot):
             ) from error
 
     def _finish(self) -> None:
+        self._undo.close()
+
+    def _end_thread(self) -> None:
         self._closing = True
         self._thread.join()
-        self._undo.close()
 
     def _run(self) -> None:
         control_first()
@@ -154,12 +172,16 @@ class RtdeRobot(CyclicRobot):
         self.missed += cycles - 1
         self._stamp_s = state.stamp_s
         self._hear(state)
+        self._hear_clock(state.stamp_s, 0)
         taken = self._given.taken(np.array(state.q_planned))
         self.late += not taken
         self._tick(cycles, taken=taken)
         # noted before it is sent, so that the state that answers it finds it
         self._given.give(self._goals.sent)
-        self._worker.send(self._goals.sent.tolist())
+        if not self._lost:
+            self._worker.send(self._goals.sent.tolist())
+        if self._measured():
+            self._first.set()
 
     def _hear(self, state: ControllerState) -> None:
         """Take the reading of a state. Raises Inconsistent where there is none, DeviceLost where nothing moves."""

@@ -1,0 +1,170 @@
+"""When a way is where: as fast as the limits of joints and tool allow, all along, from rest to rest.
+
+In two steps. The law under limits of speed and acceleration comes from a reachability analysis (kernels); a cubic
+B-spline takes it over as its control points, which bounds the jerk. The motion that comes of it is then held against
+all limits as the guard does, by differences from moment to moment, and slowed where it exceeds one, until none is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d
+from scipy.spatial.transform import Rotation
+
+from armsight.control.guard.limits import JointBounds, Limits
+from armsight.control.play.kernels import reachable_speeds
+from armsight.control.play.track import Samples, TimeLaw
+
+Array = NDArray[np.float64]
+
+SPEED_SHARE, ACCELERATION_SHARE, JERK_SHARE = 0.95, 0.7, 0.7
+"""Of the limits, which a plan uses: the guard keeps 3 % of each back, and the rest is for pauses and overrides."""
+RATE_SHARES = (0.2, 0.1, 0.1)
+"""Of the limits of acceleration, and twice of jerk, for changes of the rate at which a plan's time passes."""
+MOST_RATES = (10.0, 500.0)
+"""1/s and 1/s^2: a plan so slow that limits allow more comes to rest in a tenth of a second."""
+SMOOTHING = 1.6
+"""Control points are so many times acceleration / jerk apart: a swing from one limit to the other takes two spans."""
+SAMPLES_A_SPAN = 8
+LEAST_SAMPLE_S = 1e-3
+ROUNDS = 15
+"""Of slowing: most ways need two to five; what is left after so many slows the whole way."""
+CLOSE = 1.005
+"""An excess that is left to slowing the whole way: half a per cent of its time."""
+LEAST_B = 1e-14
+"""(0.1 um/s)^2: keeps times finite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ceilings:
+    """What a plan may use of the limits (m,) of m values: each joint, the tip's position, its turning.
+
+    starts (m,): the first column of each value.
+    """
+
+    starts: NDArray[np.intp]
+    speed: Array
+    acceleration: Array
+    jerk: Array
+
+    @classmethod
+    def of(cls, limits: Limits, bounds: JointBounds) -> Ceilings:
+        """Return the shares of the limits."""
+        n = len(bounds.speed)
+        return cls(
+            starts=np.array([*range(n), n, n + 3]),
+            speed=SPEED_SHARE * np.array([*bounds.speed, limits.speed_m_s, limits.turn_rad_s]),
+            acceleration=np.array([*bounds.acceleration, limits.acceleration_m_s2, limits.turn_acceleration_rad_s2]),
+            jerk=np.array([*bounds.jerk, limits.jerk_m_s3, limits.turn_jerk_rad_s3]),
+        )
+
+    def dot(self, a: Array, b: Array) -> Array:
+        """Return the products (k, m) of values' columns (k, columns)."""
+        return np.asarray(np.add.reduceat(a * b, self.starts, axis=1))
+
+    def sizes(self, a: Array) -> Array:
+        """Return the sizes (k, m) of values' columns (k, columns)."""
+        return np.asarray(np.sqrt(self.dot(a, a)))
+
+
+def timed(samples: Samples, limits: Limits, bounds: JointBounds) -> tuple[TimeLaw, tuple[float, float]]:
+    """Return the law by which a way is gone along, and how fast the rate of its time may change."""
+    ceilings, u = Ceilings.of(limits, bounds), samples.u
+    values = CubicSpline(u, np.concatenate([samples.q, samples.T[:, :3, 3], turned(samples.T)], axis=1))
+    seam = CubicSpline(u, samples.paced_m)
+    first, second, third = (values(u, k) for k in (1, 2, 3))
+    products = (ceilings.dot(first, first), ceilings.dot(first, second), ceilings.dot(second, second))
+    fastest = _fastest(samples, seam, ceilings, products[0], ceilings.sizes(third))
+    span_s = _span_s(ceilings, float(samples.wanted_m_s.max()))
+    stretch = np.ones(len(u))
+    for _ in range(ROUNDS):
+        b = np.empty(len(u))
+        most = ACCELERATION_SHARE * ceilings.acceleration / stretch[:, None] ** 2
+        reachable_speeds(*products, most, fastest / stretch**2, u[1] - u[0], b)
+        law = _law(u, b, span_s)
+        at_u, excess, used = _excess(law, values, seam, samples, ceilings)
+        if excess.max() <= CLOSE:
+            break
+        # a moment's motion hangs on four control points: all that were gone along in their time go slower
+        spread = maximum_filter1d(np.maximum(excess, 1.0), 4 * SAMPLES_A_SPAN + 1, mode="nearest")
+        stretch *= np.interp(u, at_u, spread)
+    law = law.slowed(max(1.0, float(excess.max())))
+    return law, _rates(ceilings, used)
+
+
+def turned(T: Array) -> Array:
+    """Return the sums (n, 3) of the rotation vectors from each of poses (n, 4, 4) to the next, rad in base axes."""
+    R = Rotation.from_matrix(T[:, :3, :3])
+    return np.concatenate([np.zeros((1, 3)), np.cumsum((R[1:] * R[:-1].inv()).as_rotvec(), axis=0)])
+
+
+def _fastest(samples: Samples, seam: CubicSpline, ceilings: Ceilings, first2: Array, third: Array) -> Array:
+    """Return the largest u'^2 (n,) at each place by itself: speeds, and the jerk of what bends the more the faster."""
+    with np.errstate(divide="ignore"):
+        by_speed = (ceilings.speed**2 / first2).min(axis=1)
+        by_jerk = (np.cbrt(JERK_SHARE * ceilings.jerk / third) ** 2).min(axis=1)
+        asked = (samples.wanted_m_s / np.linalg.norm(seam(samples.u, 1), axis=1)) ** 2
+    return np.asarray(np.minimum.reduce([by_speed, by_jerk, asked]))
+
+
+def _span_s(ceilings: Ceilings, wanted_m_s: float) -> float:
+    """Return the time between control points, in which the acceleration swings; never as far where speed is less."""
+    speed = ceilings.speed.copy()
+    speed[-2] = min(speed[-2], wanted_m_s)
+    reached = np.minimum(ceilings.acceleration, np.sqrt(speed * ceilings.jerk))
+    return float(SMOOTHING * (reached / ceilings.jerk).max())
+
+
+def _law(u: Array, b: Array, span_s: float) -> TimeLaw:
+    """Return the law whose control points are where u'^2 = b (n,), even u'' between places, has come to."""
+    squares = np.maximum(b, LEAST_B)
+    t = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(u) / (np.sqrt(squares[1:]) + np.sqrt(squares[:-1])))])
+    at = np.arange(0.0, t[-1], span_s)
+    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(u) - 2)
+    since = at - t[i]
+    gone = u[i] + np.sqrt(squares[i]) * since + 0.25 * (squares[i + 1] - squares[i]) / (u[1] - u[0]) * since**2
+    return TimeLaw(span_s, np.concatenate([[0.0, 0.0], np.clip(gone, 0.0, u[-1]), np.full(3, u[-1])]))
+
+
+def _excess(
+    law: TimeLaw, values: CubicSpline, seam: CubicSpline, samples: Samples, ceilings: Ceilings
+) -> tuple[Array, Array, list[Array]]:
+    """Return the parameter at moments (k,), how much too fast the motion is there (k,), and the largest derivatives.
+
+    By so much time has to pass more slowly: 1 where a limit is just kept.
+    """
+    u = samples.u
+    at_s = np.linspace(0.0, law.duration_s, SAMPLES_A_SPAN * (len(law.points) - 3) + 1)
+    at_u = np.concatenate([np.zeros(3), law.u(at_s), np.full(3, u[-1])])  # at rest before and behind
+    dt = at_s[1]
+    moved = values(np.clip(at_u, 0.0, u[-1]))
+    excess = np.zeros(len(at_u))
+    used = []
+    limits = (ceilings.speed, ACCELERATION_SHARE * ceilings.acceleration, JERK_SHARE * ceilings.jerk)
+    for order, most in enumerate(limits, 1):
+        moved = np.diff(moved, axis=0) / dt
+        size = ceilings.sizes(moved)
+        used.append(size.max(axis=0))
+        times = (size / most).max(axis=1) ** (1.0 / order)
+        here = slice(order // 2, order // 2 + len(times))
+        excess[here] = np.maximum(excess[here], times)
+    along = np.linalg.norm(np.diff(seam(np.clip(at_u, 0.0, u[-1])), axis=0), axis=1) / dt
+    asked = np.interp(at_u, u, samples.wanted_m_s)
+    excess[1:] = np.maximum(excess[1:], along / np.minimum(asked[1:], asked[:-1]))
+    return at_u, excess, used
+
+
+def _rates(ceilings: Ceilings, used: list[Array]) -> tuple[float, float]:
+    """Return how fast the rate r of time may change: q'' r^2 + q' r' and q''' r^3 + 3 q'' r r' + q' r'' keep limits."""
+    speed, acceleration = (np.maximum(value, 1e-12) for value in used[:2])
+    by_acceleration = RATE_SHARES[0] * ceilings.acceleration / speed
+    by_jerk = RATE_SHARES[1] * ceilings.jerk / (3.0 * acceleration)
+    change = RATE_SHARES[2] * ceilings.jerk / speed
+    return (
+        float(min(MOST_RATES[0], by_acceleration.min(), by_jerk.min())),
+        float(min(MOST_RATES[1], change.min())),
+    )

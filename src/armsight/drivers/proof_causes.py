@@ -1,0 +1,140 @@
+"""What a probe that did not come out as sent says of the controller, in words, with the cure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.units import DEG
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 0.06
+"""Share by which an axis may move more or less than sent. A scale of 1.1 is found, in 20 of 20 trials of each link."""
+
+ALIKE = 0.15
+EARLY = 0.4
+"""Hypotheses of a cause fit where every axis is as they say but for this share of its way; EARLY where the probe was
+ended while little more than noise had been sent."""
+
+STILL_SHARE = 0.2
+"""An axis that moves by less than this share of what was sent does not move."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """What a probe showed, each (n,) in the axes' units.
+
+    sent, read: areas under what was sent and what was read, times a cycle. end: where the axes stand at last, from
+    where they stood; zeros where they came back. added: sum of all that was sent. noise: of a reading. beyond: the
+    probe was ended because an axis went too far. peak: the largest way of any axis, as a share of its amplitude.
+    """
+
+    names: tuple[str, ...]
+    sent: Array
+    read: Array
+    end: Array
+    added: Array
+    noise: Array
+    beyond: bool
+    peak: float
+
+
+def cause_of(seen: Evidence) -> str:
+    """Return why the link is not proven; empty where it is."""
+    if seen.end.any():
+        return _not_back(seen)
+    gain = seen.read / seen.sent
+    if not seen.beyond and (np.abs(gain - 1.0) <= TOLERANCE).all():
+        return ""
+    if (np.abs(gain) < STILL_SHARE).all() and seen.peak > STILL_SHARE:
+        return (
+            "its controller takes each answer as the whole way from where it began: set it to ways that add up "
+            "(cumulative)"
+        )
+    if (np.abs(gain) < STILL_SHARE).all():
+        return "no axis moves: its controller takes the answers, but motion is not enabled or corrections are not used"
+    found = _scaled(gain, EARLY if seen.beyond else ALIKE) or _exchanged(seen) or _single(seen.names, gain)
+    return found or f"its axes do not move as sent: {_listed(seen.names, gain)}{_by_pose(seen.names)}"
+
+
+def _not_back(seen: Evidence) -> str:
+    """Return the cause where the axes did not come back."""
+    share = seen.end / seen.added
+    middle = float(np.median(share))
+    if middle > 0.0 and (np.abs(seen.end - middle * seen.added) <= ALIKE * np.abs(seen.end) + 3.0 * seen.noise).all():
+        return (
+            "its controller adds each answer to the last (relative mode): set it to absolute corrections "
+            "(RSI: AXISCORR and POSCORR absolute)"
+        )
+    far = int(np.argmax(np.abs(seen.end) / seen.noise))
+    return f"{seen.names[far]} did not come back from the probe: it stands {_way(seen.end[far])} away"
+
+
+def _scaled(gain: Array, alike: float) -> str:
+    """Return the cause where all axes have one scale."""
+    scale = float(np.median(gain))
+    if abs(scale) < STILL_SHARE * 0.05 or np.abs(gain / scale - 1.0).max() > alike:
+        return ""
+    if np.abs(scale - 1.0) <= TOLERANCE:
+        return ""
+    if 1.0 - alike <= abs(scale * DEG) <= 1.0 + alike:
+        return "its controller takes radians for degrees (every axis moves 57 times as far as sent)"
+    if scale < 0.0 and abs(scale + 1.0) <= ALIKE:
+        return "all axes are reversed"
+    return f"every axis moves {scale:.3g} times as far as sent: the units or the scale of the corrections differ"
+
+
+def _exchanged(seen: Evidence) -> str:
+    """Return the cause where the axes move in another order."""
+    n = len(seen.names)
+    for i, j in combinations(range(n), 2):
+        order = np.arange(n)
+        order[[i, j]] = j, i
+        if _fits(seen.read, seen.sent[order], seen.sent):
+            return f"{seen.names[i]} and {seen.names[j]} are exchanged"
+    nearest = np.abs(seen.read[:, None] - seen.sent[None, :]).argmin(axis=1)
+    if len(set(nearest.tolist())) == n and _fits(seen.read, seen.sent[nearest], seen.sent):
+        moved = ", ".join(
+            f"{seen.names[k]} moves as {seen.names[nearest[k]]}" for k in np.flatnonzero(nearest != range(n))
+        )
+        return f"its axes come in another order, as those of another robot: {moved}"
+    return ""
+
+
+def _fits(read: Array, foretold: Array, sent: Array) -> bool:
+    return bool((np.abs(read - foretold) <= TOLERANCE * np.maximum(np.abs(foretold), np.abs(sent))).all())
+
+
+def _single(names: tuple[str, ...], gain: Array) -> str:
+    """Return the cause where one axis alone, or few, move as they should not."""
+    wrong = np.flatnonzero(np.abs(gain - 1.0) > TOLERANCE)
+    if len(wrong) == 0 or len(wrong) > max(1, len(gain) // 2):
+        return ""
+    words = []
+    for k in wrong:
+        if abs(gain[k] + 1.0) <= ALIKE:
+            words.append(f"{names[k]} is reversed")
+        elif abs(gain[k]) < STILL_SHARE:
+            words.append(f"{names[k]} does not move")
+        else:
+            words.append(f"{names[k]} moves {gain[k]:.3g} times as far as sent (its gear ratio or its scale)")
+    return "; ".join(words)
+
+
+def _listed(names: tuple[str, ...], gain: Array) -> str:
+    wrong = np.flatnonzero(np.abs(gain - 1.0) > TOLERANCE)
+    return ", ".join(f"{names[k]} by {gain[k]:.3g} of its way" for k in wrong) or "farther than sent on the way"
+
+
+def _by_pose(names: tuple[str, ...]) -> str:
+    """Return what moves a flange otherwise on several axes at once."""
+    flange = any("flange" in name for name in names)
+    return "; a gear ratio, or a length, on the controller is not the arm's" if flange else ""
+
+
+def _way(value: float) -> str:
+    return f"{abs(value) / DEG:.3f} degrees (or {1e3 * abs(value):.3f} mm)"
