@@ -313,7 +313,7 @@ def program_drives(world: World, phase: str) -> Iterator[SimpleNamespace]:
 def on_interface(world: World, path: str, kind: str, caller: Caller, phase: str) -> str:
     """Say a program's message on a connection to watch or to drive."""
     with program_drives(world, phase) as driver, ExitStack() as stack:
-        if path == say.DRIVE_PATH and driver.line is not None and caller.who == "ann":
+        if path == say.DRIVE_PATH and driver.line is not None and caller.who == "ann" and caller.token:
             answered = driver.line.program(kind, driver.session, 2, **PROGRAM[kind])
             return outcome(world.effects(), answered)
         line = Line(stack, world.at, path, caller)
