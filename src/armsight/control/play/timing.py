@@ -142,7 +142,8 @@ def _brake_share(arm: Arm, q: Array, limits: Limits, bounds: JointBounds) -> Arr
     J = fk_jacobian(arm, arm.values(q))[1]
     J = J @ arm.gearing if arm.couplings else J
     apart = np.linalg.norm(J.reshape(len(q), 2, 3, -1), axis=2) @ bounds.jerk  # of tip and turning, all joints at once
-    return np.minimum(1.0, BELOW_ACCELERATION / (apart / [limits.jerk_m_s3, limits.turn_jerk_rad_s3]).max(axis=1))
+    most = np.array([limits.jerk_m_s3, limits.turn_jerk_rad_s3])
+    return np.asarray(np.minimum(1.0, BELOW_ACCELERATION / (apart / most).max(axis=1)))
 
 
 def _excess(
