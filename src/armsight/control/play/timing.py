@@ -38,7 +38,7 @@ SMOOTHING = 1.6
 SAMPLES_A_SPAN = 8
 LEAST_SAMPLE_S = 1e-3
 ROUNDS = 15
-"""Of slowing: most ways need two to five; what is left after so many slows the whole way."""
+"""Of slowing; what is left after so many slows the whole way."""
 CLOSE = 1.005
 """An excess that is left to slowing the whole way: half a per cent of its time."""
 LEAST_B = 1e-14
