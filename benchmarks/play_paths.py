@@ -51,7 +51,7 @@ def compared(world, seeds: range) -> list[list[object]]:
         )
         way = replace(way, wanted_m_s=np.full(len(way.u), FREE))
         begun = time.perf_counter()
-        law, _ = timed(way, free, bounds)
+        law, _ = timed(way, case.arm, free, bounds)
         ours_ms.append((time.perf_counter() - begun) / MS)
         begun = time.perf_counter()
         path = toppra.SplineInterpolator(way.u, way.q)

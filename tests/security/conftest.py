@@ -72,3 +72,43 @@ def _running(server: Any, listener: socket.socket) -> Iterator[None]:
 def fakes() -> Any:
     """The loop and log in memory, for those who make a server of their own; and what runs one."""
     return SimpleNamespace(FakeHost=_server.FakeHost, KeptLog=_server.KeptLog, running=_running)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Iterator[Any]:
+    """A console with a robot in memory behind its door, and its line for stops; tokens: drive of ann, watch of eve."""
+    from armsight.app.operator.robot_cell import RobotCell
+    from armsight.console.application import add_console
+    from armsight.console.state import Console
+    from armsight.control.guard import Limits
+    from armsight.control.session.operator_session import OperatorSession
+    from armsight.control.session.service import Service
+    from armsight.server.application import create_app
+    from armsight.server.connections import LINE, Connections
+    from armsight.server.gate import Gate
+    from armsight.server.stop_line import StopLine
+    from armsight.server.waiting import listening
+    from armsight.server.web_server import ServeOptions, web_server
+
+    folder = tmp_path_factory.mktemp("cell")
+    file = folder.parent / f"{folder.name}-tokens.yaml"
+    drive, watch = add_token(file, "ann", "drive"), add_token(file, "eve", "watch")
+    host, log = fakes.FakeHost(), fakes.KeptLog()
+    service = Service(host, log)
+    robot = RobotCell(robot="fake:0", service=service, session=OperatorSession(service), limits=Limits())
+    auth = Authenticator(read_tokens(file))
+    app = create_app(service, auth)
+    console = Console(folder=folder, robot=robot)
+    add_console(app, console)
+    line_auth = Authenticator(read_tokens(file))
+    options, line = ServeOptions(port=0), StopLine(host.line, line_auth).app()
+    with listening("127.0.0.1", 0) as listener, listening("127.0.0.1", 0) as stops:
+        server = web_server(Gate(app, auth), options, Connections(lambda _: None))
+        line_server = web_server(line, options, Connections(lambda _: None, LINE), lifespan=False)
+        with fakes.running(server, listener), fakes.running(line_server, stops):
+            at, line_at = (f"127.0.0.1:{one.getsockname()[1]}" for one in (listener, stops))
+            yield SimpleNamespace(
+                at=f"http://{at}", socket=f"ws://{at}", line=f"ws://{line_at}", folder=folder, host=host, log=log,
+                app=app, auth=auth, line_auth=line_auth, service=service, drive=drive, watch=watch, console=console,
+                robot=robot,
+            )  # fmt: skip

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -16,52 +15,17 @@ from nicegui import Client
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import application, texts
 from armsight.console import routes as uploads
 from armsight.console.routes import SAID
 from armsight.console.state import Console
 from armsight.console.visitors import NAME
-from armsight.control.guard import Limits
-from armsight.control.session.operator_session import OperatorSession
-from armsight.control.session.service import Service
 from armsight.errors import BadFile
-from armsight.server.application import create_app
-from armsight.server.auth import Authenticator
-from armsight.server.connections import Connections
-from armsight.server.gate import Gate
 from armsight.server.serving import background
-from armsight.server.waiting import listening
-from armsight.server.web_server import ServeOptions, web_server
-from armsight.store.tokens import add_token, read_tokens
 from refusals import refuses
 
 WAIT_S = 20.0
 PAGES = sorted(application.PAGES)
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Any:
-    """A console with a robot behind its door, on a free port."""
-    folder = tmp_path_factory.mktemp("cell")
-    tokens = folder.parent / f"{folder.name}-tokens.yaml"
-    drive, watch = add_token(tokens, "ann", "drive"), add_token(tokens, "eve", "watch")
-    host, log = fakes.FakeHost(), fakes.KeptLog()
-    service = Service(host, log)
-    robot = RobotCell(robot="fake:0", service=service, session=OperatorSession(service), limits=Limits())
-    auth = Authenticator(read_tokens(tokens))
-    app = create_app(service, auth)
-    console = Console(folder=folder, robot=robot)
-    application.add_console(app, console)
-    options = ServeOptions(port=0)
-    with listening(options.bind, options.port) as listener:
-        server = web_server(Gate(app, auth), options, Connections(lambda _: None))
-        with fakes.running(server, listener):
-            port = listener.getsockname()[1]
-            yield SimpleNamespace(
-                at=f"http://127.0.0.1:{port}", socket=f"ws://127.0.0.1:{port}", folder=folder, host=host, app=app,
-                drive=drive, watch=watch, console=console, robot=robot,
-            )  # fmt: skip
 
 
 def ask(served: Any, method: str, path: str, token: str = "", **headers: str) -> httpx.Response:

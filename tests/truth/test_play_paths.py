@@ -47,7 +47,7 @@ def swaying() -> Case:
     return case(SWAYING, lambda k: float(EVERY_CYCLE[k % 4096]), {60: True, 110: False}, speed_m_s=0.06)
 
 
-@pytest.mark.parametrize("seed", [1000, 1002, 1004, 1007, 1008, 1010, 1011, 1014])
+@pytest.mark.parametrize("seed", [91, 1000, 1002, 1004, 1007, 1008, 1010, 1011, 1014])
 def test_what_is_told_is_what_runs(seed: int) -> None:
     ran = run(cases(seed))
     assert not ran.faults and not ran.limited, ran
@@ -101,6 +101,11 @@ def test_an_override_that_changes_at_once_is_seen(monkeypatch: pytest.MonkeyPatc
     made = Track.__init__
     monkeypatch.setattr(Track, "__init__", lambda self, samples, law, _: made(self, samples, law, (1e4, 1e7)))
     assert run(swaying()).limited
+
+
+def test_a_plan_that_leaves_no_room_to_brake_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timing, "REMOVAL", 0.0)  # speed still grows while accelerations are taken away
+    assert run(cases(91)).limited
 
 
 def test_corners_that_are_not_told_are_seen() -> None:

@@ -240,7 +240,7 @@ def _without_robot(
         try:
             page.step(texts.OPENING["measure"])
             _tell_refusal(face, made.begin(changed))
-            server = FastAPI()
+            server = FastAPI(openapi_url=None)  # whose pages load scripts from elsewhere
             add_console(server, made)
             serve_pages(server, options, page.listener, ready=partial(_say, face, page=page))
         finally:

@@ -74,7 +74,7 @@ def _add_page(name: str, build: Callable[[Console], None], console: Console) -> 
 def _note(console: Console, message: str) -> None:
     """Keep what callers did, in the robot's log where there is one."""
     if console.robot is None:
-        logging.getLogger(__name__).warning(message)
+        logging.getLogger("armsight.console").warning(message)
     else:
         console.robot.service.authority.note("warning", message)
 

@@ -67,13 +67,14 @@ class UdpSettings(LinkSettings):
 
     cycle_s: how often the controller sends. stale_s: age of a reading that is stale: two packets in a row may be late,
     and an ordinary system too. controller: the only address that is listened to; empty: the first that speaks. bind:
-    the own address to listen at. speed_m_s, speed_rad_s: of the flange in pose guidance.
+    the own address to listen at; empty: the one that leads to the controller, and all where that is not given.
+    speed_m_s, speed_rad_s: of the flange in pose guidance.
     """
 
     cycle_s: Positive = 0.004
     stale_s: Positive = 0.02
     controller: str = ""
-    bind: str = "0.0.0.0"
+    bind: str = ""
     speed_m_s: Positive = 0.1
     speed_rad_s: Positive = math.pi / 3
 
@@ -179,10 +180,19 @@ class UdpRobot(CyclicRobot, Generic[State]):
             self._finish()
             raise self._not_opened()
 
+    def _own_address(self) -> str:
+        """Return where to listen: not at the interfaces of other networks, as far as it is known which one it is."""
+        kept = self._link_settings
+        if kept.bind or not kept.controller:
+            return kept.bind or "0.0.0.0"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
+            way.connect((kept.controller, self.port))  # nothing is sent: it only chooses the interface
+            return str(way.getsockname()[0])
+
     def _bind(self) -> socket.socket:
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            link.bind((self._link_settings.bind, self.port))
+            link.bind((self._own_address(), self.port))
         except OSError as error:
             link.close()
             raise DeviceFailed(

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import socket
 import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+from armsight.errors import DeviceFailed
 
 HEAD_S = 3.0
 """A connection whose TLS handshake and first head are not there after so long is a slow attack, or a line that no robot
@@ -26,7 +30,16 @@ PER_ADDRESS = 128
 """Connections of an address: a page of the console takes up to ten, and a few browsers may share an address."""
 
 IN_ALL = 512
-"""Connections of all addresses: half of the files that a process may have open where nothing else is set."""
+"""Connections of all addresses, where the process may have so many files open: half of what is usual."""
+
+UNKNOWN_IN_ALL = 128
+"""Connections of all addresses that have asked nothing yet, where there is room for them."""
+
+SPARE = 64
+"""Descriptors left for all else that a server opens while it runs: files of pages, recordings, cameras."""
+
+FEWEST = 32
+"""With room for fewer connections nothing is served: a page takes ten."""
 
 PER_TURN = 4
 """Connections that are taken before those that are there have their turn: the system keeps up to 128 waiting, and the
@@ -70,7 +83,20 @@ class Connections:
     then those of the token that has the most. So whoever speaks little finds room beside a flood, whoever sends it.
     """
 
-    def __init__(self, note: Callable[[str], None], budget: Budget = SERVER) -> None:
+    def __init__(self, note: Callable[[str], None], budget: Budget = SERVER, *, room: int | None = None) -> None:
+        """room: connections that find descriptors, by default what this process has left now.
+
+        Raises DeviceFailed where those are too few.
+        """
+        room = _room() if room is None else room
+        if room < FEWEST:
+            raise DeviceFailed(
+                f"this process may open {room + SPARE} more files, of which connections need {FEWEST + SPARE}",
+                consequence="Nothing is served",
+                cure="Let it open more: ulimit -n 1024",
+            )
+        self._most_unknown = min(UNKNOWN_IN_ALL, room // 4)
+        self._most = min(IN_ALL, room - self._most_unknown)
         self.budget = budget
         self._note = note
         self._open: dict[asyncio.Transport, _Open] = {}
@@ -87,6 +113,10 @@ class Connections:
         if len(waiting) > UNKNOWN_PER_ADDRESS:
             self.note(peer[0], f"opened {UNKNOWN_PER_ADDRESS} connections and asked nothing; the oldest are closed")
             _cut(self._unknown.pop(waiting[0]))
+        elif len(self._unknown) > self._most_unknown:
+            most = Counter(other[0] for other in self._unknown).most_common(1)[0][0]
+            self.note(most, f"has most of {self._most_unknown} connections that asked nothing; its oldest is closed")
+            _cut(self._unknown.pop(next(other for other in self._unknown if other[0] == most)))
 
     def opened(self, transport: asyncio.Transport) -> None:
         """Take a new connection; where there are too many one of them is cut off."""
@@ -96,10 +126,17 @@ class Connections:
         if counts[address] > PER_ADDRESS:
             self._make_room([one for one, its in self._open.items() if its.address == address and one is not transport])
             self.note(address, f"has {PER_ADDRESS} connections; the busiest make room")
-        elif len(self._open) > IN_ALL:
+        elif len(self._open) > self._most:
             most = counts.most_common(1)[0][0]
             self._make_room([one for one, its in self._open.items() if its.address == most and one is not transport])
-            self.note(most, f"has most of {IN_ALL} connections; the busiest make room")
+            self.note(most, f"has most of {self._most} connections; the busiest make room")
+
+    def refused(self, peer: tuple[Any, ...]) -> None:
+        """Take note of a connection that found no descriptor, and make room for the next one."""
+        self.note(peer[0], "was turned away: this process has no more descriptors")
+        if self._open:
+            most = Counter(its.address for its in self._open.values()).most_common(1)[0][0]
+            self._make_room([one for one, its in self._open.items() if its.address == most])
 
     def asked(self, transport: asyncio.Transport) -> None:
         """Take note that a request has come."""
@@ -146,12 +183,23 @@ class Connections:
 
 
 class Door(socket.socket):
-    """A listening socket whose connections are counted from the first moment, before TLS; it takes a few at a time."""
+    """A listening socket whose connections are counted from the first moment, before TLS; it takes a few at a time.
+
+    It holds a descriptor in reserve: a connection that finds none is taken with it and closed. Left waiting it would
+    call this again and again, and asyncio write a traceback each time.
+    """
 
     def __init__(self, listener: socket.socket, connections: Connections) -> None:
         super().__init__(fileno=os.dup(listener.fileno()))
         self._connections = connections
         self._left = PER_TURN
+        self._reserve = os.open(os.devnull, os.O_RDONLY)
+
+    def close(self) -> None:
+        """Close it, and the reserve."""
+        super().close()
+        with contextlib.suppress(OSError):
+            os.close(self._reserve)
 
     def accept(self) -> tuple[socket.socket, Any]:
         """Return the next connection. Raises BlockingIOError where there is none, or those taken have their turn."""
@@ -161,11 +209,35 @@ class Door(socket.socket):
         self._left -= 1
         try:
             line, peer = super().accept()
-        except OSError:
+        except OSError as error:
             self._left = PER_TURN
-            raise
+            if error.errno not in (errno.EMFILE, errno.ENFILE):
+                raise
+            self._turn_away()
+            raise BlockingIOError from error
         self._connections.accepted(line, peer)
         return line, peer
+
+    def _turn_away(self) -> None:
+        with contextlib.suppress(OSError):
+            os.close(self._reserve)
+            try:
+                line, peer = super().accept()
+                line.close()
+                self._connections.refused(peer)
+            finally:
+                self._reserve = os.open(os.devnull, os.O_RDONLY)
+
+
+def _room() -> int:
+    """Return how many more descriptors this process may open, but for SPARE; IN_ALL where that is not known."""
+    try:
+        from resource import RLIM_INFINITY, RLIMIT_NOFILE, getrlimit
+
+        allowed, used = getrlimit(RLIMIT_NOFILE)[0], len(list(Path("/dev/fd").iterdir()))
+    except (ImportError, OSError):
+        return IN_ALL + UNKNOWN_IN_ALL
+    return IN_ALL + UNKNOWN_IN_ALL if allowed == RLIM_INFINITY else allowed - used - SPARE
 
 
 def _cut(line: socket.socket) -> None:

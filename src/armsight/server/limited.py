@@ -155,6 +155,8 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
         frames = sum(isinstance(event, Frame) for event in self.conn.events)
         self._sent, self._sent_s = self._lately() + frames, time.monotonic()
         if frames and not self._messages.pay(time.monotonic(), frames):
+            self.conn.events = [event for event in self.conn.events if _stops(event)]
+            super().handle_events()  # a stop is heard whoever said too much before it
             self.turn_out(f"{self.guarded.budget.messages_per_s:g} messages a second")
             return
         super().handle_events()
@@ -232,6 +234,15 @@ class _Stamping(asyncio.Queue[Any]):
         if item["type"] == "websocket.receive":
             item[AGE_KEY] = self._socket.sent_after_s
         super().put_nowait(item)
+
+
+LONGEST_STOP = 300
+"""Bytes of a stop: who said too much is not given more."""
+
+
+def _stops(event: Any) -> bool:
+    """Return whether a frame may hold a stop, in the words of programs or of pages."""
+    return isinstance(event, Frame) and len(event.data) <= LONGEST_STOP and b'"stop"' in bytes(event.data)
 
 
 def age_of(message: Any) -> float:

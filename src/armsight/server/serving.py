@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI
 
 from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.guarding import arm_model
+from armsight.app.robot.guarding import arm_model, left_open
 from armsight.app.robot.hosting import ProcessHost, spec_of
 from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.control.guard import Limits
@@ -158,7 +158,8 @@ def serve_robot(
         service.authority.note("info", f"{job.robot} is served")
         service.pump()  # what the loop told as it took the arm over
         with told_to_plant(service, options.plant, terminal.tell):
-            serve(service, options, ready=lambda url: terminal.ready(url, service.outside))
+            notes = (service.outside, "" if limits is None else left_open(spec.limits, limits.name))
+            serve(service, options, ready=lambda url: terminal.ready(url, "; ".join(filter(None, notes))))
         service.authority.note("info", "the server ends")
         service.pump()
     require_recorded(kept.failed)

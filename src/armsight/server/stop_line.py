@@ -54,6 +54,9 @@ BEGIN_S = 60.0
 
 END_S = 2.0
 
+FOR_STOPS = 32
+"""Orders to the loop that enables leave room for."""
+
 
 class StopLine:
     """Takes stops from everyone who is known, and the enable of who drives, by their key."""
@@ -128,7 +131,7 @@ class StopLine:
         self._order("stop", f"stopped by {who.who}")
 
     def _order(self, *order: object) -> None:
-        if not self._channels.orders.put(pickle.dumps(order)):
+        if not self._channels.orders.put(pickle.dumps(order), spare=0 if order[0] == "stop" else FOR_STOPS):
             raise DeviceLost("the loop of the robot takes no orders", consequence="Nothing was sent")
 
     def note(self, message: str) -> None:

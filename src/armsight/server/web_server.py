@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
+import os
 import socket
 import ssl
+import stat
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -84,6 +88,8 @@ def web_server(
 ) -> uvicorn.Server:
     """Return the server of an application, with the limits of connections."""
     logging.getLogger("uvicorn.error").addFilter(_QUIET)
+    for name, its in _BOUNDED.items():
+        logging.getLogger(name).addFilter(its)
     config = uvicorn.Config(
         app,
         http=functools.partial(LimitedHttp, connections=connections),  # type: ignore[arg-type]
@@ -133,13 +139,48 @@ class _ComingsAndGoingsAreNoError(logging.Filter):
 
 _QUIET = _ComingsAndGoingsAreNoError()
 
+RECORDS_PER_MIN = 20
+"""Of one package's log: a traceback has 5 kB, so that whoever provokes one fills 100 kB a minute and package."""
+
+
+class BoundedLog(logging.Filter):
+    """Lets RECORDS_PER_MIN through; of what comes beyond them the number is told with the next one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begun_s, self._count = -math.inf, 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether the record is kept."""
+        now_s = time.monotonic()
+        if now_s - self._begun_s > 60.0:
+            left_out, self._begun_s, self._count = self._count - RECORDS_PER_MIN, now_s, 0
+            if left_out > 0:
+                record.msg, record.args = f"{record.getMessage()} ({left_out} before it were left out)", ()
+        self._count += 1
+        return self._count <= RECORDS_PER_MIN
+
+
+_PROVOKED = ("uvicorn.error", "asyncio", "nicegui", "engineio.server", "socketio.server", "armsight.console")
+"""The logs of what callers can provoke."""
+
+_BOUNDED = {name: BoundedLog() for name in _PROVOKED}
+
 
 def _check_certificate(cert: Path, key: Path) -> None:
+    """Raise BadFile for files that are no pair, and for a key that others may read or write."""
     try:
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(cert, key)
+        mode = key.stat().st_mode
     except OSError as error:  # ssl.SSLError is one
         raise BadFile(
             f"{cert} and {key} are no certificate with its key: {error.strerror or error}",
             consequence="Nothing is served",
             cure="Give both as PEM files that belong together",
         ) from error
+    if os.name == "posix" and mode & (stat.S_IROTH | stat.S_IWOTH | stat.S_IWGRP):
+        raise BadFile(
+            f"{key}: others than its owner may {'read' if mode & stat.S_IROTH else 'write'} it",
+            consequence="Anyone of them could pose as this server; nothing is served",
+            cure=f"chmod 600 {key}",
+        )

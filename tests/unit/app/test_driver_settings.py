@@ -87,3 +87,12 @@ def test_robots_are_opened_in_one_place() -> None:
         if re.search(r"(?<!def )\bopen_robot\(|load\(ROBOTS", path.read_text(encoding="utf-8"))
     }
     assert opened == {"opening.py", "guarding.py", "hosting.py"}  # of these the second asks for an arm's model alone
+
+
+def test_a_link_that_knows_its_controller_listens_where_that_is_reached() -> None:
+    def listens(**settings: str) -> str:
+        return robot_of(RobotTestJob(robot="egm:6510", robot_settings=settings), ManualClock())._own_address()  # type: ignore[attr-defined]
+
+    assert listens() == "0.0.0.0"
+    assert listens(controller="127.0.0.1") == "127.0.0.1"
+    assert listens(controller="127.0.0.1", bind="0.0.0.0") == "0.0.0.0"

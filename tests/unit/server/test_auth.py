@@ -180,6 +180,19 @@ def test_a_certificate_needs_its_key(certificate, tmp_path):
         check_options(ServeOptions(tls_cert=tmp_path / "none.pem", tls_key=key))
 
 
+@pytest.mark.parametrize(("mode", "word"), [(0o644, "read"), (0o604, "read"), (0o620, "write"), (0o602, "write")])
+def test_a_key_that_others_may_use_is_refused(certificate, tmp_path, mode, word):
+    cert, key = certificate
+    mine = tmp_path / "key.pem"
+    mine.write_bytes(key.read_bytes())
+    for kept in (0o600, 0o400, 0o640):  # a group that reads keys is usual on servers
+        mine.chmod(kept)
+        check_options(ServeOptions(tls_cert=cert, tls_key=mine))
+    mine.chmod(mode)
+    with refuses(BadFile, word, f"chmod 600 {mine}"):
+        check_options(ServeOptions(tls_cert=cert, tls_key=mine))
+
+
 def test_a_new_token_replaces_the_one_of_its_name(tmp_path):
     path = tmp_path / "tokens.yaml"
     old, new = add_token(path, "anna", "watch"), add_token(path, "anna", "drive")

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import socket
 from types import SimpleNamespace
 
 import pytest
 from websockets.frames import Frame, Opcode
 
+from armsight.errors import DeviceFailed
 from armsight.server import connections as limits
-from armsight.server import limited
+from armsight.server import limited, web_server
 from armsight.server.connections import LINE, SERVER, Connections, Door
+from armsight.server.web_server import RECORDS_PER_MIN, BoundedLog
+from refusals import refuses
 
 FLOOD, HONEST = "192.0.2.1", "192.0.2.2"
 
@@ -62,7 +67,7 @@ def told():
 
 @pytest.fixture
 def crowd(told, loop):
-    return Connections(told.append)
+    return Connections(told.append, room=10_000)
 
 
 def come(crowd, address, ports, *, asks=True, who="", **line):
@@ -152,6 +157,56 @@ def test_connections_are_taken_a_few_at_a_time(crowd):
             one.close()
 
 
+def test_silent_ones_of_all_addresses_leave_room(crowd, told):
+    honest = come(crowd, HONEST, [1], asks=False)
+    many = [line for k in range(30) for line in come(crowd, f"192.0.2.{k + 10}", range(10), asks=False)]
+    assert sum(one.cut for one in many) == len(many) + 1 - limits.UNKNOWN_IN_ALL and not honest[0].cut
+
+
+def test_no_more_is_taken_than_there_are_descriptors_for(told, loop):
+    crowd = Connections(told.append, room=100)
+    many = come(crowd, FLOOD, range(110))
+    assert sum(not one.aborted for one in many) == 75, "a quarter is for those that have asked nothing"
+    with refuses(DeviceFailed, "files", "ulimit"):
+        Connections(told.append, room=limits.FEWEST - 1)
+
+
+def test_a_connection_without_a_descriptor_is_turned_away_and_another_makes_room(crowd, told, monkeypatch):
+    """Left in the queue it would be asked for again and again, with a traceback each time."""
+    accept, left, flood = socket.socket.accept, [0], come(crowd, FLOOD, range(3))
+
+    def short(self):
+        if left[0] == 0:
+            left[0] = 1  # the reserve is free by now
+            raise OSError(errno.EMFILE, "too many open files")
+        return accept(self)
+
+    monkeypatch.setattr(socket.socket, "accept", short)
+    with socket.create_server(("127.0.0.1", 0)) as listener, Door(listener, crowd) as door:
+        with socket.create_connection(listener.getsockname(), timeout=10.0) as waiting:
+            with pytest.raises(BlockingIOError):
+                door.accept()
+            assert waiting.recv(1) == b"", "it sees its end"
+        assert sum(one.aborted for one in flood) == 1 and sum("descriptors" in line for line in told) == 1
+        with socket.create_connection(listener.getsockname()):
+            taken, _ = door.accept()
+            taken.close()
+
+
+def test_the_log_of_what_callers_provoke_is_bounded(monkeypatch):
+    now, kept = [0.0], BoundedLog()
+    monkeypatch.setattr(web_server.time, "monotonic", lambda: now[0])
+
+    def passed(count):
+        records = [logging.LogRecord("asyncio", logging.ERROR, "", 0, "accept %s", ("x",), None) for _ in range(count)]
+        return [record.getMessage() for record in records if kept.filter(record)]
+
+    assert len(passed(10_000)) == RECORDS_PER_MIN
+    now[0] = 61.0
+    first, *others = passed(10)
+    assert "(9980 before" in first and len(others) == 9
+
+
 def test_a_line_for_stops_lets_less_through_than_a_server():
     assert LINE.messages_per_s < SERVER.messages_per_s and LINE.bytes_per_s < SERVER.bytes_per_s
     beats_and_pongs = 5.0 / 0.15 + 1.0 / limited.PING_S
@@ -215,11 +270,17 @@ def test_what_is_over_the_budget_of_messages_is_not_passed_on(flooder, monkeypat
     passed = []
     monkeypatch.setattr(limited.WebSocketsSansIOProtocol, "handle_events", lambda self: passed.append(self.conn.events))
     flooder._messages = limited.TokenBucket(SERVER.messages_per_s, SERVER.messages_burst, 0.0)
-    for count, taken in ((int(SERVER.messages_burst), 1), (1, 1)):
-        flooder.conn = SimpleNamespace(events=[Frame(Opcode.TEXT, b"x")] * count)
+    stop = Frame(Opcode.TEXT, b'{"do": "stop"}')
+    huge = Frame(Opcode.TEXT, b'{"do": "stop"}' + b" " * limited.LONGEST_STOP)
+    for events, heard in (
+        ([Frame(Opcode.TEXT, b"x")] * int(SERVER.messages_burst), int(SERVER.messages_burst)),
+        ([Frame(Opcode.TEXT, b"x")], 0),
+        ([Frame(Opcode.TEXT, b"x"), stop, huge], 1),  # a stop passes
+    ):
+        flooder.conn = SimpleNamespace(events=events)
         flooder.handle_events()
-        assert len(passed) == taken
-    assert flooder.turned_out == [f"{SERVER.messages_per_s:g} messages a second"]
+        assert len(passed.pop()) == heard
+    assert flooder.turned_out == [f"{SERVER.messages_per_s:g} messages a second"] * 2
 
 
 def test_parsing_that_takes_long_ends_the_connection(flooder, monkeypatch):

@@ -14,13 +14,14 @@ from armsight.app.arm_files import load_arm
 from armsight.app.robot.opening import open_robot
 from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
-from armsight.control.guard.limits import check_fit
+from armsight.control.guard.limits import JOINT_SPEED, SLIDE_SPEED_M_S, check_fit
 from armsight.control.guard.space import Space
 from armsight.drivers import Robot, RobotTraits
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.limits_file import read_limits
+from armsight.units import DEG
 
 Array = NDArray[np.float64]
 
@@ -103,9 +104,26 @@ def standing_outside(guard: Guard, robot: Robot) -> str:
     return f"the arm stands {outside}" if outside else ""
 
 
-def noted(outside: str) -> str:
-    """Return what is added to the question before a motion of an arm that stands outside its limits."""
-    return f" Note: {outside}." if outside else ""
+def noted(outside: str, guard: Guard, file: Path | None) -> str:
+    """Return what is added to the question before a motion: where the arm stands outside its limits, and what file,
+    the limits.yaml that was given, leaves open."""
+    open_ = "" if file is None else left_open(guard.limits, file.name)
+    return "".join(f" Note: {text}." for text in (outside, open_) if text)
+
+
+def left_open(limits: Limits, file: str) -> str:
+    """Return what a limits.yaml does not say and what holds instead, in words; empty where it says it."""
+    holds = f"{JOINT_SPEED / DEG:.0f} deg/s or {SLIDE_SPEED_M_S:g} m/s where the arm's file gives no speed"
+    open_ = []
+    without = [str(j + 1) for j, row in enumerate(limits.joints) if row.speed is None]
+    if not limits.joints:
+        open_.append(f"no joints (the ranges of the arm's file hold, and {holds})")
+    elif without:
+        open_.append(f"no speed of joint {', '.join(without)} ({holds})")
+    if limits.workspace is None:
+        beside = " outside the forbidden boxes" if limits.forbidden else ""
+        open_.append(f"no workspace (the tool may go wherever the joints reach{beside})")
+    return f"{file} gives {' and '.join(open_)}" if open_ else ""
 
 
 @contextlib.contextmanager

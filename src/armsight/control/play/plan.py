@@ -138,7 +138,7 @@ def plan_path(
     legs = _legs(T_base_stand, RigidTransform.from_matrix(shape.T[0]), settings, limits)
     check, found = _checked(arm, limits, stand, legs, shape, keeps=settings.keep_rotation)
     bounds = joint_bounds(arm, limits)
-    *approach, track = (Track(samples, *timed(samples, limits, bounds)) for samples in found)
+    *approach, track = (Track(samples, *timed(samples, arm, limits, bounds)) for samples in found)
     speed = np.asarray(track.speeds * np.maximum(np.gradient(shape.s_m, shape.u), 0.0))
     fastest_m_s, fastest = _fastest(arm, tuple(approach), track)
     return PathPlan(

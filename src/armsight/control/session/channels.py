@@ -99,10 +99,10 @@ class Queue:
         self._slots = _Slots(slots, size)
         self.size = size
 
-    def put(self, data: bytes) -> bool:
-        """Add a message; False where the queue is full."""
+    def put(self, data: bytes, *, spare: int = 0) -> bool:
+        """Add a message; False where the queue is full but for spare slots, which are for what is more urgent."""
         number = self._slots.written()
-        if number - self._slots.taken() >= self._slots.slots:
+        if number - self._slots.taken() >= self._slots.slots - spare:
             return False
         self._slots.put(number, data)
         return True
