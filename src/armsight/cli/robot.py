@@ -25,7 +25,13 @@ def test(face: CommandUI, job: requests.motion.RobotTestJob) -> None:
         f"{done.driver}: {done.n_cycles} cycles of {1e3 * done.cycle_s:g} ms, {done.late} late, {done.missed} "
         f"missed; periods {done.period_ms.median:.3f} ms median, {done.period_ms.p99:.3f} p99, "
         f"{done.period_ms.max:.3f} longest; new readings at most {done.silence_ms:.0f} ms apart. "
-        f"The robot is {done.state}."
+        + (
+            ""
+            if done.measured_cycle_s is None
+            else f"Its controller sends every {1e3 * done.measured_cycle_s:.3g} ms. "
+        )
+        + f"The robot is {done.state}"
+        + (f"; {done.proof}." if done.proof else ".")
     )
     face.result(done)
 

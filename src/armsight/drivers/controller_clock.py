@@ -9,8 +9,8 @@ from armsight.units import MS
 
 ENOUGH = 10
 SEEN = 36
-"""So many packets tell a cycle; it is watched over so many. Of ten with every second one lost two neighbours came but
-once in a thousand times, and the next packet may tell."""
+"""So many packets tell a cycle; it is watched over so many. Where every second one is lost, two pairs of neighbours are
+among ten in 98 of 100 cases, and the next packets tell."""
 
 TOLERANCE = 0.15
 """Share by which a cycle may be off: a computer that reads 28 ms states up to 40 ms late shows less than a tenth."""
@@ -31,7 +31,7 @@ NEARLY = 0.9
 class ControllerClock:
     """What is known of a controller's time from the stamps of its packets. numbered: packets tell their cycle's number.
 
-    Without numbers the smallest step between stamps is a cycle, with them all steps are averaged. own: the stamps are
+    Without numbers the smallest steps between stamps are a cycle, with them all steps are averaged. own: the stamps are
     of this computer's clock, where the controller tells none.
     """
 
@@ -53,7 +53,8 @@ class ControllerClock:
         if self._numbered:
             (first_s, first), (last_s, last) = self._packets[0], self._packets[-1]
             return (last_s - first_s) / max(last - first, 1)
-        return min(after - before for (before, _), (after, _) in pairwise(self._packets))
+        # the second: one stamp that is off makes no cycle
+        return sorted(after - before for (before, _), (after, _) in pairwise(self._packets))[1]
 
     @property
     def wrong(self) -> str:

@@ -58,9 +58,9 @@ ROUNDING = 1e-9
 class CyclicRobot(ABC):
     """A robot behind a link with a cycle. A driver says how the link is opened, closed and kept going.
 
-    The link's thread calls _stood_still in each of its turns, _heard for each good reading, _lose where the link is
-    gone, _halt where the controller takes no motion just now, and _begin_anew where it takes it in another session than
-    that in which the arm was set in motion.
+    The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, then _tick;
+    _lose where the link is gone, _halt where the controller takes no motion just now, and _begin_anew where it takes it
+    in another session than that in which the arm moved. Nothing moves before the link is proven (proof.py).
     """
 
     takes_poses = False
@@ -113,6 +113,16 @@ class CyclicRobot(ABC):
     def why(self) -> str:
         """Why it is stopped or lost, in words; empty where it is neither."""
         return self._lost or self._stopped or ("its controller has fallen silent" if self._silent() else "")
+
+    @property
+    def measured_cycle_s(self) -> float | None:
+        """The cycle that its controller keeps, s; None where too little was heard."""
+        return self._controller_clock.measured_s
+
+    @property
+    def proven(self) -> bool:
+        """Whether it was seen what its controller makes of what it is sent; else the first motion is a probe."""
+        return self._proof.state is ProofState.PASSED
 
     def __enter__(self) -> Self:
         """Open the link and wait for the first reading. Raises DeviceFailed where that cannot be done."""

@@ -269,9 +269,9 @@ class Proof:
         if self._zeros < self._still:
             return None
         rows = np.array(self._window)[-self._still :, self._moved] - self._rest
-        far, size = np.abs(rows), self._size
+        far, size = np.abs(rows.mean(axis=0)), self._size
         waited_s = self._zeros * cycle_s
-        back = bool((far <= 0.6 * self._noise + (0.01 if self._lags else 0.04) * size).all())
+        back = bool((far <= 0.6 * self._noise + (0.02 if self._lags else 0.04) * size).all())
         if not back and waited_s < 0.5 * BACK_S:
             return None
         # friction may hold an axis a little off; what comes from a controller that adds up stands still far off

@@ -18,6 +18,7 @@ from armsight.records import JointReading, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import MS
 
+UNPROVEN = "not proven yet: the first motion begins with a probe of 0.04 degrees"
 GONE_S = 1.0
 GONE_CYCLES = 20.0
 """A link without a new reading for longer than both is not there; what is shorter is told as its longest silence."""
@@ -45,6 +46,10 @@ class RobotTestOutput(Output):
     silence_ms: Annotated[float, Doc("The longest time without a new reading, ms.")]
     q: Annotated[list[float], Doc("The last reading, rad or m.")]
     state: Annotated[str, Doc("What the robot can do: ready, moving or stopped.")]
+    measured_cycle_s: Annotated[
+        float | None, Doc("The cycle that the controller keeps by its own clock, s; null where its driver tells none.")
+    ]
+    proof: Annotated[str, Doc("What is still to be shown before the robot moves; empty: nothing.")]
 
 
 def test_robot(
@@ -63,7 +68,8 @@ def test_robot(
             lambda: _watched(arm, for_s, shown.cancelled, clock),
             lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
         )
-        state = arm.state
+        state, measured_s = arm.state, getattr(arm, "measured_cycle_s", None)
+        proven = getattr(arm, "proven", True)
     timing = jitter.timing()
     median, p99, most = (value / MS for value in timing.period_s)
     return RobotTestOutput(
@@ -76,6 +82,8 @@ def test_robot(
         silence_ms=silence_s / MS,
         q=reading.q.tolist(),
         state=state.value,
+        measured_cycle_s=measured_s,
+        proof="" if proven else UNPROVEN,
     )
 
 
