@@ -31,21 +31,8 @@ from armsight.units import MS
 
 Array = NDArray[np.float64]
 
-LARGEST_RAD = 100.0
-"""No joint of a robot turns 16 times: a larger value is not a reading."""
-
-LARGEST_M = 100.0
-"""No flange is so far from its base."""
-
 END_S = 1.5
 """Closing a link that something is wrong with waits so long at most for the arm to stand."""
-
-LARGEST_SPEED_RAD_S = 60.0
-"""No joint of a robot moves so fast: a reading that says so is refused."""
-
-JUMP_CYCLES = 3
-"""Over so many missed cycles a joint may have moved; an arm that is elsewhere after more is refused until the link is
-lost: the old goal must not pull it back."""
 
 REST = 2e-4
 """Joints nearer to their goal than this, in rad or m, are at rest: encoders and servos keep a little off."""
@@ -311,10 +298,6 @@ class CyclicRobot(ABC):
         if pose is None:
             return bool((q != self._goals.sent).any())
         return bool(np.abs(np.concatenate(between(self._poses.sent, pose))).max() > ROUNDING)
-
-    def _possible(self, q: Array, last: Array, cycles: int) -> bool:
-        """Tell whether joints can be where they are read, so many cycles after the last reading."""
-        return bool(np.abs(q - last).max() <= LARGEST_SPEED_RAD_S * min(cycles, JUMP_CYCLES) * self.cycle_s)
 
     def _heard(self, q: Array, t_s: float) -> None:
         """Take a good reading q (n,) of time t_s on the clock."""

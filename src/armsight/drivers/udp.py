@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import threading
 from abc import abstractmethod
@@ -18,10 +17,11 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers.controller_clock import ENOUGH
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
-from armsight.drivers.link_settings import LinkSettings, Positive
+from armsight.drivers.link_settings import UdpSettings
 from armsight.drivers.pace import LinkTimes
 from armsight.drivers.proof import Probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent
+from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -60,23 +60,6 @@ class UdpCounts:
     refused: int = 0
     foreign: int = 0
     late: int = 0
-
-
-class UdpSettings(LinkSettings):
-    """Settings of every such link.
-
-    cycle_s: how often the controller sends. stale_s: age of a reading that is stale: two packets in a row may be late,
-    and an ordinary system too. controller: the only address that is listened to; empty: the first that speaks. bind:
-    the own address to listen at; empty: the one that leads to the controller, and all where that is not given.
-    speed_m_s, speed_rad_s: of the flange in pose guidance.
-    """
-
-    cycle_s: Positive = 0.004
-    stale_s: Positive = 0.02
-    controller: str = ""
-    bind: str = ""
-    speed_m_s: Positive = 0.1
-    speed_rad_s: Positive = math.pi / 3
 
 
 class UdpState(Protocol):
@@ -255,7 +238,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
             self._heard_s = self._clock.now_s()
             self._hear_old(state, last, sender)
             return
-        if last is not None and not self._possible(state.q, last.q, cycles):
+        if last is not None and not possible(state.q, last.q, cycles, self.cycle_s):
             self.counts.refused += 1
             return
         self._last, taken = state, True

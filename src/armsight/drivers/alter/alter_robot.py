@@ -21,6 +21,7 @@ from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.pace import LinkTimes
 from armsight.drivers.proof import Probe, Proof, ProofState, flange_and_joint_probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent
+from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -301,7 +302,7 @@ class AlterRobot(CyclicRobot):
     def _reachable_since(self, state: StateFrame) -> bool:
         """Tell whether the arm can be where a state has it, after the last."""
         last = self._last
-        return last is None or self._possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES)
+        return last is None or possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES, self.cycle_s)
 
     def _hear(self, state: StateFrame) -> None:
         self.counts.late = (state.n_late - self._first_late) % SEQUENCES

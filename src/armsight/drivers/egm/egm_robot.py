@@ -13,8 +13,8 @@ from armsight.clock import Clock
 from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
 from armsight.drivers.goals import GivenGoals
-from armsight.drivers.link_settings import Positive
-from armsight.drivers.udp import Sender, UdpRobot, UdpSettings
+from armsight.drivers.link_settings import Positive, UdpSettings
+from armsight.drivers.udp import Sender, UdpRobot
 from armsight.units import MS
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
 from armsight.drivers.goals import between
-from armsight.drivers.link_settings import Positive
+from armsight.drivers.link_settings import Positive, UdpSettings
 from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correction, parse, read_tags
-from armsight.drivers.udp import NEW_SESSION_CYCLES, Sender, UdpRobot, UdpSettings
+from armsight.drivers.udp import NEW_SESSION_CYCLES, Sender, UdpRobot
 from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
 
