@@ -39,8 +39,12 @@ FLOOR_M = 1e-4
 """Standard deviation added to a position: tremor of a hand (0.07 mm), shaking and steps of an arm."""
 HONEST_S = 0.006
 """Standard deviation of the pictures' times where they are honest."""
+CALM = 1.0
+"""How much less likely a hand is held to be for each tenfold of its jerk's power."""
 LIKELY = 12.0
 """Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so."""
+UNFIT = 15
+"""So many poses in a row that cannot be, before any that can, are no reflection and no hand before a light."""
 STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
 """A camera that moved less in the window tells nothing."""
 LEVER_M = 0.01 / (2.0 * DEG)
@@ -58,6 +62,7 @@ class PremiseWatch:
         self._seen: deque[Array] = deque(maxlen=FRAMES)
         self._elsewhere: deque[Array] = deque(maxlen=FRAMES)
         self._anew = False
+        self._unfit = 0
         self.way_m = 0.0
         self.wrong: Premise | None = None
 
@@ -69,6 +74,7 @@ class PremiseWatch:
         """
         if self._anew:
             self.begin()
+        self._unfit = 0
         if self._t_s and t_s - self._t_s[-1] < STEP_S:
             return
         if self._T:
@@ -82,6 +88,12 @@ class PremiseWatch:
         self._elsewhere.append(np.empty((0, 4, 4)) if others is None else others)
         if len(self._seen) >= FEWEST:
             self.wrong = self._judged()
+
+    def refuse(self, premise: Premise) -> None:
+        """Take a pose that cannot be, and what it looks like; where none was seen that can, that is what is so."""
+        self._unfit += 1
+        if self._unfit >= UNFIT and not self._t_s:
+            self.wrong = premise
 
     def begin(self) -> None:
         """Begin anew: another track of the target. For the thread that sees."""
@@ -184,4 +196,5 @@ def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) ->
     projector = np.linalg.solve(root, weighed)  # (level, r, 3 k)
     explained = np.square(x @ projector.reshape(-1, x.shape[1]).T).reshape(len(x), len(LEVELS), -1).sum(axis=2)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    return np.asarray((-0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log)).max(axis=1))
+    likely = -0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log) - CALM * np.arange(len(LEVELS))
+    return np.asarray(likely.max(axis=1))
