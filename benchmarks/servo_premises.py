@@ -2,8 +2,8 @@
 
     python benchmarks/servo_premises.py [wrong] [honest] [--seeds 20] [--runs 500] [--hand 0.0] [--minutes M]
 
-The cell and the premises are in tests/truth/servo_premises.py. From rest the arm is to bring its cameras to a target that
-is held still 20 to 80 mm and 3 to 12 degrees from where it is wanted (--hand: that is led at so many m/s). Way: of the
+The cell and the premises are in tests/truth/servo_premises.py. From rest the arm is to bring its cameras to a target
+that is held still 20 to 80 mm and 3 to 12 degrees from where it is wanted (--hand: led at so many m/s). Way: of the
 true tool from its start, at most. Harm: that part of it that is away from where an honest run had the tool.
 """
 
@@ -25,7 +25,7 @@ HONEST: dict[tuple[int, float], Any] = {}
 
 
 def wrong_of(job: tuple[int, str, float]) -> tuple[str, float, float, bool, str]:
-    """Return a premise, the tool's way and its harmful part in m, whether it was stopped, and the cause that was named."""
+    """Return a premise, the tool's way and its harmful part in m, whether it was stopped, and the cause named."""
     seed, name, hand_m_s = job
     if (seed, hand_m_s) not in HONEST:
         HONEST[seed, hand_m_s] = cell.PremiseCell(seed, None, hand_m_s).go(cell.SECONDS)
@@ -56,9 +56,29 @@ def wrong(pool: Any, seeds: int, hand_m_s: float, end_s: float) -> None:
         stopped = 100.0 * float(np.mean([row[3] for row in mine]))
         over = int((way > 15.0).sum())
         rows.append(
-            (name, len(mine), float(np.median(way)), float(way.max()), over, float(harm.max()), stopped, premise.cause, named)
+            (
+                name,
+                len(mine),
+                float(np.median(way)),
+                float(way.max()),
+                over,
+                float(harm.max()),
+                stopped,
+                premise.cause,
+                named,
+            )
         )
-    header = ("premise", "runs", "way mm, median", "worst", "above 15 mm", "harm mm, worst", "stopped %", "cause", "named %")
+    header = (
+        "premise",
+        "runs",
+        "way mm, median",
+        "worst",
+        "above 15 mm",
+        "harm mm, worst",
+        "stopped %",
+        "cause",
+        "named %",
+    )
     table(f"Wrong premises, target {'still' if not hand_m_s else f'led at up to {hand_m_s:g} m/s'}", header, rows)
     right = [row[4] == cell.WRONG[row[0]].cause for row in found]
     print(f"all: {sum(row[1] > 0.015 for row in found)} of {len(found)} above 15 mm of way, ", end="")
@@ -83,7 +103,11 @@ def honest(pool: Any, runs: int, end_s: float) -> None:
             break
     held = 100.0 * float(np.mean([row[2] for row in found]))
     rows = [(len(found), sum(bool(row[1]) for row in found), held)]
-    table("Honest cameras on the flange, hands of up to 0.5 m/s, targets hidden for 0.1 to 1 s", ("runs", "stops", "held, mean %"), rows)
+    table(
+        "Honest cameras on the flange, hands of up to 0.5 m/s, targets hidden for 0.1 to 1 s",
+        ("runs", "stops", "held, mean %"),
+        rows,
+    )
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Wrong premises of a servo whose cameras are on the flange: the cell of servo_lies, with the truth other than believed.
+"""Wrong premises of a servo whose cameras are on the flange: the cell of servo_lies, its truth other than believed.
 
 The product believes its settings; cameras, pictures, readings are what each premise makes of the true arm and target.
 """
@@ -66,7 +66,7 @@ def stretched(*factors: float) -> Wrong:
 
 
 def mirrored(axis: int) -> Wrong:
-    """Mirrored pictures of a flat target: its lights, mirrored, are those of the target with its normal turned round."""
+    """Mirrored pictures of a flat target: its lights, mirrored, are those of one whose normal is turned round."""
     M, N = np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0])
     M[axis, axis] = -1.0
     return Wrong(cause="rig", show=lambda T: M @ T @ N, unshow=lambda T: M @ T @ N)
@@ -162,7 +162,9 @@ class PremiseCell(scene.Cell):
 
 def run(name: str, seed: int, hand_m_s: float = 0.0) -> PremiseCell:
     """Return a run under a wrong premise until it is stopped, or for SECONDS."""
-    return PremiseCell(seed, WRONG[name], hand_m_s).go(SECONDS, lambda cell: cell.n % 8 == 0 < cell.n and cell.stopped())
+    return PremiseCell(seed, WRONG[name], hand_m_s).go(
+        SECONDS, lambda cell: cell.n % 8 == 0 < cell.n and cell.stopped()
+    )
 
 
 def honest_run(seed: int, seconds: float = 6.0) -> PremiseCell:

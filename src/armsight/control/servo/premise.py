@@ -39,10 +39,17 @@ FLOOR_M = 1e-4
 """Standard deviation added to a position: tremor of a hand (0.07 mm), shaking and steps of an arm."""
 HONEST_S = 0.006
 """Standard deviation of the pictures' times where they are honest."""
+JITTER_S = 0.002
+"""Standard deviation of a picture's time beside the others', and of what joints do between two readings."""
+LATE_S = 0.025
+"""Pictures that are older than their times by no more than this are not called late."""
 CALM = 1.0
 """How much less likely a hand is held to be for each tenfold of its jerk's power."""
-LIKELY = 12.0
-"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so."""
+LIKELY, MOVING = 9.0, 4.0
+"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so: for a target that
+stands under it, and how much more for each tenfold of its jerk's power. Of hands that move less is known than of a target
+that stands: honest ones came to 12.6 at the second level and to 15 at the fourth, wrong premises before a target
+that stands are at none."""
 UNFIT = 15
 """So many poses in a row that cannot be, before any that can, are no reflection and no hand before a light."""
 STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
@@ -54,9 +61,10 @@ LEVER_M = 0.01 / (2.0 * DEG)
 class PremiseWatch:
     """Watches one track of a target. One thread sees; any may look at wrong and way_m."""
 
-    def __init__(self, others: tuple[Premise, ...] = ()) -> None:
-        """others: premises under which the cameras are elsewhere; where, is told with each frame."""
-        self._others = others
+    def __init__(self, others: tuple[Premise, ...] = (), late_s: float = LATE_S) -> None:
+        """others: premises under which the cameras are elsewhere; where, is told with each frame. late_s: by how much
+        pictures may be older than their times."""
+        self._others, self._late_s = others, late_s
         self._t_s: deque[float] = deque(maxlen=FRAMES + BACK[-1])
         self._T: deque[Array] = deque(maxlen=FRAMES + BACK[-1])
         self._seen: deque[Array] = deque(maxlen=FRAMES)
@@ -122,10 +130,16 @@ class PremiseWatch:
         ways = np.concatenate([xyz_m[None], ways])
         terms = modes.T @ camera_terms(now, xyz_m)  # (k, 39)
         paths = np.concatenate([(terms @ bank().weights), spread(modes, ways)], axis=1)
-        doubt = np.concatenate([terms @ bank().doubt, spread(modes, HONEST_S * swept(t_s, now, xyz_m)[None])], axis=1)
-        likely = likelihoods(by_way(paths), by_way(doubt), variances, sigma_m)
-        premises = (*bank().premises, UNMOVED, *(late_by(one, t_s) for one in BACK), *self._others)
-        handicap = np.array([premise.handicap for premise in premises])
+        speeds = swept(t_s, now, xyz_m)
+        doubt = np.concatenate([terms @ bank().doubt, spread(modes, HONEST_S * speeds[None])], axis=1)
+        sigma_m = np.sqrt(sigma_m**2 + np.square(JITTER_S * speeds).mean(axis=0))
+        likely, level = likelihoods(by_way(paths), by_way(doubt), variances, sigma_m)
+        frame_s = float(t_s[-1] - t_s[0]) / (n - 1)
+        premises = (*bank().premises, UNMOVED, *(late_by(one * frame_s) for one in BACK), *self._others)
+        borne = len(bank().premises) + 1 + np.flatnonzero(np.array(BACK) * frame_s <= self._late_s)
+        likely[0] = max(likely[0], *likely[borne], -np.inf)
+        likely[borne] = -np.inf
+        handicap = np.array([premise.handicap for premise in premises]) + MOVING * level
         if self.wrong is None and (likely - likely[0] - handicap).max() < LIKELY:
             return None
         return premises[1 + int(np.argmax(likely[1:]))]
@@ -183,8 +197,8 @@ def swept(t_s: Array, T: Array, xyz_m: Array) -> Array:
     return np.asarray((at[after, k] - at[before, k]) / (t_s[after] - t_s[before])[:, None])
 
 
-def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> Array:
-    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each under the hand's motion that explains it best.
+def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each at the level of LEVELS (h,) that explains it best.
 
     doubt (r, k, 3): what the honest errors do to a way, each of unit deviation; they are eliminated, as is usual in
     generalised least squares. variances (k,): of the hand's shapes.
@@ -197,4 +211,4 @@ def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) ->
     explained = np.square(x @ projector.reshape(-1, x.shape[1]).T).reshape(len(x), len(LEVELS), -1).sum(axis=2)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     likely = -0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log) - CALM * np.arange(len(LEVELS))
-    return np.asarray(likely.max(axis=1))
+    return likely.max(axis=1), likely.argmax(axis=1)

@@ -66,9 +66,8 @@ UNMOVED = Premise(
 )
 
 
-def late_by(frames: int, t_s: Array) -> Premise:
-    """Return the premise that pictures are so many frames older than their times t_s (n,)."""
-    late_s = frames * float(t_s[-1] - t_s[0]) / (len(t_s) - 1)
+def late_by(late_s: float) -> Premise:
+    """Return the premise that pictures are so much older than their times."""
     return Premise(
         cause=Cause.PICTURES,
         says=f"the pictures are older than their times by about {late_s / MS:.0f} ms",
