@@ -46,10 +46,9 @@ LATE_S = 0.025
 CALM = 1.0
 """How much less likely a hand is held to be for each tenfold of its jerk's power."""
 LIKELY, MOVING = 9.0, 4.0
-"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so: for a target that
-stands under it, and how much more for each tenfold of its jerk's power. Of hands that move less is known than of a target
-that stands: honest ones came to 12.6 at the second level and to 15 at the fourth, wrong premises before a target
-that stands are at none."""
+"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so: where the target
+stands under it, and how much more for each tenfold of its jerk's power. Of hands that move less is known: honest ones
+came to 12.6 at the second level and to 15 at the fourth; wrong premises before a target that stands are at none."""
 UNFIT = 15
 """So many poses in a row that cannot be, before any that can, are no reflection and no hand before a light."""
 STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
@@ -198,7 +197,7 @@ def swept(t_s: Array, T: Array, xyz_m: Array) -> Array:
 
 
 def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each at the level of LEVELS (h,) that explains it best.
+    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each at its best one of LEVELS, and which (h,).
 
     doubt (r, k, 3): what the honest errors do to a way, each of unit deviation; they are eliminated, as is usual in
     generalised least squares. variances (k,): of the hand's shapes.

@@ -192,7 +192,7 @@ def aside(far_m: float, axis: Array) -> Premise:
         cause=Cause.HAND_EYE,
         says=f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
         f"along their {'xyz'[i]}",
-        handicap=2.0,
+        handicap=8.0,
     )
 
 
