@@ -109,7 +109,7 @@ class Vision:
             return False
         changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in zip(last, pair, strict=True)]
         self._noisy = self._noisy or min(changed) > NOISY_SHARE
-        marks = [zlib.crc32(np.ascontiguousarray(frame.image[::8, ::8])) for frame in pair]
+        marks = [zlib.crc32(frame.image[::8, ::8].tobytes()) for frame in pair]
         again = [mark in shown for mark, shown in zip(marks, self._shown, strict=True)]
         for mark, shown in zip(marks, self._shown, strict=True):
             shown.append(mark)
