@@ -20,7 +20,7 @@ PREMISES = {
     "turned 90 deg about y": 3,
     "turned 180 deg about z": 1,
     "mirrored in x": 2,
-    "another rig, depth 0.7": 1,
+    "turned 45 deg about x": 1,
     "pictures 1 s old": 2,
     "joint 2 the other way": 1,
 }

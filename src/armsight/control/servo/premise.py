@@ -45,12 +45,15 @@ LATE_S = 0.025
 """Pictures that are older than their times by no more than this are not called late."""
 CALM = 1.0
 """How much less likely a hand is held to be for each tenfold of its jerk's power."""
-LIKELY, MOVING = 9.0, 4.0
+LIKELY, MOVING = 12.0, 4.0
 """Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so: where the target
 stands under it, and how much more for each tenfold of its jerk's power. Of hands that move less is known: honest ones
 came to 12.6 at the second level and to 15 at the fourth; wrong premises before a target that stands are at none."""
 UNFIT = 15
 """So many poses in a row that cannot be, before any that can, are no reflection and no hand before a light."""
+ENOUGH, MISSING = 20, 0.5
+"""Each frame that a window has less than ENOUGH asks for so much more: a hand's reach is even for a third of a second,
+and an arm that starts after it goes as it does. An honest one came to 14.4 in ten frames."""
 STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
 """A camera that moved less in the window tells nothing."""
 LEVER_M = 0.01 / (2.0 * DEG)
@@ -139,7 +142,8 @@ class PremiseWatch:
         likely[0] = max(likely[0], *likely[borne], -np.inf)
         likely[borne] = -np.inf
         handicap = np.array([premise.handicap for premise in premises]) + MOVING * level
-        if self.wrong is None and (likely - likely[0] - handicap).max() < LIKELY:
+        least = LIKELY + MISSING * max(ENOUGH - n, 0)
+        if self.wrong is None and (likely - likely[0] - handicap).max() < least:
             return None
         return premises[1 + int(np.argmax(likely[1:]))]
 
