@@ -19,11 +19,9 @@ Mask = NDArray[np.bool_]
 
 SHARED = 0.2
 """Share of rows stamped as the row before from which the stamps are those of deliveries, not of samples."""
-AT_ONCE = 0.2
-"""Rows that follow each other within this share of the usual step came at once: one clock sampled them, a line that
-stood still delivered them."""
-LATE_ROWS = 0.003
-"""Share of rows that came at once from which stamps are those of deliveries; fewer are left out alone."""
+AT_ONCE, STALL = 0.1, 1.5
+"""Rows within AT_ONCE of the usual step behind each other, after a step of more than STALL of it, came at once: one clock
+sampled them, a line that stood still delivered them."""
 ON_TIME, ON_TIME_ROWS = 0.25, 0.98
 """A log is of a steady rate where so many of the rows that did not wait lie within this share of a period of it."""
 WINDOW = 101
@@ -75,32 +73,38 @@ def _stalled(t: Array, what: str) -> SamplingTimes:
 
     Else rows that came at once are not sure: they were sampled before, nobody knows when.
     """
-    step = np.diff(t)
-    moved = step[step > 0.0]
-    usual = float(np.median(moved)) if moved.size else 0.0
-    quick = step < AT_ONCE * usual
-    late = np.append(False, quick) | np.append(quick, False)
+    late = _waited(t)
     if not late.any():
         return SamplingTimes(t_s=t, bursts=False, sure=np.ones(len(t), bool))
-    if quick.mean() >= LATE_ROWS and len(t) >= FEWEST_FRAMES:
+    if len(t) >= FEWEST_FRAMES:
         try:
             clock = steady(t - t[0], what, complete=True)
         except DataRefused:
             pass
         else:
-            off = np.abs(t - t[0] - clock.t_s)
-            good = off < ON_TIME * clock.period_s
-            if np.mean(good[~late]) >= ON_TIME_ROWS:
+            on_time = np.abs(t - t[0] - clock.t_s) < ON_TIME * clock.period_s
+            if np.mean(on_time[~late]) >= ON_TIME_ROWS:
                 note = (
                     f"{late.sum()} of {len(t)} rows of {what} came at once after a stall: all are taken as sampled "
                     f"{clock.period_s:.4g} s apart"
                 )
                 std = float(np.sqrt(clock.clock_covariance(clock.mid_s)[0, 0]))
-                return SamplingTimes(
-                    t_s=t[0] + clock.t_s, bursts=True, sure=np.ones(len(t), bool), std_s=std, note=note
-                )
+                return SamplingTimes(t_s=t[0] + clock.t_s, bursts=True, sure=on_time | late, std_s=std, note=note)
     note = f"{late.sum()} of {len(t)} rows of {what} came at once, nobody knows when they were sampled: not used"
     return SamplingTimes(t_s=t, bursts=False, sure=~late, note=note)
+
+
+def _waited(t: Array) -> Mask:
+    """Return which rows (n,) came at once: stamped alike, or close behind each other after a stall."""
+    step = np.diff(t)
+    late = np.zeros(len(t), bool)
+    if not (step > 0.0).any():
+        return late
+    usual = float(np.median(step[step > 0.0]))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (step < AT_ONCE * usual).astype(int), [0]])))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):  # rows first .. last, quick steps between them
+        late[first : last + 1] = (step[first:last] == 0.0).any() or (first > 0 and step[first - 1] > STALL * usual)
+    return late
 
 
 def _spread(t: Array, what: str) -> SamplingTimes:

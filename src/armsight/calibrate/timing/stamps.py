@@ -66,8 +66,9 @@ class SteadyStamps:
 def steady(stamps_s: Array, side: str, *, complete: bool = False) -> SteadyStamps:
     """Return the steady clock behind the stamps (n,) of a camera, by a robust line of stamp over frame number.
 
-    complete: no frame is lost, so that the k-th stamp is that of the k-th frame however late it comes. Raises NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent for stamps beyond MAX_STAMP_S, and where no steady
-    clock explains the stamps.
+    complete: no frame is lost, so that the k-th stamp is that of the k-th frame however late it comes. Raises
+    NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent for stamps beyond MAX_STAMP_S, and where no steady clock
+    explains the stamps.
     """
     s = np.asarray(stamps_s, float)
     if len(s) < FEWEST_FRAMES:
