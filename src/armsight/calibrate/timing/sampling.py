@@ -20,8 +20,8 @@ Mask = NDArray[np.bool_]
 SHARED = 0.2
 """Share of rows stamped as the row before from which the stamps are those of deliveries, not of samples."""
 AT_ONCE, STALL = 0.1, 1.5
-"""Rows within AT_ONCE of the usual step behind each other, after a step of more than STALL of it, came at once: one clock
-sampled them, a line that stood still delivered them."""
+"""Rows within AT_ONCE of the usual step behind each other, after a step of more than STALL of it, came at once: a line
+that stood still delivered them, and one clock sampled them."""
 ON_TIME, ON_TIME_ROWS = 0.25, 0.98
 """A log is of a steady rate where so many of the rows that did not wait lie within this share of a period of it."""
 WINDOW = 101

@@ -37,7 +37,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
     fourth is 0 0 0 1 are poses of 4 x 4. Raises BadFile that names the line.
     """
     lines = [(i, line) for i, line in enumerate(_decoded(data, where).splitlines(), 1) if line.strip()]
-    body = [(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)]
+    body = _without_preamble([(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)])
     if not body:
         raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
     split = _splitter(body[min(1, len(body) - 1)][1])
@@ -64,6 +64,14 @@ def parse_text(data: bytes, where: str) -> RawTable:
             )
     how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
     return _transposed(where, how, names, rows, csv=split.by == ",")
+
+
+def _without_preamble(body: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return the lines from the header of a QTM export on, which begins with keys and values."""
+    if not body or not body[0][1].startswith("NO_OF_FRAMES"):
+        return body
+    header = next((k for k, (_, line) in enumerate(body) if line.lower().startswith("frame\ttime")), 0)
+    return body[header:]
 
 
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
@@ -122,7 +130,7 @@ class _splitter:  # noqa: N801 - a function that says how it splits
         if not self.by:
             return line.split()
         cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self.by))]
-        if self.by == ";":
+        if self.by in (";", "\t"):
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         return cells
 
