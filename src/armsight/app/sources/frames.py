@@ -31,7 +31,10 @@ from armsight.drivers import (
     PairSource,
     Skew,
     SplitImages,
+    VideoFile,
     by_side,
+    frame_period_s,
+    is_video,
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
@@ -109,7 +112,7 @@ class RecordedFrames:
 
 
 class RecordedPairs:
-    """Pairs of one recording or bag or of two, matched by time."""
+    """Pairs of one recording or bag, or of two of them or two videos, matched by time."""
 
     def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
         self._left = left
@@ -145,11 +148,19 @@ class RecordedPairs:
         try:
             yield from self._pairs
         except DeviceFailed as error:  # the rule is that of live cameras, the cause is in the file
-            raise Inconsistent(
-                error.cause,
-                consequence="Nobody can say which frames were taken together",
-                cure="Check that both cameras were recorded on one clock, or allow more with --max-skew",
-            ) from error
+            raise _apart(error.cause) from error
+        if self._pairs.skew is None and self._pairs.n_dropped:
+            raise _apart(f"no frame of {self.name} has a partner of its time")
+
+
+def _apart(cause: str) -> Inconsistent:
+    """Return the refusal of frames that never meet."""
+    return Inconsistent(
+        cause,
+        consequence="Nobody can say which frames were taken together",
+        cure="Check that both cameras were recorded on one clock, or allow more with --max-skew; with --fps, frames of "
+        "two videos are paired by their number",
+    )
 
 
 def open_source(
@@ -237,6 +248,12 @@ def open_pairs(
         _require_as_recorded(left, fps, times_s, settings)
         sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
         return RecordedPairs(*sides, max_skew_s=max_skew_s)
+    if fps is None and times_s is None and is_video(left) and is_video(right) and left != right:
+        reading.require_none(left)
+        for asked in by_side(settings):
+            asked.require_none(left)
+        skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
+        return RecordedPairs(VideoFile(left, colour=colour), VideoFile(right, colour=colour), max_skew_s=skew_s)
     return drivers.open_pairs(
         left,
         right,

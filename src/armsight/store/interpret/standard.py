@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armsight.errors import Ambiguous, BadFile
 from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
-from armsight.store.interpret.names import Meaning, meaning, split_unit
+from armsight.store.interpret.names import PREFIXES, Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import PAIR_FRAMES, Role
 from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
@@ -224,9 +224,10 @@ MEASURED = frozenset(("actual", "current", "measured"))
 
 
 def _asked(one: Meaning, beside: Meaning) -> bool:
-    """Whether a column is what was asked for; `target_` says so where the other one of the coordinate says measured."""
+    """Whether a column is what was asked for; `target_` says so unless the other one is named after a body too."""
     words = [set(split_unit(meaning.name)[0].split("_")) for meaning in (one, beside)]
-    return one.commanded or ("target" in words[0] and not MEASURED.isdisjoint(words[1]))
+    others = words[1] & PREFIXES
+    return one.commanded or ("target" in words[0] and (not others or not MEASURED.isdisjoint(others)))
 
 
 def _numbers(raw: RawTable, name: str, k: int, kind: str) -> Array:
