@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armsight.errors import BadFile, NotEnoughData
+from armsight.store.tables import decoded, no_rows
 
 REMARKS = ("#", "%", "//")
 
@@ -36,7 +37,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
     A remark right before the first row names the columns where it has as many words. Rows of four numbers whose every
     fourth is 0 0 0 1 are poses of 4 x 4. Raises BadFile that names the line.
     """
-    lines = [(i, line) for i, line in enumerate(_decoded(data, where).splitlines(), 1) if line.strip()]
+    lines = [(i, line) for i, line in enumerate(decoded(data, where).splitlines(), 1) if line.strip()]
     body = _without_preamble([(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)])
     if not body:
         raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
@@ -50,7 +51,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
         words = split(before[-1].lstrip().lstrip("#%/").strip()) if before else []
         names = tuple(words) if len(words) == len(rows[0][1]) and not is_data(words) else ()
     if not rows:
-        raise NotEnoughData(f"{where}: no row below the header", consequence="There is nothing to do")
+        raise no_rows(where)
     blocks = None if names else _matrix_blocks(rows)
     if blocks is not None:
         return _transposed(where, "matrices of 4 x 4, one below the other", MATRIX, blocks)
@@ -106,17 +107,6 @@ def _transposed(
 ) -> RawTable:
     columns = tuple([row[k] for _, row in rows] for k in range(len(rows[0][1])))
     return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(i for i, _ in rows), csv=csv)
-
-
-def _decoded(data: bytes, where: str) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
-            cure="Save it as CSV in UTF-8, or check that it is not a binary file",
-        ) from error
 
 
 class _splitter:  # noqa: N801 - a function that says how it splits
