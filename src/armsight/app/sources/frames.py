@@ -232,7 +232,7 @@ def open_pairs(
     """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
     recorded = [text for text in (left, right) if text is not None and is_recording(text)]
     bags = [text for text in (left, right) if text is not None and is_bag(text)]
-    for text in (*recorded, *bags):
+    for text in (*recorded, *bags, *((left,) if left is not None and is_video(left) else ())):
         reading.require_none(text)
     if recorded and (left is None or right is None or len(recorded) == 2):
         _require_as_recorded(recorded[0], fps, times_s, settings)
@@ -240,20 +240,15 @@ def open_pairs(
         return RecordedPairs(*ends, max_skew_s=max_skew_s)
     if left is None or right is None:
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
-    if recorded:
-        raise UsageError(f"{left} and {right} cannot be paired: one is a recording, the other is not")
-    if len(bags) == 1:
-        raise UsageError(f"{left} and {right} cannot be paired: one is of a bag, the other is not")
+    if recorded or len(bags) == 1:
+        kind = "a recording" if recorded else "of a bag"
+        raise UsageError(f"{left} and {right} cannot be paired: one is {kind}, the other is not")
     if bags and left != right:
         _require_as_recorded(left, fps, times_s, settings)
         sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
         return RecordedPairs(*sides, max_skew_s=max_skew_s)
     if fps is None and times_s is None and is_video(left) and is_video(right) and left != right:
-        reading.require_none(left)
-        for asked in by_side(settings):
-            asked.require_none(left)
-        skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
-        return RecordedPairs(VideoFile(left, colour=colour), VideoFile(right, colour=colour), max_skew_s=skew_s)
+        return _video_pairs(left, right, colour, max_skew_s, settings)
     return drivers.open_pairs(
         left,
         right,
@@ -264,6 +259,14 @@ def open_pairs(
         settings=settings,
         reading=reading,
     )
+
+
+def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, settings: PairSettings) -> RecordedPairs:
+    """Return the pairs of two videos, matched by their stamps. Raises UsageError for settings of live cameras."""
+    for asked in by_side(settings):
+        asked.require_none(left)
+    skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
+    return RecordedPairs(VideoFile(left, colour=colour), VideoFile(right, colour=colour), max_skew_s=skew_s)
 
 
 def _require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
