@@ -34,6 +34,7 @@ from armsight.store.arm_file import write_arm
 from armsight.store.tracks import read_joints, write_joints
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight.testing.clocks import HaltingClock
+from armsight.testing.wrong_controllers import prove
 from armsight_sim.twins.base import RIGHT
 from refusals import refuses
 
@@ -206,6 +207,7 @@ for name, contract in vars(RobotContract).items():
 
 def test_it_moves_as_it_says_and_holds_when_the_caller_is_late(twin: Twin) -> None:
     with RtdeRobot(twin.host, settings=PATIENT) as robot:
+        prove(robot, time.sleep)
         before = robot.read().q
         sent = robot.step_joints(np.full(6, 0.001))
         assert np.allclose(sent.q, before + 0.001, atol=1e-4)
@@ -323,6 +325,7 @@ def test_a_forwarded_port_is_reached() -> None:
     twin = Twin(2, port=41004)
     try:
         with RtdeRobot(f"{twin.host}:41004", settings=PATIENT) as robot:
+            prove(robot, time.sleep)
             sent = robot.step_joints(np.full(6, 0.001))
             until(lambda: bool(np.abs(twin.order("where") - sent.q).max() < 2e-5))
         assert np.allclose(sent.q, np.array(HOME) + 0.001, atol=1e-4)
