@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import NOTES, arm_notes, load_arm
 from armsight.app.sources.bags import joint_states
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
@@ -45,6 +45,7 @@ class FkOutput(Output):
     arm: Annotated[str, Doc("The arm's name.")]
     n: Annotated[int, Doc("Rows.")]
     n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
+    notes: Annotated[tuple[str, ...], NOTES]
 
 
 @output
@@ -54,6 +55,7 @@ class JacobianOutput(Output):
     arm: Annotated[str, Doc("The arm's name.")]
     n: Annotated[int, Doc("Rows.")]
     axes: Annotated[str, Doc("Axes of the Jacobian: world, base or tool.")]
+    notes: Annotated[tuple[str, ...], NOTES]
 
 
 @output
@@ -70,6 +72,7 @@ class IkOutput(Output):
     """armsight kinematics ik."""
 
     arm: Annotated[str, Doc("The arm's name.")]
+    notes: Annotated[tuple[str, ...], NOTES]
     n: Annotated[int, Doc("Poses.")]
     status: Annotated[dict[str, int], Doc("Poses by status: ok, out_of_reach, singular, limits, no_solution.")]
     unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
@@ -80,6 +83,7 @@ class PathOutput(Output):
     """armsight kinematics path."""
 
     arm: Annotated[str, Doc("The arm's name.")]
+    notes: Annotated[tuple[str, ...], NOTES]
     n: Annotated[int, Doc("Poses of the path.")]
     n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
     branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
@@ -99,6 +103,7 @@ class ShowOutput(Output):
     """armsight kinematics show."""
 
     arm: Annotated[str, Doc("The arm's name.")]
+    notes: Annotated[tuple[str, ...], NOTES]
     file: Annotated[str, Doc("The page written.")]
     tool_xyz_m: Annotated[tuple[float, float, float], Doc("Where the tool is, in world axes, m.")]
 
@@ -143,7 +148,7 @@ def write_poses_of_joints(arm: str, joints: Path, out: Path, format_: TableForma
         ),
     )
     beyond = int((~model.within_limits(motion.q)).sum())
-    return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond)
+    return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond, notes=arm_notes(model))
 
 
 def write_jacobians(
@@ -159,7 +164,7 @@ def write_jacobians(
     header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
     rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return JacobianOutput(arm=model.name, n=len(J), axes=axes)
+    return JacobianOutput(arm=model.name, n=len(J), axes=axes, notes=arm_notes(model))
 
 
 def write_joints_of_poses(
@@ -194,7 +199,7 @@ def write_joints_of_poses(
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return IkOutput(arm=model.name, n=len(targets), status=dict(counts), unsolved=unsolved)
+    return IkOutput(arm=model.name, notes=arm_notes(model), n=len(targets), status=dict(counts), unsolved=unsolved)
 
 
 def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
@@ -252,6 +257,7 @@ def write_joint_path(
         write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
     return PathOutput(
         arm=model.name,
+        notes=arm_notes(model),
         n=len(targets),
         n_reached=len(track.q),
         branch=list(track.branch),
@@ -283,7 +289,7 @@ def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
     q = start_values(model, None) if joints is None else _joint_values(model, joints)
     write_text(out, arm_report(model, q))
     T = fk(model, np.atleast_2d(q)[0])
-    return ShowOutput(arm=model.name, file=str(out), tool_xyz_m=T[:3, 3].tolist())
+    return ShowOutput(arm=model.name, notes=arm_notes(model), file=str(out), tool_xyz_m=T[:3, 3].tolist())
 
 
 def reading_values(arm: Arm, text: str) -> Array:

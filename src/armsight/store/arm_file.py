@@ -71,7 +71,10 @@ class ArmModel(Origin):
     name: str = "arm"
     convention: Literal["standard", "craig"]
     T_world_base: PoseModel | None = None
+    T_base_frame0: PoseModel | None = None
     T_flange_tool: PoseModel | None = None
+    base_link: str = ""
+    tool_link: str = ""
     joints: list[JointModel]
     source: str = ""
     covariance: CovarianceModel | None = None
@@ -84,7 +87,9 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
     model = validated(ArmModel, content, where)
     with named(where):
         poses = {
-            key: pose.pose() for key in ("T_world_base", "T_flange_tool") if (pose := getattr(model, key)) is not None
+            key: pose.pose()
+            for key in ("T_world_base", "T_base_frame0", "T_flange_tool")
+            if (pose := getattr(model, key)) is not None
         }
         joints = tuple(map(record_of, model.joints))
         for joint in joints:
@@ -102,6 +107,8 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
             ),
             tool_points=tuple(map(record_of, model.tool_points)),
             down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
+            base_link=model.base_link,
+            tool_link=model.tool_link,
             **poses,
         )
 
@@ -120,11 +127,14 @@ def _covariance(model: ArmModel) -> NamedCovariance | None:
 
 def arm_mapping(arm: Arm) -> dict[str, Any]:
     """Return the arm as arm.yaml's structure, without format, version, origin and what it does not tell."""
-    std = arm.covariance.std() if arm.covariance else {}
+    std, frame0 = arm.covariance.std() if arm.covariance else {}, arm.T_base_frame0.as_matrix()
     told = {
         "name": arm.name,
         "convention": arm.convention.value,
+        "base_link": arm.base_link or None,
+        "tool_link": arm.tool_link or None,
         "T_world_base": pose_mapping(arm.T_world_base),
+        "T_base_frame0": pose_mapping(arm.T_base_frame0) if (frame0 != np.eye(4)).any() else None,
         "T_flange_tool": pose_mapping(arm.T_flange_tool),
         "down_in_base": None if arm.down_in_base is None else arm.down_in_base.tolist(),
         "tool_points": [_tool_point_mapping(point) for point in arm.tool_points] or None,
@@ -149,6 +159,8 @@ def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Co
     for key in ("compliance", "mass_kg"):
         if not content[key]:
             del content[key]
+    if joint.driven:
+        del content["driven"]
     coupled = {c.by: c.share for c in couplings if c.joint == joint.name}
     return content | ({"coupled": coupled} if coupled else {}) | ({"std": own} if own else {})
 
