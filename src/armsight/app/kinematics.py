@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from armsight.app.arm_files import NOTES, arm_notes, load_arm
 from armsight.app.sources.bags import joint_states
@@ -38,6 +39,10 @@ from armsight.store.tables import cells, number
 Array = NDArray[np.float64]
 
 
+ROTATION_HELD = 1e-5
+"""rad: tracks that turn the tool so near to the path's poses hold them."""
+
+
 @output
 class FkOutput(Output):
     """armsight kinematics fk."""
@@ -63,7 +68,7 @@ class UnsolvedPose(Output):
     """A pose without a solution."""
 
     pose: Annotated[int, Doc("The pose, from 0.")]
-    status: Annotated[str, Doc("out_of_reach, limits or no_solution.")]
+    status: Annotated[str, Doc("out_of_reach, limits, no_solution; or position_only, where the rotation is missed.")]
     why: Annotated[str, Doc("Why, in words.")]
 
 
@@ -74,7 +79,12 @@ class IkOutput(Output):
     arm: Annotated[str, Doc("The arm's name.")]
     notes: Annotated[tuple[str, ...], NOTES]
     n: Annotated[int, Doc("Poses.")]
-    status: Annotated[dict[str, int], Doc("Poses by status: ok, out_of_reach, singular, limits, no_solution.")]
+    status: Annotated[
+        dict[str, int], Doc("Poses by status: ok, position_only, out_of_reach, singular, limits, no_solution.")
+    ]
+    n_solutions: Annotated[int, Doc("Solutions within limits, of all poses.")]
+    n_beyond_limits: Annotated[int, Doc("Solutions left out because a joint would be beyond a limit.")]
+    complete: Annotated[bool, Doc("Whether these are all: true where a closed form gives them.")]
     unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
 
 
@@ -179,6 +189,8 @@ def write_joints_of_poses(
 ) -> IkOutput:
     """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
 
+    Beyond limits none is written; the result counts them, and says whether there may be further ones.
+
     near: joints.csv with one row, or one per pose. Without it each pose is solved near the one before. Poses without a
     solution get one row with empty joint values; the reason is its status, and in words in the result.
     """
@@ -188,6 +200,7 @@ def write_joints_of_poses(
     aim = task_of(model, task)
     here = start_values(model, None)
     rows, counts, unsolved = [], Counter[str](), []
+    within, beyond, complete = 0, 0, True
     for k, target in enumerate(targets):
         here = starts[k] if starts is not None else here
         answer = _solve(model, target, here, aim)
@@ -195,11 +208,22 @@ def write_joints_of_poses(
         if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
             unsolved.append(UnsolvedPose(pose=k, status=answer.status.value, why=answer.why))
         rows += _rows(model, k, answer, every)
+        within, beyond = within + len(answer.solutions), beyond + len(answer.beyond_limits)
+        complete &= answer.complete
         if answer.solutions:
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return IkOutput(arm=model.name, notes=arm_notes(model), n=len(targets), status=dict(counts), unsolved=unsolved)
+    return IkOutput(
+        arm=model.name,
+        notes=arm_notes(model),
+        n=len(targets),
+        status=dict(counts),
+        n_solutions=within,
+        n_beyond_limits=beyond,
+        complete=complete,
+        unsolved=unsolved,
+    )
 
 
 def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
@@ -231,6 +255,7 @@ def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
     out = []
     for i, solution in enumerate(solutions):
         status = Status.SINGULAR if solution.singular else Status.OK
+        status = answer.status if answer.status is Status.POSITION_ONLY else status
         values = cells([*arm.readings(solution.q).tolist(), solution.error_m, solution.error_rad])
         out.append(f"{k},{i},{values},{status}")
     return out or [f"{k},," + "," * (arm.n + 2) + answer.status.value]
@@ -257,11 +282,24 @@ def write_joint_path(
         write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
     return PathOutput(
         arm=model.name,
-        notes=arm_notes(model),
+        notes=(*arm_notes(model), *_turned(model, track.q, T, task)),
         n=len(targets),
         n_reached=len(track.q),
         branch=list(track.branch),
         issues=track.issues,
+    )
+
+
+def _turned(arm: Arm, q: Array, T: Array, task: str | None) -> tuple[str, ...]:
+    """Return by how much a track q (k, n) of few joints turns the tool otherwise than the poses T (m, 4, 4) want."""
+    if arm.n >= 6 or task is not None or not len(q):
+        return ()
+    turned = Rotation.from_matrix(np.swapaxes(T[: len(q), :3, :3], 1, 2) @ fk(arm, q)[:, :3, :3])
+    off = float(turned.magnitude().max())
+    if off < ROTATION_HELD:
+        return ()
+    return (
+        f"{arm.n} joints hold the path's positions alone: the tool is turned up to {np.rad2deg(off):.3g} deg from it",
     )
 
 

@@ -63,6 +63,10 @@ def ik(
     done = run(arm_source(arm, tip=tip, base=base), poses, out, near=near, every=every, task=task, format_=table)
     counts = ", ".join(f"{count} {status}" for status, count in done.status.items())
     face.say(f"{done.n} poses of {done.arm} ({counts}): {out}")
+    if every:
+        left = f", {done.n_beyond_limits} more beyond limits are left out" if done.n_beyond_limits else ""
+        more = "" if done.complete else "; found by search: there may be further ones"
+        face.say(f"  {done.n_solutions} solutions{left}{more}")
     _say_notes(face, done.notes)
     for entry in done.unsolved[:5]:
         face.say(f"  pose {entry.pose}: {entry.status}, {entry.why}")

@@ -159,18 +159,18 @@ class Arm(Saveable):
     @property
     def length_m(self) -> float:
         """Characteristic length in m, by which metres are compared with radians: the mean length of a link."""
+        known = self.found.get("length_m")
+        if isinstance(known, float):
+            return known
         rows = self.chain[1:-1]
-        lengths = np.hypot(rows[:, 4], rows[:, 3])
-        lengths = np.append(lengths, np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        lengths = np.append(np.hypot(rows[:, 4], rows[:, 3]), np.linalg.norm(self.chain[-1, [3, 7, 11]]))
         used = lengths[lengths > 0.0]
-        return float(used.mean()) if len(used) else 1.0
+        self.found["length_m"] = length_m = float(used.mean()) if len(used) else 1.0
+        return length_m
 
     @property
     def gearing(self) -> Array:
-        """Return (n, n): how the joints' values follow the controller's readings; the identity without couplings.
-
-        The column of a joint without a drive is zero.
-        """
+        """Return (n, n): how the joints' values follow the readings; a joint without a drive has a column of zeros."""
         return gearing(self.joints, self.couplings)
 
     @property

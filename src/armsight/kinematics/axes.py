@@ -98,6 +98,38 @@ def arm_from_axes(
     return _loaded(arm, joints, [T_world_base @ here for here, _, _ in lines])
 
 
+def in_short_rows(arm: Arm) -> Arm:
+    """Return the same arm with beta on nearly parallel axes (Hayati), where d of a plain table runs to hundreds of m.
+
+    In standard convention; joint values keep zero and sense, covariance is dropped. Raises Inconsistent for scales.
+    """
+    T_world_base, joints, last, tool = axes_of(arm)
+    short = arm_from_axes(arm.name, T_world_base, joints, last, tool)
+    before, after = (
+        link_frames(one, np.zeros(arm.n))[1:-1] for one in (in_convention(arm, Convention.STANDARD), short)
+    )
+    rows = [
+        replace(
+            row,
+            compliance=joint.compliance,
+            driven=joint.driven,
+            mass_kg=joint.mass_kg,
+            com_m=tuple((np.linalg.solve(new, old) @ [*joint.com_m, 1.0])[:3].tolist()),
+        )
+        for row, joint, old, new in zip(short.joints, arm.joints, before, after, strict=True)
+    ]
+    T = short.T_flange_tool * arm.T_flange_tool.inv()  # of the flange, as the whole behind the last joint is the same
+    return replace(
+        arm,
+        joints=tuple(rows),
+        convention=Convention.STANDARD,
+        T_base_frame0=short.T_base_frame0,
+        T_flange_tool=short.T_flange_tool,
+        covariance=None,
+        tool_points=tuple(point.seen_from(T) for point in arm.tool_points),
+    )
+
+
 def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array]) -> Arm:
     """Return the arm with the masses of its links, whose joints' frames (4, 4) are those of all joints at zero."""
     if not any(joint.mass_kg for joint in joints):

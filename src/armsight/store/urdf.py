@@ -62,12 +62,12 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
     if base is None and base_link == WORLD and chain and chain[0].type == "fixed":
         base_link, T_world_base, chain = chain[0].child, chain[0].T_parent_joint, chain[1:]
     moving, last = _folded(before, chain, where)
-    _check_lengths(moving, last, where)
     moving, notes = _limited(moving, chain)
     moving, couplings = _mimicking(moving, chain)
     moving, heavy = _loaded(moving, chain, tree, inertials(root))
     with named(where):
         arm = arm_from_axes(root.get("name") or "arm", T_world_base, moving, *last)
+        _check_lengths(arm, chain)
         told = "; ".join([*notes, *heavy])
         return replace(
             arm,
@@ -149,15 +149,23 @@ def _folded(before: Array, chain: list[UrdfJoint], where: str) -> tuple[list[Axi
     return moving, (flange, tool)
 
 
-def _check_lengths(moving: Sequence[AxisJoint], last: tuple[Array, Array], where: str) -> None:
-    """Raise BadFile where the lengths from the first joint on can only be millimetres; where it stands may be far."""
-    places = [*(joint.T_parent_joint for joint in moving[1:]), *last]
-    if looks_like_mm(total_m := sum(float(np.linalg.norm(T[:3, 3])) for T in places)):
-        raise BadFile(
-            f"{where}: origin xyz looks like millimetres: from its first joint on the arm is {total_m:.4g} m long",
-            consequence="Taken as URDF means it the arm would be a thousand times its size",
-            cure="Divide every xyz of its joints by 1000",
-        )
+def _check_lengths(arm: Arm, chain: Sequence[UrdfJoint]) -> None:
+    """Raise BadFile where the arm, from its first joint on, is as long as one in millimetres.
+
+    Where it stands may be far, and an origin may lie anywhere along its axis.
+    """
+    rows = arm.chain[1:-1]
+    total_m = float(np.hypot(rows[:, 3], rows[:, 4]).sum() + np.linalg.norm(arm.T_flange_tool.translation))
+    if not looks_like_mm(total_m):
+        return
+    longest = max(chain, key=lambda joint: float(np.linalg.norm(joint.T_parent_joint[:3, 3])))
+    xyz = longest.T_parent_joint[:3, 3]
+    raise BadFile(
+        f"{longest.at}: origin xyz {' '.join(f'{x:g}' for x in xyz)} looks like millimetres: the arm would be "
+        f"{total_m:.4g} m long",
+        consequence="Taken as URDF means it the arm would be a thousand times its size",
+        cure=f"Write metres here ({' '.join(f'{1e-3 * x:.9g}' for x in xyz)}) and where else the file has millimetres",
+    )
 
 
 def _axis_joint(joint: UrdfJoint, T: Array) -> AxisJoint:

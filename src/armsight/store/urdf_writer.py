@@ -65,7 +65,8 @@ def urdf_text(arm: Arm) -> str:
         kind = "continuous" if turns and endless else str(joint.type.value)
         element = _add_joint(robot, joint.name, kind, parent, child, joint.T_parent_joint)
         ElementTree.SubElement(element, "axis", xyz=_text(joint.axis))
-        limit = {"effort": repr(joint.stall_effort or 0.0), "velocity": repr(joint.max_speed or 0.0)}
+        # a simulator takes 0 for a joint that cannot move: what is not known is no limit
+        limit = {"effort": repr(joint.stall_effort or NO_LIMIT), "velocity": repr(joint.max_speed or NO_LIMIT)}
         if kind != "continuous":
             limit["lower"], limit["upper"] = (
                 repr(float(np.clip(end, -NO_LIMIT, NO_LIMIT))) for end in (joint.lower, joint.upper)
