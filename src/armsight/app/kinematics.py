@@ -44,23 +44,27 @@ ROTATION_HELD = 1e-5
 
 
 @output
-class FkOutput(Output):
-    """armsight kinematics fk."""
+class OfArm(Output):
+    """What is said of an arm in every result."""
 
     arm: Annotated[str, Doc("The arm's name.")]
-    n: Annotated[int, Doc("Rows.")]
-    n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
     notes: Annotated[tuple[str, ...], NOTES]
 
 
 @output
-class JacobianOutput(Output):
+class FkOutput(OfArm):
+    """armsight kinematics fk."""
+
+    n: Annotated[int, Doc("Rows.")]
+    n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
+
+
+@output
+class JacobianOutput(OfArm):
     """armsight kinematics jacobian."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
     n: Annotated[int, Doc("Rows.")]
     axes: Annotated[str, Doc("Axes of the Jacobian: world, base or tool.")]
-    notes: Annotated[tuple[str, ...], NOTES]
 
 
 @output
@@ -73,11 +77,9 @@ class UnsolvedPose(Output):
 
 
 @output
-class IkOutput(Output):
+class IkOutput(OfArm):
     """armsight kinematics ik."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
-    notes: Annotated[tuple[str, ...], NOTES]
     n: Annotated[int, Doc("Poses.")]
     status: Annotated[
         dict[str, int], Doc("Poses by status: ok, position_only, out_of_reach, singular, limits, no_solution.")
@@ -89,11 +91,9 @@ class IkOutput(Output):
 
 
 @output
-class PathOutput(Output):
+class PathOutput(OfArm):
     """armsight kinematics path."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
-    notes: Annotated[tuple[str, ...], NOTES]
     n: Annotated[int, Doc("Poses of the path.")]
     n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
     branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
@@ -109,11 +109,9 @@ class FormulasOutput(Output):
 
 
 @output
-class ShowOutput(Output):
+class ShowOutput(OfArm):
     """armsight kinematics show."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
-    notes: Annotated[tuple[str, ...], NOTES]
     file: Annotated[str, Doc("The page written.")]
     tool_xyz_m: Annotated[tuple[float, float, float], Doc("Where the tool is, in world axes, m.")]
 
