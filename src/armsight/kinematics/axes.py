@@ -31,8 +31,7 @@ ROUNDING = 1e-14
 class AxisJoint:
     """A joint as URDF has it: T_parent_joint (4, 4) to the link before, axis (3,) in its own frame, limits.
 
-    mass_kg, com_m: of what it carries up to the next joint, its centre of mass (3,) in the joint's frame. driven: False
-    where it follows others and has no reading of its own.
+    mass_kg, com_m: of what it carries up to the next joint, its centre of mass (3,) in the joint's frame.
     """
 
     name: str
@@ -45,7 +44,6 @@ class AxisJoint:
     stall_effort: float | None = None
     mass_kg: float = 0.0
     com_m: Array = field(default_factory=lambda: np.zeros(3))
-    driven: bool = True
 
     def started_at(self, value: float) -> AxisJoint:
         """Return the joint with its zero where its value is now this, in rad or m."""
@@ -160,7 +158,6 @@ def _row(joint: AxisJoint, sign: float, a: float, alpha: float, d: float, theta:
         sign=sign,
         max_speed=joint.max_speed,
         stall_effort=joint.stall_effort,
-        driven=joint.driven,
     )
 
 

@@ -67,15 +67,18 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
     moving, heavy = _loaded(moving, chain, tree, inertials(root))
     with named(where):
         arm = arm_from_axes(root.get("name") or "arm", T_world_base, moving, *last)
-        _check_lengths(arm, chain)
         told = "; ".join([*notes, *heavy])
-        return replace(
+        following = {coupling.joint for coupling in couplings}
+        arm = replace(
             arm,
+            joints=tuple(replace(joint, driven=joint.name not in following) for joint in arm.joints),
             base_link=base_link,
             tool_link=chain[-1].child,
             couplings=couplings,
             source=f"URDF; {told}" if told else "",
         )
+    _check_lengths(arm, chain)
+    return arm
 
 
 def _name(element: ElementTree.Element, kind: str, where: str) -> str:
@@ -215,7 +218,7 @@ def _limited(moving: list[AxisJoint], chain: list[UrdfJoint]) -> tuple[list[Axis
 
 
 def _mimicking(moving: list[AxisJoint], chain: list[UrdfJoint]) -> tuple[list[AxisJoint], tuple[Coupling, ...]]:
-    """Return the joints, those that mimic without a drive of their own, and how these follow others."""
+    """Return the joints, those that mimic with their offset as zero, and how these follow others."""
     out, couplings = [], []
     elements = [joint for joint in chain if joint.type != "fixed"]
     for k, (axis_joint, joint) in enumerate(zip(moving, elements, strict=True)):
@@ -234,7 +237,7 @@ def _mimicking(moving: list[AxisJoint], chain: list[UrdfJoint]) -> tuple[list[Ax
         share = float(numbers(mimic.get("multiplier"), "1", 1, f"{joint.at}: multiplier of its mimic")[0])
         offset = float(numbers(mimic.get("offset"), "0", 1, f"{joint.at}: offset of its mimic")[0])
         couplings.append(Coupling(joint=joint.name, by=by, share=share))
-        out.append(replace(axis_joint.started_at(offset), driven=False))
+        out.append(axis_joint.started_at(offset))
     return out, tuple(couplings)
 
 

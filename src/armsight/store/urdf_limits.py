@@ -19,9 +19,6 @@ ENDLESS = 800.0
 ENDLESS_SLIDE_M = 1e4
 """m: ten kilometres are no slide, nor ten metres in thousandths of a mm."""
 
-WHOLE_TURN = 0.01
-"""Share of a turn by which a limit of many turns may miss a whole number of them: 50.3 for 16 pi."""
-
 Limits = tuple[float, float]
 
 
@@ -77,9 +74,7 @@ def _check_unit(joint: UrdfJoint, lower: float, upper: float) -> None:
                 cure=f'Write metres: lower="{1e-3 * lower:.9g}" upper="{1e-3 * upper:.9g}"',
             )
         return
-    turns = upper / (2.0 * math.pi)
-    many = lower == -upper and abs(turns - round(turns)) < WHOLE_TURN
-    if limits_look_like_degrees(ends) and not many:
+    if limits_look_like_degrees(ends):
         raise BadFile(
             f"{joint.at}: its limits {lower:g} to {upper:g} look like degrees",
             consequence="Taken as URDF means it the joint would turn many times round",

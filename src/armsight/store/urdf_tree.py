@@ -226,8 +226,13 @@ def _tool(last: str, tree: Tree) -> str:
         T = np.array([_product(tree.to(link, last)) for link in ends[:MOST_TOLD]])
     except BadFile:  # of one that may be none of the arm's; which, --tip says
         T = None
-    if T is not None and len(ends) == len(T) and np.abs(T - T[0]).max() < SAME_PLACE:
-        return ends[0]
+    if T is not None and len(ends) == len(T):
+        if np.abs(T - T[0]).max() < SAME_PLACE:
+            return ends[0]
+        # a link in the very place of the last one is a name or a shape more for it, and no tool
+        away = [link for link, one in zip(ends, T, strict=True) if np.abs(one - np.eye(4)).max() >= SAME_PLACE]
+        if len(away) == 1:
+            return away[0]
     raise BadFile(
         f"{tree.where}: {len(ends)} links hang on the last joint's link {last}, in different places: {_listed(ends)}",
         consequence="Which of them is the tool is not known, and poses of the one are wrong for the other",
