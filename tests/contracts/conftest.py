@@ -21,6 +21,7 @@ from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.udp import UdpRobot
 from armsight.testing import WrongController
+from armsight.testing.clocks import HaltingClock
 from armsight.testing.wrong_controllers import prove
 from armsight_sim.twins.alter import AlterController
 from armsight_sim.twins.base import Wrong, small_arm, twin_drive, twin_home
@@ -48,6 +49,10 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+BY_HAND_S = 1.2
+"""Every controller has ended its session after such a silence, EGM's after 1 s."""
+
+
 class Pair:
     """A driver and its twin on a real link, one cycle after the other, by a clock that moves only when told."""
 
@@ -58,6 +63,7 @@ class Pair:
 
     def __init__(self, **more: Any) -> None:
         self.clock = ManualClock(100.0)
+        self.halting = HaltingClock(self.clock)
         self.arm, self.home = small_arm(), twin_home(small_arm())
         self.join(**more)
         self._takes, self._newest, self._drained = 0, None, True
@@ -118,6 +124,17 @@ class Pair:
                 self.twin.cycle()
                 self._wait(before, heard)
 
+    def stand_still(self, time_s: float) -> None:
+        """Let the driver's thread stand while the controller goes on; the arm is moved by hand once it must have ended
+        the session."""
+        self.halting.halt(self.robot.name)
+        for cycle in range(round(time_s / self.cycle_s)):
+            self.clock.advance(self.cycle_s)
+            self.twin.cycle()
+            if cycle * self.cycle_s <= BY_HAND_S < (cycle + 1) * self.cycle_s:
+                self.twin.push(np.full(6, 0.02))
+        self.halting.go_on()
+
     def _drain(self) -> None:
         """Let the driver take what was sent while it opened."""
         for _ in range(0 if self._drained else 20_000):
@@ -133,7 +150,9 @@ class Pair:
     def _wait(self, before: int, heard: int) -> None:
         """Wait until the driver has taken what the twin sent, and an answer has come where it gave one."""
         asked = self.sends()
-        for _ in range(20_000 if asked else 0):
+        for _ in range(20_000):
+            if not asked and self.robot._turns.turn_s == self.clock.now_s():
+                return  # else time that passed while its thread waited would be a stand-still
             if self._takes > before or self.robot.state is RobotState.LOST:
                 select.select([self.twin.link], [], [], 0.5 if self.answered(heard) else 0.0)
                 return
@@ -154,7 +173,7 @@ class UdpPair(Pair):
 
     def join(self, **more: Any) -> None:
         port = _free_port()
-        self.robot = self.driver(str(port), settings={**EXACT, **more}, clock=self.clock)  # type: ignore[call-arg]
+        self.robot = self.driver(str(port), settings={**EXACT, **more}, clock=self.halting)  # type: ignore[call-arg]
         self.twin = self.controller(port, self.home)
 
     def controller(self, port: int, home: NDArray[np.float64]) -> Any:
@@ -224,7 +243,7 @@ class AlterPair(Pair):
         self.twin = AlterController(arm=self.arm, drive=drive, home=self.home, cumulative=cumulative, tool=tool)
         model = None if longer is None else Model(longer)
         chosen = {"arm": model, "cumulative": cumulative, "axes": "tool" if tool else "world", **more}
-        self.robot = AlterRobot(self.twin.path, settings=chosen, clock=self.clock)
+        self.robot = AlterRobot(self.twin.path, settings=chosen, clock=self.halting)
 
     def newest(self) -> Any:
         return self.twin._number

@@ -14,6 +14,10 @@ from tests.truth.emulated_links import World, link_of
 
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
+from armsight.drivers.alter import AlterRobot
+from armsight.drivers.cyclic import CyclicRobot
+from armsight.drivers.egm import EgmRobot
+from armsight.drivers.rsi import RsiRobot
 from armsight.errors import DeviceLost
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight_sim.twins.base import RIGHT
@@ -32,6 +36,8 @@ class TestContract(RobotContract):
             advance=pair.advance,
             lose_link=lambda: pair.twin.fault("silent"),
             freeze=lambda: pair.twin.fault("frozen"),
+            stand_still=pair.stand_still,
+            true_joints=lambda: pair.twin.q,
             tolerance=1e-4,
         )
 
@@ -39,6 +45,32 @@ class TestContract(RobotContract):
         kind = self._make().kind
         link = link_of(kind, ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles))
         return link.wrong_case()
+
+
+RULES = {
+    "a stand-still is found": (CyclicRobot, "_stood_still", lambda robot: robot._clock.now_s() < 0.0),
+    "what moved is stopped": (CyclicRobot, "_stop_moved", lambda robot, why: None),
+    "what was asked is dropped": (RsiRobot, "_hold", lambda robot: None),
+    "another session of egm begins anew": (EgmRobot, "_check_session", lambda *_: None),
+    "another session of rsi begins anew": (RsiRobot, "_check_session", lambda *_: None),
+    "another session of alter begins anew": (AlterRobot, "_check_session", lambda *_: None),
+}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_rule_of_stand_stills_that_is_taken_out_is_missed(
+    rule: str, make_link: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    owner, name, instead = RULES[rule]
+    contract = TestContract()
+    contract._make = make_link
+    first, second = contract.make(), contract.make()
+    if not isinstance(first.robot, owner):
+        return
+    monkeypatch.setattr(owner, name, instead)
+    with pytest.raises(AssertionError, match="contract"):
+        for case, stood_s in ((first, 0.1), (second, 1.5)):
+            contract._stands_still(case, stood_s, at_rest=False)
 
 
 def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) -> None:

@@ -16,11 +16,11 @@ from armsight.errors import ArmsightError
 from armsight.server.serving import background
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing import RobotCase, RobotContract, WrongController
-from armsight.testing.clocks import GatedClock
+from armsight.testing.clocks import GatedClock, HaltingClock
 from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
 from armsight_sim.robot import RobotFault, SimRobot
 
-BEAT_S = 0.1
+BEAT_S = 0.05
 QUARTER = np.pi / 2
 SIX = ((0.04, -1, 0.44), (0.25, 0, 0.0), (0.12, 0, 0.0), (0.09, 1, 0.0), (0.0, -1, 0.0), (0.0, 0, 0.15))
 HOME = [0.1, -1.2, 2.0, -0.8, -1.3, 0.4]
@@ -56,12 +56,15 @@ def served() -> Iterator[tuple[RemoteRobot, SimRobot, GatedClock]]:
     host.wait()
     try:
         with background(Service(host, NoLog())) as url:
-            yield RemoteRobot(url, clock=clock), sim, clock
+            yield RemoteRobot(url, clock=HaltingClock(clock)), sim, clock
     finally:
         host.end(lambda: clock.advance(0.1))
 
 
 class TestRemoteRobot(RobotContract):
+    STAND_STILLS = ((0.6, False), (1.5, True))
+    """Of the client: the server's loop goes on, and the arm has the way to rest."""
+
     @pytest.fixture(autouse=True)
     def _servers(self) -> Iterator[None]:
         with ExitStack() as self.stack:
@@ -80,10 +83,18 @@ class TestRemoteRobot(RobotContract):
                 clock.advance(min(BEAT_S, dt_s))
                 dt_s -= BEAT_S
 
+        def stand_still(time_s: float) -> None:
+            halting = robot._clock
+            halting.halt("armsight-heartbeat")
+            clock.advance(time_s)
+            halting.go_on()
+
         return RobotCase(
             robot=robot,
             advance=advance,
             lose_link=robot.cut,
             freeze=lambda: sim.fault(RobotFault.FROZEN),
+            stand_still=stand_still,
+            true_joints=lambda: sim.true_joints(clock.now_s()),
             tolerance=1e-4,
         )

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import ManualClock
-from armsight.drivers import RobotState, Sent
+from armsight.drivers import Pace, RobotState, Sent
 from armsight.records import JointReading
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController, contract_tests
 from armsight_sim.arms import Drive, FlangeLimits, SimArm, SimJoint
@@ -66,6 +66,8 @@ def case(robot: SimRobot, clock: ManualClock) -> RobotCase:
         advance=clock.advance,
         lose_link=lambda: robot.fault("link_lost"),
         freeze=lambda: robot.fault("frozen"),
+        stand_still=None,
+        true_joints=lambda: robot.true_joints(clock.now_s()),
         tolerance=1e-4,
     )
 
@@ -184,7 +186,15 @@ class JumpsToItsPose(SimRobot):
         return replace(sent, q=sent.q + 0.1)
 
 
+class IsALinkThatNeverStandsStill(SimRobot):
+    def wait_step(self, after: int, wait_s: float) -> Pace:
+        raise NotImplementedError
+
+    def slow_down(self, max_speed: np.ndarray) -> None: ...
+
+
 FAULTS: dict[type[SimRobot], str] = {
+    IsALinkThatNeverStandsStill: "test_a_stand_still_ends_what_was_asked",
     OpensAtOnce: "test_the_constructor_opens_nothing",
     StopRaisesWhenClosed: "test_stop_is_always_legal",
     EchoesTheWish: "test_commands_return_what_was_really_sent",

@@ -75,6 +75,37 @@ def test_another_programs_correction_is_not_taken_over(make_rsi: Any) -> None:
     assert np.abs(pair.twin.q - pair.home).max() < 2e-5
 
 
+@pytest.mark.parametrize("rule", [True, False])
+def test_a_session_that_begins_in_the_middle_of_a_motion_is_not_the_one_that_was_enabled(
+    make_rsi: Any, monkeypatch: pytest.MonkeyPatch, rule: bool
+) -> None:
+    """RSI ends by itself and begins anew where the arm stands, its numbers going on as if nothing had been."""
+    pair = make_rsi(silent_s=0.4)
+    if not rule:  # taken out, the old correction is asked for in the new session
+        monkeypatch.setattr(RsiRobot, "_check_session", lambda *_: None)
+    with pair.robot as robot:
+        pair.prove()
+        for _ in range(40):
+            robot.step_joints(np.full(6, 0.002))
+            pair.advance(CYCLE_S)
+        with pair.lock:
+            pair.twin._end("a fault of its own")
+        pair.advance(0.4)
+        there = pair.twin.q
+        assert (pair.twin.counts.ended == 1) is rule
+        if not rule:
+            return
+        assert robot.state is RobotState.STOPPED and "anew" in robot.why
+        pair.advance(0.4)
+        assert np.abs(pair.twin.q - there).max() < 2e-5
+        robot.reset()
+        pair.prove()
+        sent = robot.step_joints(np.full(6, 0.002))
+        pair.advance(0.4)
+        assert np.abs(sent.q - there).max() < 0.0021
+        assert np.abs(pair.twin.q - sent.q).max() < 2e-5
+
+
 def config(taken: str, *, sent: str = "DEF_AIPos DEF_Delay", sen_type: str = "Cell7", only: str = "FALSE") -> str:
     rows = ["".join(f'<ELEMENT TAG="{tag}" TYPE="DOUBLE" INDX="1"/>' for tag in tags.split()) for tags in (sent, taken)]
     return (

@@ -21,7 +21,7 @@ from tests.truth.emulated_links import World, link_of
 
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.run_motion import run_motion
-from armsight.clock import ManualClock
+from armsight.clock import ManualClock, SystemClock
 from armsight.control.play.joint_motion import JointMotionSource
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
@@ -33,6 +33,7 @@ from armsight.records import Motion
 from armsight.store.arm_file import write_arm
 from armsight.store.tracks import read_joints, write_joints
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
+from armsight.testing.clocks import HaltingClock
 from armsight_sim.twins.base import RIGHT
 from refusals import refuses
 
@@ -155,12 +156,20 @@ def again_where_ur_rtde_ended(test: Callable[[Any], None]) -> Callable[[Any], No
 
 
 class TestRtde(RobotContract):
+    STAND_STILLS = ((0.1, False), (0.7, False))
+
     @pytest.fixture(autouse=True)
     def with_twin(self, twin: Twin) -> None:
         self.twin = twin
 
     def make(self) -> RobotCase:
-        robot = RtdeRobot(self.twin.host, settings=SLOW)
+        clock = HaltingClock(SystemClock())
+        robot = RtdeRobot(self.twin.host, settings=SLOW, clock=clock)
+
+        def stand_still(time_s: float) -> None:
+            clock.halt(robot.name)
+            time.sleep(time_s)
+            clock.go_on()
 
         def cut() -> None:
             self.twin.order("restart")
@@ -175,7 +184,14 @@ class TestRtde(RobotContract):
             end_s = robot._stamp_s + time_s + 0.0021
             until(lambda: robot._stamp_s >= end_s or robot.state is RobotState.LOST)
 
-        return RobotCase(robot=robot, advance=advance, lose_link=cut, tolerance=1e-3)
+        return RobotCase(
+            robot=robot,
+            advance=advance,
+            lose_link=cut,
+            stand_still=stand_still,
+            true_joints=lambda: self.twin.order("where"),
+            tolerance=1e-3,
+        )
 
     def make_wrong(self, fault: WrongController) -> WrongCase:
         """Without ur-rtde, which can be behind none of this but asks for the cycle that it is set to."""

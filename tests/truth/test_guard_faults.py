@@ -254,7 +254,7 @@ def trial(fault: str, motion: str, seed: int, *, longest_s: float = 12.0) -> Out
                 if case.by_robot:
                     robot_stops_s = cell.clock.now_s()
                 if fault == "loop stands still":
-                    cell.clock.advance(0.6)
+                    cell.clock.advance(0.1)
             if cell.broken:
                 cell.trouble()
             there = status.guard is case.ends and (status.at_rest or case.ends is RUNNING)
@@ -350,7 +350,7 @@ REMOVALS = {
     "silence": ("readings frozen", SERVO, Watch, "silence", nothing),
     "following": ("reading jumps", SERVO, Watch, "following", nothing),
     "late cycle": ("late cycle", SERVO, Watch, "late_cycle", nothing),
-    "lost cycles": ("loop stands still", SERVO, Watch, "lost_cycles", nothing),
+    "stall": ("loop stands still", SERVO, Watch, "stall", nothing),
     "enable": ("enable gone", SERVO, Watch, "enable", nothing),
     "stop": ("stop", SERVO, Watch, "stop", nothing),
     "finite": ("not finite", SERVO, Watch, "finite", nothing),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
-from armsight.clock import ManualClock, SystemClock
+from armsight.clock import STALL_S, ManualClock, StandStill, SystemClock, monotonic_s
 
 
 def test_the_manual_clock_moves_only_when_told() -> None:
@@ -24,3 +26,25 @@ def test_the_system_clock_never_returns_early() -> None:
         due = clock.now_s() + wait_s
         clock.sleep_until(due)
         assert clock.now_s() >= due
+
+
+@pytest.mark.parametrize(("cycle_s", "longest_s"), [(0.004, STALL_S), (0.1, 0.3)])
+def test_a_gap_between_two_turns_is_a_stand_still(cycle_s: float, longest_s: float) -> None:
+    turns = StandStill(cycle_s)
+    assert turns.turn(5.0) == 0.0, "the first turn has none before it"
+    assert turns.turn(5.0 + 0.99 * longest_s) == 0.0
+    assert turns.turn(5.0 + 2.1 * longest_s) == pytest.approx(1.11 * longest_s)
+    turns.begin()
+    assert turns.turn(1000.0) == 0.0
+
+
+def test_steps_of_the_systems_clock_change_nothing_and_sleep_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    turns, clock = StandStill(0.004), SystemClock()
+    turns.turn(clock.now_s())
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    assert turns.turn(clock.now_s()) < 60.0
+    before_s = clock.now_s()
+    asleep = time.clock_gettime
+    monkeypatch.setattr(time, "clock_gettime", lambda which: asleep(which) + 3600.0 * (which == time.CLOCK_BOOTTIME))
+    assert turns.turn(clock.now_s()) > 3000.0, "the machine slept for an hour, in which its monotonic clock stood"
+    assert monotonic_s() - before_s > 3000.0

@@ -128,8 +128,9 @@ class RobotDriver:
     """The right to drive a served robot while the block runs; leaving it holds the robot.
 
     Motion needs enable(), and a program that lives: where it calls nothing for a second, or is gone, the server holds
-    the robot. Every command raises DeviceFailed where the robot is stopped, not enabled or lost, Inconsistent or
-    UsageError for what it cannot do, and DeviceLost without a connection.
+    the robot; where it stood still, the enable is over and has to be given anew by enable(). Every command raises
+    DeviceFailed where the robot is stopped, not enabled or lost, Inconsistent or UsageError for what it cannot do, and
+    DeviceLost without a connection.
     """
 
     def __init__(self, address: ServerAddress) -> None:
@@ -148,7 +149,9 @@ class RobotDriver:
         self._link.close()
 
     def enable(self) -> None:
-        """Allow motion, as the operator's deadman's switch does."""
+        """Allow motion, as the operator's deadman's switch does; also anew, where the enable ended by itself."""
+        if not self.state().enabled:
+            self._heart.beat(enable=False)
         self._heart.beat(enable=True)
 
     def disable(self) -> None:
@@ -161,7 +164,7 @@ class RobotDriver:
         Raises DeviceFailed where the guard does not go there, with its reason, and after timeout_s.
         """
         goal = real_array("q", q)
-        begun = self._do(say.JointGoalMessage, q=goal.tolist())
+        begun = self._move(say.JointGoalMessage, q=goal.tolist())
         ran_s = time.monotonic()
         until_s = ran_s + timeout_s
         while wait:
@@ -183,13 +186,13 @@ class RobotDriver:
 
     def jog(self, qd: ArrayLike) -> None:
         """Move with joint velocities qd (n,) in rad/s or m/s; to be called again within the server's setpoint_s."""
-        self._do(say.JointVelocityMessage, qd=real_array("qd", qd).tolist())
+        self._move(say.JointVelocityMessage, qd=real_array("qd", qd).tolist())
 
     def twist(self, velocity_m_s: ArrayLike, angular_rad_s: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Move the tool with a velocity (3,) and an angular velocity (3,) in base axes; to be called again as jog."""
         v = real_array("velocity_m_s", velocity_m_s)
         w = real_array("angular_rad_s", angular_rad_s)
-        self._do(say.ToolTwistMessage, velocity_m_s=v.tolist(), angular_rad_s=w.tolist())
+        self._move(say.ToolTwistMessage, velocity_m_s=v.tolist(), angular_rad_s=w.tolist())
 
     def hold(self) -> None:
         """Come to rest; commands are taken again at once."""
@@ -208,6 +211,10 @@ class RobotDriver:
         """Return the state now."""
         self._heart.touch()
         return _state(self._link)
+
+    def _move(self, make: Any, **fields: Any) -> say.Accepted:
+        self._heart.check()
+        return _taken(self._link, make, **fields)
 
     def _do(self, make: Any, **fields: Any) -> say.Accepted:
         self._heart.touch()

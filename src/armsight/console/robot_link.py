@@ -7,12 +7,12 @@ import contextlib
 import json
 import math
 import secrets
-import time
 from typing import Annotated, Any, Literal, TypeVar
 
 from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from armsight.clock import monotonic_s
 from armsight.console import texts
 from armsight.console.layout import SIGNS
 from armsight.console.state import Console
@@ -150,7 +150,7 @@ STATE_S = 0.1
 """Time between two states sent to a browser."""
 
 SENT_AFTER = "armsight.sent_after_s"
-"""Where the server says after what time (time.monotonic()) a message was sent, by the round trip that it measures."""
+"""Where the server says after what time (monotonic_s()) a message was sent, by the round trip that it measures."""
 
 
 def add_robot_link(server: FastAPI, console: Console) -> None:
@@ -191,7 +191,7 @@ class RobotLink:
         try:
             while (said := await self._socket.receive())["type"] == "websocket.receive":
                 sent_after_s = said.get(SENT_AFTER)
-                self.take(said.get("text"), 0.0 if sent_after_s is None else time.monotonic() - sent_after_s)
+                self.take(said.get("text"), 0.0 if sent_after_s is None else monotonic_s() - sent_after_s)
         finally:
             # before anything is awaited: the robot is let go of even where the page's other task hangs
             self._give_up()

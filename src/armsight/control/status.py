@@ -27,7 +27,8 @@ class RobotStatus:
     enabled: whether the enable was alive. late, missed: cycles that began late, that were left out.
 
     Where others ask the loop for motion, their side adds what the loop does not know. dropped: how often what was asked
-    was forgotten, because it held, stopped or was told to. driver, driver_s: who drives, empty for nobody, and
+    was forgotten, because it held, stopped or was told to. lapsed: why the enable ended by itself, empty where it did
+    not; it counts again once it was let go of. driver, driver_s: who drives, empty for nobody, and
     for how long in s. lateness_p99_s: 99 % of the cycles began at most so late, in s.
     """
 
@@ -46,6 +47,7 @@ class RobotStatus:
     late: int = 0
     missed: int = 0
     dropped: int = 0
+    lapsed: str = ""
     driver: str = ""
     driver_s: float = 0.0
     lateness_p99_s: float = 0.0

@@ -1,11 +1,11 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
-from armsight.drivers.cyclic import Pace, Paced
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
+from armsight.drivers.pace import Pace, Paced
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
 from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent
 from armsight.drivers.registry import CAMERAS, CELLS, METHODS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load

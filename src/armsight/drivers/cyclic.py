@@ -10,89 +10,44 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.clock import Clock
+from armsight.clock import Clock, StandStill
 from armsight.drivers.controller_clock import ControllerClock
-from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals
+from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
+from armsight.drivers.pace import LinkTimes, Pace
 from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
 from armsight.drivers.protocols import PROVING, RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
 from armsight.priority import bound_control
 from armsight.records import JointReading
+from armsight.units import MS
 
 Array = NDArray[np.float64]
 
-LARGEST_RAD = 100.0
-"""No joint of a robot turns 16 times: a larger value is not a reading."""
-
-LARGEST_M = 100.0
-"""No flange is so far from its base."""
-
 END_S = 1.5
 """Closing a link that something is wrong with waits so long at most for the arm to stand."""
-
-LARGEST_SPEED_RAD_S = 60.0
-"""No joint of a robot moves so fast: a reading that says so is refused."""
-
-JUMP_CYCLES = 3
-"""Over so many missed cycles a joint may have moved; an arm that is elsewhere after more is refused until the link is
-lost: the old goal must not pull it back."""
 
 REST = 2e-4
 """Joints nearer to their goal than this, in rad or m, are at rest: encoders and servos keep a little off."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkTimes:
-    """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost.
-
-    The last is the time after which the controller's own watchdog ends the motion: until then it may be late.
-    """
-
-    cycle_s: float
-    stale_s: float
-    silent_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pace:
-    """How far a controller is.
-
-    steps: so many it was given, one a cycle at most. asked: how many those were when the last command came; it is among
-    the next. cycles: of its own until the newest, those that were missed among them. t_s: when the newest was answered.
-    """
-
-    steps: int
-    asked: int
-    cycles: int
-    t_s: float
-
-
-@runtime_checkable
-class Paced(Protocol):
-    """A robot whose controller sets the pace: whoever moves it waits for each step to go out before the next."""
-
-    def wait_step(self, after: int, wait_s: float) -> Pace:
-        """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
-        ...
-
-    def slow_down(self, max_speed: Array) -> None:
-        """Let no joint go faster than max_speed (n,) in rad/s or m/s, whoever asks."""
-        ...
+ROUNDING = 1e-9
+"""A pose this near to another, in m and rad, is the same."""
 
 
 class CyclicRobot(ABC):
     """A robot behind a link with a cycle. A driver says how the link is opened, closed and kept going.
 
-    The link's thread calls _heard and _hear_clock for each good reading, then _tick; _lose where the link is gone, and
-    _halt where the controller takes no motion just now. Nothing moves before the link is proven (proof.py).
+    The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, then _tick;
+    _lose where the link is gone, _halt where the controller takes no motion just now, and _begin_anew where it takes it
+    in another session than that in which the arm moved. Nothing moves before the link is proven (proof.py).
     """
 
     takes_poses = False
@@ -117,6 +72,9 @@ class CyclicRobot(ABC):
         self._lost = ""
         self._held = False
         self._commands = 0
+        self._moved = False
+        self._turns = StandStill(times.cycle_s)
+        self._stood_s = 0.0
         self._proof, self._standing = Proof(times.cycle_s), Standing(times.cycle_s)
         self._base_q, self._wrong = self._goals.sent, False
         self._controller_clock = ControllerClock(times.cycle_s, numbered=False)
@@ -160,6 +118,8 @@ class CyclicRobot(ABC):
         self._reading, self._stopped, self._lost, self._held, self._wrong = None, "", "", False, False
         self._unprove()
         self._controller_clock.start()
+        self._moved, self._stood_s = False, 0.0
+        self._turns.begin()
         bound_control()  # opened in the main thread, the link's thread may go first
         self._start()
         self._open = True
@@ -217,7 +177,7 @@ class CyclicRobot(ABC):
                 raise DeviceFailed(
                     f"{self.name}: {self._stopped}", consequence="It stays stopped", cure="Set its controller going"
                 )
-            self._stopped, self._wrong = "", False
+            self._stopped, self._wrong, self._moved = "", False, False
 
     def wait_step(self, after: int, wait_s: float) -> Pace:
         """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
@@ -333,9 +293,11 @@ class CyclicRobot(ABC):
         """Return how far it is from where it was last told to go, in rad or m."""
         return float(np.abs(self._goals.sent - reading.q).max())
 
-    def _possible(self, q: Array, last: Array, cycles: int) -> bool:
-        """Tell whether joints can be where they are read, so many cycles after the last reading."""
-        return bool(np.abs(q - last).max() <= LARGEST_SPEED_RAD_S * min(cycles, JUMP_CYCLES) * self.cycle_s)
+    def _leads_on(self, q: Array, pose: RigidTransform | None) -> bool:
+        """Tell whether a command leads away from what was last sent."""
+        if pose is None:
+            return bool((q != self._goals.sent).any())
+        return bool(np.abs(np.concatenate(between(self._poses.sent, pose))).max() > ROUNDING)
 
     def _heard(self, q: Array, t_s: float) -> None:
         """Take a good reading q (n,) of time t_s on the clock."""
@@ -343,7 +305,7 @@ class CyclicRobot(ABC):
         reading = JointReading(q=q, t_s=t_s, sequence=number, source=self.name)
         if self._reading is None:
             self._rebase(reading.q)
-        self._heard_s = t_s
+        self._heard_s, self._stood_s = t_s, 0.0
         self._reading = reading
 
     def _lose(self, why: str) -> None:
@@ -364,8 +326,44 @@ class CyclicRobot(ABC):
                 # it may be moved by hand meanwhile: from where it stands then, nothing may pull it back
                 self._rebase(q)
 
+    def _stood_still(self) -> bool:
+        """Note a turn of the link's thread; tell whether it stood still before, so that what has come is of the past.
+
+        What was asked before counts no more; an arm that was set in motion is stopped. The controller was not silent
+        meanwhile, but may have ended its session: _unheard_s tells for how long.
+        """
+        with self._lock:
+            now_s = self._clock.now_s()
+            stood_s = self._turns.turn(now_s)
+            if not stood_s:
+                return False
+            self._hold()
+            self._stop_moved(f"this program stood still for {stood_s / MS:.0f} ms")
+            self._stood_s, self._heard_s = max(self._stood_s, stood_s), now_s
+            return True
+
+    def _unheard_s(self) -> float:
+        """Return for how long the controller was not heard: it was silent, or this program stood still."""
+        return self._stood_s + self._clock.now_s() - self._heard_s
+
+    def _begin_anew(self, why: str, q: Array) -> None:
+        """Take up another session of the controller, where the arm stands, q (n,); an arm that moved is stopped."""
+        with self._lock:
+            self._stop_moved(why)
+            self._rebase(q)
+
+    def _stop_moved(self, why: str) -> None:
+        """Stop an arm that was set in motion since it was opened or reset: nothing else was asked or enabled."""
+        if self._moved and why not in self._stopped:
+            self._standing.begin()
+            self._stopped = f"{self._stopped}, and {why}" if self._stopped else why
+
     def _silent(self) -> bool:
         return self._open and self._clock.now_s() - self._heard_s > self._times.silent_s
+
+    def _fallen_silent(self) -> bool:
+        """Tell the link's thread whether at its turn the controller had been silent for too long."""
+        return self._open and (self._turns.turn_s or 0.0) - self._heard_s > self._times.silent_s
 
     def _linked(self, what: str) -> JointReading:
         reading = self._reading
@@ -389,6 +387,7 @@ class CyclicRobot(ABC):
 
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
         """Return a command as it goes out."""
+        self._moved = self._moved or self._leads_on(q, pose)
         self._commands += 1
         self._pace = replace(self._pace, asked=self._pace.steps)
         return Sent(q=q, t_s=self._clock.now_s(), sequence=self._commands - 1, pose=pose, limited=limited)

@@ -55,6 +55,23 @@ class LinkSettings(BaseModel):
         )
 
 
+class UdpSettings(LinkSettings):
+    """Settings of every link whose controller sends its state over UDP.
+
+    cycle_s: how often the controller sends. stale_s: age of a reading that is stale: two packets in a row may be late,
+    and an ordinary system too. controller: the only address that is listened to; empty: the first that speaks. bind:
+    the own address to listen at; empty: the one that leads to the controller, and all where that is not given.
+    speed_m_s, speed_rad_s: of the flange in pose guidance.
+    """
+
+    cycle_s: Positive = 0.004
+    stale_s: Positive = 0.02
+    controller: str = ""
+    bind: str = ""
+    speed_m_s: Positive = 0.1
+    speed_rad_s: Positive = math.pi / 3
+
+
 def _each(values: list[float] | None, otherwise: float, n: int) -> NDArray[np.float64]:
     """Return one value for each joint, (n,)."""
     if values is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import threading
 from abc import abstractmethod
@@ -16,11 +15,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.controller_clock import ENOUGH
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
-from armsight.drivers.link_settings import LinkSettings, Positive
+from armsight.drivers.link_settings import UdpSettings
+from armsight.drivers.pace import LinkTimes
 from armsight.drivers.proof import Probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent
+from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -59,23 +60,6 @@ class UdpCounts:
     refused: int = 0
     foreign: int = 0
     late: int = 0
-
-
-class UdpSettings(LinkSettings):
-    """Settings of every such link.
-
-    cycle_s: how often the controller sends. stale_s: age of a reading that is stale: two packets in a row may be late,
-    and an ordinary system too. controller: the only address that is listened to; empty: the first that speaks. bind:
-    the own address to listen at; empty: the one that leads to the controller, and all where that is not given.
-    speed_m_s, speed_rad_s: of the flange in pose guidance.
-    """
-
-    cycle_s: Positive = 0.004
-    stale_s: Positive = 0.02
-    controller: str = ""
-    bind: str = ""
-    speed_m_s: Positive = 0.1
-    speed_rad_s: Positive = math.pi / 3
 
 
 class UdpState(Protocol):
@@ -210,17 +194,20 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _run(self) -> None:
         control_first()
         while not self._closing:
-            packets = self._received()
-            if not packets and self._silent():
+            packets = self._received(self.cycle_s)
+            if self._stood_still():
+                packets = []  # of the past, as is what lies in the socket, which has dropped what came after it
+                self._received(0.0)
+            if not packets and self._fallen_silent():
                 self._lose(self._why_silent())
             newest = {sender: i for i, (_, sender) in enumerate(packets)}
             for i, (data, sender) in enumerate(packets):
                 self._take(data, sender, newest=newest[sender] == i)
 
-    def _received(self) -> list[tuple[bytes, Sender]]:
-        """Return the packets that are there; wait for one as long as a cycle lasts."""
+    def _received(self, wait_s: float) -> list[tuple[bytes, Sender]]:
+        """Return the packets that are there; wait for one for so long."""
         packets: list[tuple[bytes, Sender]] = []
-        self._socket.settimeout(self.cycle_s)
+        self._socket.settimeout(wait_s)
         with contextlib.suppress(OSError):  # none within the time, no more, or a datagram's error report
             while True:
                 packets.append(self._socket.recvfrom(LARGEST_PACKET))
@@ -244,22 +231,22 @@ class UdpRobot(CyclicRobot, Generic[State]):
         last = self._last
         if last is None and not self._may_begin(state):
             return
-        self._sender = sender
-        cycles = 1 if last is None else self._cycles_between(last, state)
+        self._sender, cycles = sender, 1 if last is None else self._cycles_between(last, state)
         if last is not None and cycles <= 0:
             # a controller that repeats itself lives, though it tells nothing new: the link is not silent
             self.counts.repeated += 1
             self._heard_s = self._clock.now_s()
             self._hear_old(state, last, sender)
             return
-        if last is not None and not self._possible(state.q, last.q, cycles):
+        if last is not None and not possible(state.q, last.q, cycles, self.cycle_s):
             self.counts.refused += 1
             return
-        if last is not None and self._clock.now_s() - self._heard_s > NEW_SESSION_CYCLES * self.cycle_s:
-            self._check_session(state)
-        taken = last is None or self._taken(state)
+        self._last, taken = state, True
+        if last is not None:
+            self._check_session(state, last)
+            taken = self._taken(state)
         self.counts.missed += cycles - 1
-        self._behind, self._behind_number, self._last = 0, -1, state
+        self._behind, self._behind_number = 0, -1
         self._hear(state)
         self._heard(state.q, self._clock.now_s())
         self._hear_clock(*self._stamp(state))
@@ -280,8 +267,9 @@ class UdpRobot(CyclicRobot, Generic[State]):
         """Tell whether the link may begin with this state."""
         return True
 
-    def _check_session(self, state: State) -> None:
-        """Lose the link where a state, after a silence, may be of a session that has begun since."""
+    @abstractmethod
+    def _check_session(self, state: State, last: State) -> None:
+        """Begin anew, or lose the link, where a state may be of a session that has begun since the last one."""
 
     def _first_heard(self) -> None:
         """Let the link be opened, or refused, where enough was heard."""

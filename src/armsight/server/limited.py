@@ -14,6 +14,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import Frame
 from websockets.protocol import OPEN
 
+from armsight.clock import monotonic_s
 from armsight.control.session.service import TokenBucket
 from armsight.drivers.remote import protocol as say
 from armsight.server.connections import HEAD_S, Connections, address_of_line
@@ -39,7 +40,7 @@ MEASURED = (say.DRIVE_PATH, say.STOP_PATH, "/console/robot")
 """Paths whose messages set a robot in motion or stop it."""
 
 AGE_KEY = "armsight.sent_after_s"
-"""What a received message carries besides: it was sent after this time (time.monotonic()), None where not known."""
+"""What a received message carries besides: it was sent after this time (monotonic_s()), None where not known."""
 
 CONNECTION = "armsight.connection"
 """Where in a request's state the connection stands that it came by."""
@@ -197,7 +198,7 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
             return
         if self.writable.is_set() and len(self._pings) < MOST_PINGS:
             payload = os.urandom(8)
-            self._pings[payload] = time.monotonic()
+            self._pings[payload] = monotonic_s()
             self.conn.send_ping(payload)
             self.transport.write(b"".join(self.conn.data_to_send()))
         self._timer = self.loop.call_later(PING_S, self._measure)
@@ -247,7 +248,7 @@ def _stops(event: Any) -> bool:
 def age_of(message: Any) -> float:
     """Return how old a received message may be, in s; infinite where no round trip tells it yet."""
     sent_after_s = message.get(AGE_KEY)
-    return float("inf") if sent_after_s is None else time.monotonic() - sent_after_s
+    return float("inf") if sent_after_s is None else monotonic_s() - sent_after_s
 
 
 def connection_of(scope: Any) -> LimitedHttp | LimitedWebSocket | None:

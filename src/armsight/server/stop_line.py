@@ -25,7 +25,8 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from armsight.control.session.channels import granted
+from armsight.clock import monotonic_s
+from armsight.control.session.channels import TURN_S, Serves, granted
 from armsight.control.session.loop_host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, UsageError
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
     from armsight.control.session.channels import LineChannels
     from armsight.control.session.service import Service
 
-ORPHAN_S = 0.2
-"""How often it looks whether the server that started it lives."""
+LOOK_S = 0.2
+"""How often the server looks whether it has begun."""
 
 BEGIN_S = 60.0
 """Longest wait until it serves: packages are read anew, on a machine that may be busy."""
@@ -124,7 +125,7 @@ class StopLine:
             raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
         if who.role != "drive" or who.who != person:  # the key tells drivers apart, the token is the right to drive
             raise UsageError(f"{who.who} does not drive", consequence="Nothing was done", cure="Connect to drive")
-        self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease, key)
+        self._order("beat", (said.enable, said.number), monotonic_s() - age_s, lease, key)
 
     def _stop(self, who: Identity) -> None:
         self._order("stop", f"stopped by {who.who}")
@@ -135,7 +136,7 @@ class StopLine:
 
     def note(self, message: str) -> None:
         """Tell the server's log; what finds no room there is left out."""
-        self._channels.notes.put(pickle.dumps(LoopEvent(t_s=time.monotonic(), level="warning", message=message[:200])))
+        self._channels.notes.put(pickle.dumps(LoopEvent(t_s=monotonic_s(), level="warning", message=message[:200])))
 
 
 @contextlib.contextmanager
@@ -171,7 +172,7 @@ def stop_line(service: Service, options: ServeOptions, *, page_port: int | None 
 def _wait(process: BaseProcess, up: Event) -> None:
     """Wait until it serves: who comes before would have no line. Raises DeviceFailed where it does not begin."""
     until_s = time.monotonic() + BEGIN_S
-    while not up.wait(ORPHAN_S):
+    while not up.wait(LOOK_S):
         if time.monotonic() > until_s or not process.is_alive():
             raise DeviceFailed("the line for stops did not begin", consequence="Nothing is served")
 
@@ -197,7 +198,8 @@ def run_stop_line(
             await asyncio.sleep(0.01)
         up.set()
         while os.getppid() == parent and not server.should_exit:
-            await asyncio.sleep(ORPHAN_S)
+            channels.turns.turn(Serves.LINE, monotonic_s())
+            await asyncio.sleep(TURN_S)
         server.should_exit = True
 
     async def run() -> None:

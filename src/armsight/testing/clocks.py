@@ -1,8 +1,15 @@
-"""A clock that a test moves while a loop in another thread waits for it."""
+"""Clocks of tests: one that a test moves while a loop in another thread waits for it, one that stops a thread."""
 
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
+
+from armsight.clock import Clock
+
+PAUSE_S = 1e-4
+PATIENCE_S = 10.0
 
 
 class GatedClock:
@@ -48,3 +55,46 @@ class GatedClock:
         with self._news:
             self._left = True
             self._news.notify_all()
+
+
+class HaltingClock:
+    """A clock on which a thread stands still from when it next asks for the time: as one that the system stopped."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._thread = ""
+        self._asked = self._stands = 0
+        self._may_go = threading.Event()
+        self._may_go.set()
+
+    def now_s(self) -> float:
+        """Return the time in s; to a thread that stands still, once it goes on."""
+        if threading.current_thread().name == self._thread:
+            self._asked += 1
+            self._stands += not self._may_go.is_set()
+            self._may_go.wait()
+        return self._clock.now_s()
+
+    def sleep_until(self, t_s: float) -> None:
+        """Wait as the clock does."""
+        self._clock.sleep_until(t_s)
+
+    def halt(self, thread: str) -> None:
+        """Let the thread of this name stand still; returns when it does."""
+        self._thread, self._stands = thread, 0
+        self._may_go.clear()
+        self._until(lambda: self._stands > 0)
+
+    def go_on(self) -> None:
+        """Let it go on; returns when it has asked for the time again, so that it knows how late it is."""
+        asked = self._asked
+        self._may_go.set()
+        self._until(lambda: self._asked > asked)
+        self._thread = ""
+
+    def _until(self, holds: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while not holds():
+            if time.monotonic() > end_s:
+                raise AssertionError(f"the thread {self._thread} does not ask for the time")
+            time.sleep(PAUSE_S)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.drivers import Robot, RobotState
+from armsight.drivers import Paced, Robot, RobotState
 from armsight.errors import DataRefused, DeviceFailed, StaleData, UsageError
 from armsight.testing.checks import check, refused
 from armsight.testing.wrong_controllers import WrongCase, WrongController, check_wrong, prove
@@ -18,17 +20,30 @@ SETTLE_CYCLES = 400
 """Cycles after which a robot told to go a tenth of a cycle's way is at rest: 11 s at 28 ms."""
 
 
+REST_CYCLES = 60
+"""... told to go a hundredth of that: 0.24 s at 4 ms, five times the lag of slow motors."""
+
+
+def _unsaid(time_s: float) -> None:
+    raise AssertionError("tell the contract how the program's side of the link stands still: RobotCase.stand_still")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotCase:
     """A robot not yet opened, and the test's power over its world.
 
     advance: lets so many seconds pass (a ManualClock's advance, or a sleep). lose_link, freeze: cut the link, and
-    stop new readings from coming; None where the test cannot do that to this robot. tolerance: by how much (rad or m)
-    a reading at rest may differ from what was sent: encoder step and play.
+    stop new readings from coming; None where the test cannot do that to this robot. stand_still: lets the program's
+    side of the link stand still for so many seconds while the controller goes on, as a process that the system has
+    stopped; to be given, None for a robot without a link alone. true_joints: returns where the joints (n,) are by the
+    controller itself; None: by the newest reading.
+    tolerance: by how much (rad or m) a reading at rest may differ from what was sent: encoder step and play.
     """
 
     robot: Robot
     advance: Callable[[float], None]
+    stand_still: Callable[[float], None] | None = _unsaid
+    true_joints: Callable[[], NDArray[np.float64]] | None = None
     lose_link: Callable[[], None] | None = None
     freeze: Callable[[], None] | None = None
     tolerance: float = 1e-3
@@ -118,6 +133,9 @@ class RobotReadingContract:
 
 class RobotContract(RobotReadingContract):
     """Subclass it in a test file as Test..., and return a new case from make(); pytest then runs every test."""
+
+    STAND_STILLS: ClassVar[tuple[tuple[float, bool], ...]] = ((0.1, False), (0.6, False), (1.5, False), (5.0, True))
+    """How long it stands still in s, and whether at rest; fewer for a link that works in the time of the machine."""
 
     def make_wrong(self, fault: WrongController) -> WrongCase | str:
         """Return a robot whose controller is wrong, or, in words, why that cannot be behind this driver."""
@@ -217,6 +235,46 @@ class RobotContract(RobotReadingContract):
             check(bool(moved <= case.tolerance), "after a reset it stays where it stopped")
             robot.step_joints(0.1 * step)
 
+    def test_a_stand_still_ends_what_was_asked(self) -> None:
+        """A program that stood still moves nothing by what it asked before: at rest or in motion, shortly or long."""
+        for stood_s, at_rest in self.STAND_STILLS:
+            self._stands_still(self.make(), stood_s, at_rest=at_rest)
+
+    def _stands_still(self, case: RobotCase, stood_s: float, *, at_rest: bool) -> None:
+        robot, where = case.robot, case.true_joints or (lambda: case.robot.read().q)
+        told = f"after {stood_s:g} s {'at rest' if at_rest else 'in motion'} "
+        if case.stand_still is None:
+            check(not isinstance(robot, Paced), "a link can stand still")
+            return
+        with robot:
+            case.advance(2.0 * robot.cycle_s)
+            prove(robot, case.advance)
+            step = np.full(robot.n_joints, 5.0 * case.tolerance)
+            for _ in range(20):
+                robot.step_joints(step)
+                case.advance(robot.cycle_s)
+            if at_rest:
+                case.advance(REST_CYCLES * robot.cycle_s)
+            else:
+                robot.step_joints(step)
+            case.stand_still(stood_s)
+            rest = where()
+            with refused(DeviceFailed, f"{told}a robot that was moved is to be reset"):
+                robot.step_joints(step)
+            case.advance(REST_CYCLES * robot.cycle_s)
+            check(_apart(where(), rest) <= case.tolerance, f"{told}it stays where it stood")
+            if robot.state is RobotState.LOST:
+                robot.__exit__(None, None, None)
+                robot.__enter__()
+            robot.reset()
+            case.advance(10.0 * robot.cycle_s)
+            check(_apart(where(), rest) <= case.tolerance, f"{told}a reset moves nothing")
+            prove(robot, case.advance)
+            sent = robot.step_joints(step)
+            case.advance(REST_CYCLES * robot.cycle_s)
+            check(_apart(where(), sent.q) <= case.tolerance, f"{told}it goes where it says")
+            check(_apart(sent.q, rest) <= 6.0 * case.tolerance, f"{told}the first step begins where it stands")
+
     def test_closing_stops_it(self) -> None:
         """A robot that is closed while it moves comes to rest, and is closed."""
         case = self.make()
@@ -253,3 +311,7 @@ class RobotContract(RobotReadingContract):
             case.advance(robot.cycle_s)
             here = robot.move_pose(sent.pose)
             check(bool(np.abs(here.q - sent.q).max() <= case.tolerance), "told to go where it is, it stays")
+
+
+def _apart(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(np.abs(a - b).max())

@@ -125,6 +125,28 @@ def test_a_stop_of_a_watcher_ends_the_motion_until_a_reset(served, flows):
             robot.state()
 
 
+@pytest.mark.parametrize("stood_s", [0.05, 0.1, 5.0])
+def test_a_program_that_stood_still_has_to_enable_anew(served, flows, monkeypatch, stood_s):
+    url, _ = served
+    now_s = [0.0]
+    with armsight.connect(url) as robot, robot.drive() as driver:
+        flows(driver)
+        driver._heart._time_s = lambda: now_s[0]
+        driver._heart.beat(enable=False)
+        driver.enable()
+        now_s[0] += stood_s
+        if stood_s < 0.09:
+            driver.move_joints([0.1, 0.2], wait=False)
+            return
+        with refuses(DeviceFailed, "stood still", "anew"):
+            driver.move_joints([0.1, 0.2])
+        with refuses(DeviceFailed, "stood still"):
+            driver.jog([0.1, 0.0])
+        driver.enable()
+        driver.move_joints([0.1, 0.2])
+        assert robot.state().q_sent == pytest.approx([0.1, 0.2])
+
+
 def test_a_motion_that_is_held_is_told(served, flows):
     url, _ = served
     with armsight.connect(url) as robot, robot.drive() as driver:

@@ -331,7 +331,7 @@ def test_motion_in_space_keeps_its_distance_to_singularities() -> None:
         ({"target": TargetState.JUMPED}, GuardState.HOLDING, "jumped"),
         ({"target": TargetState.FRESH, "target_age_s": 0.2}, GuardState.HOLDING, "stale"),
         ({"late_s": 0.6 * CYCLE_S}, GuardState.HOLDING, "late"),
-        ({"late_s": 0.6}, GuardState.STOPPED, "stood still"),
+        ({"now_s": 20 * CYCLE_S + 0.1}, GuardState.STOPPED, "stood still"),
         ({"stop": "enough"}, GuardState.STOPPED, "enough"),
         ({"robot": RobotState.LOST}, GuardState.STOPPED, "lost"),
     ],

@@ -22,8 +22,9 @@ from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.sources import ClientSource, Enable, GoalSource, JogFrame, JogSource
 from armsight.control.status import Jitter
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import JointLimits
+from armsight.drivers.pace import LinkTimes
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.recording import Recording

@@ -49,7 +49,7 @@ class FakeHost:
         self.happened: list[LoopEvent] = []
         self.t_s, self.q, self.cycle = 100.0, np.zeros(n), 1
         self.guard, self.robot, self.dropped = "disabled", RobotState.READY, 0
-        self.ended = False
+        self.ended, self.lapsed = False, ""
         self.heard = threading.Event()
         self.line = LineChannels()
 
@@ -66,7 +66,7 @@ class FakeHost:
         reading = JointReading(q=self.q, t_s=self.t_s - 0.01, sequence=self.cycle, source="fake")
         return RobotStatus(
             t_s=self.t_s, cycle=self.cycle, robot=self.robot, guard=GuardState(self.guard), reading=reading,
-            q_sent=self.q, enabled=True, dropped=self.dropped,
+            q_sent=self.q, enabled=True, dropped=self.dropped, lapsed=self.lapsed,
         )  # fmt: skip
 
     enable_age_s = 0.25

@@ -77,6 +77,21 @@ def test_without_a_live_enable_nothing_moves(authority, host):
     assert not posts(host)
 
 
+def test_an_enable_that_lapsed_in_the_loop_is_to_be_given_anew(authority, host, lease):
+    host.tick(5)
+    host.lapsed = "the web server stood still"
+    authority.perform(lease, Beat(enable=True))
+    with refuses(EnableLost, "stood still", "anew"):
+        authority.perform(lease, JointGoal(q=np.array([0.1, 0.1])))
+    authority.perform(lease, Beat(enable=False))
+    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, JointGoal(q=np.array([0.1, 0.1])))  # the loop has not told yet that it was let go of
+    host.tick(5)
+    authority.perform(lease, Beat(enable=True))
+    with refuses(EnableLost, "stood still"):
+        authority.perform(lease, JointGoal(q=np.array([0.1, 0.1])))
+
+
 def test_a_new_driver_begins_without_the_enable_of_the_last(authority, host, lease):
     authority.leave(lease, "done")
     bert = authority.take("bert")

@@ -14,7 +14,7 @@ from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
 from armsight.clock import ManualClock
 from armsight.control.guard.limits import ENABLE_AGE_S
-from armsight.control.session.channels import Newest, Queue, error_of, put_error
+from armsight.control.session.channels import Newest, Queue, Serves, Turns, error_of, put_error
 from armsight.control.session.loop_host import LoopCommand, LoopEvent
 from armsight.control.session.loop_side import Channels, CountedClock, lateness_s
 from armsight.control.setpoints import JointGoal, JointVelocity
@@ -106,6 +106,57 @@ def test_a_driver_who_is_gone_is_a_hold(how):
         assert 0.0 < rest[0] < 2.0
         loop.advance(1.0, beat=True)
         assert loop.q.tolist() == rest.tolist(), "a new heartbeat does not bring back what was asked"
+
+
+def held_by_the_line(loop, seconds, *, web=True):
+    """Let time pass with enables by the line for stops, both processes alive or the web server standing still."""
+    for _ in range(round(seconds / 0.05)):
+        now_s = loop.clock.now_s()
+        for who in (Serves.WEB, Serves.LINE) if web else (Serves.LINE,):
+            loop.host.line.turns.turn(who, now_s)
+        loop.host.line.orders.put(pickle.dumps(("beat", (True, None), now_s, 0, "key")))
+        loop.clock.advance(0.05)
+
+
+@pytest.mark.parametrize("rule", [True, False])
+def test_a_web_server_that_stands_still_holds_the_arm_though_the_line_enables_it(rule, monkeypatch):
+    if not rule:  # taken out, the arm goes on
+        monkeypatch.setattr(Turns, "missed", lambda *_: "")
+    with running() as loop:
+        loop.host.grant(0, "key")
+        held_by_the_line(loop, 0.1)
+        loop.host.post(JointGoal(q=np.array([2.0, 0.3])))
+        held_by_the_line(loop, 0.4)
+        assert loop.host.status().guard == "running"
+        held_by_the_line(loop, ENABLE_AGE_S + 0.3, web=False)
+        rest, found = loop.q, loop.host.status()
+        assert (found.guard == "disabled" and "web server stood still" in found.lapsed) is rule
+        held_by_the_line(loop, 0.5)
+        assert (loop.q.tolist() == rest.tolist()) is rule, "it goes on only once the enable was given anew"
+        assert loop.host.status().enabled is not rule
+
+
+@pytest.mark.parametrize("silent_s", [0.02, 0.3])
+def test_an_enable_that_lapsed_counts_again_once_it_was_let_go_of(silent_s):
+    with running() as loop:
+        loop.advance(0.2, beat=True)
+        loop.advance(silent_s)
+        loop.advance(0.3, beat=True)
+        lapsed = silent_s > ENABLE_AGE_S
+        assert loop.host.status().enabled is not lapsed
+        assert bool(loop.host.status().lapsed) is lapsed
+        loop.host.beat(enable=False)
+        loop.advance(0.3, beat=True)
+        assert loop.host.status().enabled and not loop.host.status().lapsed
+        told = [record.message for record in loop.host.records() if isinstance(record, LoopEvent)]
+        assert any("enable ended" in message for message in told) is lapsed
+
+
+def test_an_enable_that_comes_too_late_neither_counts_nor_lapses():
+    with running() as loop:
+        loop.host.beat(enable=True, age_s=1.0)
+        loop.advance(0.1)
+        assert not loop.host.status().enabled and not loop.host.status().lapsed
 
 
 def test_a_velocity_ends_when_it_is_not_sent_again():

@@ -106,6 +106,21 @@ def test_who_may_watch_does_not_drive_and_may_stop(session, host):
     assert told(host, "stop") == ["stopped by eve"]
 
 
+def test_an_enable_that_lapsed_in_the_loop_does_not_count_until_it_was_let_go_of(session, host):
+    held(session, host)
+    host.tick(5)
+    host.lapsed = "the line for stops stood still"
+    with refuses(DeviceFailed, "stood still", "anew"):
+        held(session, host)
+    host.lapsed = ""
+    with refuses(DeviceFailed, "held on"):
+        held(session, host)
+    assert told(host, "beat") == [True, False, False] and not session.enabled("a")
+    session.beat("a", ANN, enable=False, seen_s=host.t_s)
+    held(session, host)
+    assert session.enabled("a")
+
+
 def test_an_enable_out_of_a_buffer_does_not_count_until_it_was_let_go_of(session, host):
     old_s = host.t_s
     held(session, host)

@@ -48,7 +48,12 @@ def guard_for(robot: Robot, arm: Arm | None = None, limits: Path | None = None, 
     kept = Limits() if limits is None else read_limits(limits)
     if RobotTraits.of(robot).guarded:  # the loop that moves it watches its readings and cycles itself
         cycles = BEHIND_LOOP_S / robot.cycle_s
-        kept = replace(kept, silent_cycles=max(kept.silent_cycles, cycles), late_cycles=max(kept.late_cycles, cycles))
+        kept = replace(
+            kept,
+            silent_cycles=max(kept.silent_cycles, cycles),
+            late_cycles=max(kept.late_cycles, cycles),
+            stall_s=max(kept.stall_s, kept.lost_s),  # a cycle waits for the network; the heartbeat finds a stand-still
+        )
     known = arm_of(robot, arm)
     if known is None:
         known = Arm(name=robot.name, joints=tuple(Joint(name=f"j{i + 1}") for i in range(robot.n_joints)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import os
 import pickle
@@ -22,7 +23,7 @@ from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.opening import driver_settings, open_robot
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
-from armsight.control.session.channels import Grant, JointTrack, LineChannels, error_of, put_error
+from armsight.control.session.channels import TURN_S, Grant, JointTrack, LineChannels, Serves, error_of, put_error
 from armsight.control.session.loop_host import LoopEvent, LoopRecord
 from armsight.control.session.loop_side import Channels, lateness_s, run_loop
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
@@ -38,6 +39,9 @@ BEGIN_S = 120.0
 
 END_S = 10.0
 """Longest wait for the robot to come to rest at the end, before the loop's process is killed."""
+
+HANGS_S = 1.0
+"""A web server that fetched nothing from the loop for so long hangs: it does so ten times a second and more."""
 
 LOST_S = 1.0
 """A loop whose newest state is so old has ended or hangs."""
@@ -67,6 +71,7 @@ class _SharedMemoryHost:
         self._clock = clock
         self._channels = Channels(track=track)
         self._description: RobotDescription | None = None
+        self._fetched_s = math.inf
         self._urgent: deque[tuple[Any, ...]] = deque()
         self._kept: list[LoopRecord] = []
         self._ended = ""
@@ -149,6 +154,7 @@ class _SharedMemoryHost:
 
     def records(self) -> list[LoopRecord]:
         """Return what the loop did since this was last asked."""
+        self._fetched_s = self.now_s()
         self._push()
         for queue in (self.line.notes, self._channels.records):
             while (data := queue.get()) is not None:
@@ -218,6 +224,8 @@ class ProcessHost(_SharedMemoryHost):
         self._process = multiprocessing.get_context("spawn").Process(
             target=_loop_process, args=(self._channels, spec, os.getpid()), name="armsight-loop", daemon=True
         )
+        self._over = threading.Event()
+        self._turning = threading.Thread(target=self._turn, name="armsight-turns", daemon=True)
 
     def __enter__(self) -> Self:
         with _interrupts_ignored():  # Ctrl-C reaches both processes; this one ends the other in order
@@ -227,6 +235,7 @@ class ProcessHost(_SharedMemoryHost):
         except BaseException:
             self._end()
             raise
+        self._turning.start()
         return self
 
     def __exit__(
@@ -234,7 +243,14 @@ class ProcessHost(_SharedMemoryHost):
     ) -> None:
         self._end()
 
+    def _turn(self) -> None:
+        """Tell the loop that this process is alive and serves: while it stands still or hangs no enable counts."""
+        while not self._over.wait(TURN_S):
+            if self.now_s() - self._fetched_s <= HANGS_S:
+                self.line.turns.turn(Serves.WEB, self.now_s())
+
     def _end(self) -> None:
+        self._over.set()
         self._urge("end", None)
         self._process.join(END_S)
         if self._process.is_alive():

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.clock import StandStill
 from armsight.control.guard.decision import GuardState, Inputs, TargetState
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
@@ -45,6 +46,9 @@ class Watch:
         self._reading: JointReading | None = None
         self._in_time = limits.calm_cycles
         self._away_s: float | None = None
+        self._turns = StandStill(cycle_s, limits.stall_s)
+        self.stood_s = 0.0
+        """For how long the loop stood still before this cycle; 0 where it did not."""
 
     def begin(self, q: Array, now_s: float) -> None:
         """Forget the past; the robot stands at q (n,) now."""
@@ -52,6 +56,12 @@ class Watch:
         self._new_s, self._reading = now_s, None
         self._in_time = self._limits.calm_cycles
         self._away_s = None
+        self._turns.begin()
+        self.turn(now_s)
+
+    def turn(self, now_s: float) -> None:
+        """Note that a cycle begins."""
+        self.stood_s = self._turns.turn(now_s)
 
     def sent(self, q: Array) -> None:
         """Note where the robot was told to go (n,), in place of what was sent longer ago than the lag."""
@@ -66,17 +76,24 @@ class Watch:
         """Return all that is wrong now."""
         # all are asked every cycle, also behind the first that is found: each keeps its own count of time
         found = (
+            self.stall(),
             self.stop(inputs),
             self.link(inputs),
             self.silence(reading, inputs.now_s),
             self.following(reading),
             self.finite(wanted),
-            self.lost_cycles(inputs),
             self.enable(inputs),
             self.late_cycle(inputs),
             self.target(inputs),
         )
         return [fault for fault in found if fault is not None]
+
+    def stall(self) -> Fault | None:
+        """The loop stood still: what was asked, enabled and known before it counts no more, so nothing is sent."""
+        if not self.stood_s:
+            return None
+        why = f"the control loop stood still for {self.stood_s / MS:.0f} ms"
+        return Fault(GuardState.STOPPED, "stall", why, without_robot=True)
 
     def stop(self, inputs: Inputs) -> Fault | None:
         """A stop that somebody asks for."""
@@ -139,12 +156,6 @@ class Watch:
             case _:
                 return None
         return None if good else Fault(GuardState.STOPPED, "set point", "a set point that is not finite")
-
-    def lost_cycles(self, inputs: Inputs) -> Fault | None:
-        """The loop stood still for several cycles."""
-        if inputs.late_s <= self._limits.lost_s:
-            return None
-        return Fault(GuardState.STOPPED, "lost cycles", f"the control loop stood still for {inputs.late_s / MS:.0f} ms")
 
     def enable(self, inputs: Inputs) -> Fault | None:
         """Nobody holds the enable."""

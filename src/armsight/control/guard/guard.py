@@ -95,7 +95,8 @@ class Guard:
         if not self._begun:
             raise UsageError("the guard was not told where the robot stands", cure="Call begin() first")
         self._waited = self._waited + 1 if inputs.waiting else 0
-        if inputs.late_s >= self.cycle_s or self._waited > self.limits.silent_cycles:
+        self._watch.turn(inputs.now_s)
+        if inputs.late_s >= self.cycle_s or self._watch.stood_s or self._waited > self.limits.silent_cycles:
             self._follower.stand(self._follower.now.q)  # told nothing for a cycle, the robot came to rest by itself
         fault = self._worst(wanted, reading, inputs)
         if inputs.waiting:

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.clock import STALL_S
 from armsight.control.guard.plausible import check_corners, check_units
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Bounds
@@ -226,11 +227,12 @@ class Limits(Saveable):
     and flange stay in; forbidden: boxes they stay out of; margin_m: how far they keep from both, for what the arm's
     model does not know. singularity: least singular value of the Jacobian, lengths in units of the arm's mean link, for
     motion asked for in space. enable_age_s: of an enable or a set point that came over a network, ENABLE_AGE_S at most.
-    target_age_s: of the frame a set point is from. silent_cycles: without a new reading, before it holds. late_cycles,
-    lost_s: lateness of a cycle that makes it hold, and stop; lost_s: without a reading, too. following (rad),
-    following_m: how far readings may be from all that was sent within lag_s. jump_m, jump_rad: how far a ToolPose may
-    be from the tool. calm_cycles: in time, before motion goes on after a late one. retreat (n,): readings to go back
-    to, at the share retreat_speed of all speeds, when the target has been away for retreat_after_s.
+    target_age_s: of the frame a set point is from. silent_cycles: without a new reading, before it holds. late_cycles:
+    lateness of a cycle that makes it hold; stall_s: time between two cycles that makes it stop; lost_s: without a
+    reading. following (rad), following_m: how far readings may be from all that was sent within lag_s. jump_m,
+    jump_rad: how far a ToolPose may be from the tool. calm_cycles: in time, before motion goes on after a late one.
+    retreat (n,): readings to go back to, at the share retreat_speed of all speeds, when the target has been away for
+    retreat_after_s.
     """
 
     speed_m_s: Positive = 0.1
@@ -248,6 +250,7 @@ class Limits(Saveable):
     target_age_s: Positive = 0.15
     silent_cycles: Positive = 3.0
     late_cycles: Positive = 0.5
+    stall_s: Positive = STALL_S
     lost_s: Positive = 0.5
     calm_cycles: Annotated[int, Bounds(least=0, most=100_000)] = 5
     lag_s: Positive = 0.3

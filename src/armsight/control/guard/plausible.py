@@ -44,6 +44,8 @@ PLAUSIBLE = {
     "singularity": Plausible(1.0, "", "percent", 0.01),
     # ten frames or commands of one second; a target may be waited for during minutes
     "target_age_s": Plausible(10.0, "s", "ms", MS),
+    # half a second: controllers end a guidance that is silent for 0.1 to 1 s
+    "stall_s": Plausible(0.5, "s", "ms", MS),
     "lost_s": Plausible(10.0, "s", "ms", MS),
     "lag_s": Plausible(10.0, "s", "ms", MS),
     "retreat_after_s": Plausible(900.0, "s", "ms", MS),

@@ -43,6 +43,9 @@ SILENT_S = 10.0
 LEAD_S = 0.2
 """Steps lead the robot by no more than a joint's way in so long: else it went on long after the last of them."""
 
+LET_GO_CYCLES = 3.0
+"""Cycles after which the loop has told that the enable was let go of."""
+
 RANGE_MARGIN = 1e-9
 """A goal so little (rad or m) beyond a limit is at it: rounding."""
 
@@ -93,6 +96,7 @@ class ControlAuthority:
         self._beat_s = -np.inf
         self._enabled = False
         self._reenable = False
+        self._let_go_s = -np.inf
         self._stopped = False
         self._reset_cycle = -1
         self._goal: Array | None = None
@@ -144,6 +148,7 @@ class ControlAuthority:
         # first of all nobody drives: the line for stops must not renew what is being released here
         self._lease = None
         self._enabled, self._reenable, self._goal = False, False, None
+        self._let_go_s = self._host.now_s()
         self._host.grant(lease.number, "")
         self._host.release(why, lease=lease.number)
         self.note("info", f"{lease.who} no longer drives: {why}")
@@ -243,7 +248,7 @@ class ControlAuthority:
         self._reenable = self._reenable and beat.enable
         self._beat_s, self._enabled = self._host.now_s() - age_s, beat.enable and not self._reenable
         if not beat.enable:
-            self._goal = None
+            self._goal, self._let_go_s = None, self._host.now_s()
         self._host.beat(enable=beat.enable, age_s=age_s, lease=lease.number, number=beat.number)
 
     def _reset(self, lease: Lease, now: RobotStatus) -> None:
@@ -301,6 +306,12 @@ class ControlAuthority:
             )
         longest_s = self._host.enable_age_s
         old_s = self._host.now_s() - self._beat_s
+        if lapsed := self.lapsed(now):
+            raise EnableLost(
+                f"motion is not enabled: {lapsed}",
+                consequence="Nothing was sent",
+                cure="Let the enable go and give it anew: a heartbeat without and one with enable",
+            )
         if not self._enabled or old_s > longest_s:
             off = "the enable must be let go of and given anew" if self._reenable else "the driver's enable is off"
             raise EnableLost(
@@ -314,6 +325,14 @@ class ControlAuthority:
                 consequence="Nothing was sent",
                 cure=f"Drive over a line whose round trip is well below {longest_s / MS:.0f} ms",
             )
+
+    def lapsed(self, now: RobotStatus) -> str:
+        """Return why the enable ended by itself, empty where it did not; letting go of it counts before the loop told.
+
+        now: the loop's newest status.
+        """
+        told = now.t_s > self._let_go_s + LET_GO_CYCLES * self.robot.cycle_s
+        return now.lapsed if told else ""
 
     def _robot_state(self, now: RobotStatus) -> RobotState:
         """Return the robot's state; what was stopped or reset here counts before the loop has told so."""

@@ -10,6 +10,7 @@ import json
 import pickle
 import zlib
 from dataclasses import dataclass, field
+from enum import IntEnum
 from multiprocessing import RawArray
 from typing import Any, NamedTuple
 
@@ -146,13 +147,14 @@ class LineChannels:
     """What the line for stops shares.
 
     orders: to the loop. grant: whose enable counts, written by the server. notes: for the server's log. sessions: the
-    log-ins of browsers, written by the server.
+    log-ins of browsers, written by the server. turns: of the processes that serve the robot.
     """
 
     orders: Queue = field(default_factory=lambda: Queue(256, 512))
     grant: Newest = field(default_factory=lambda: Newest(256))
     notes: Queue = field(default_factory=lambda: Queue(256, 512))
     sessions: Newest = field(default_factory=lambda: Newest(SESSION_BYTES))
+    turns: Turns = field(default_factory=lambda: Turns())
 
 
 class Grant(NamedTuple):
@@ -165,6 +167,37 @@ class Grant(NamedTuple):
     def encoded(self) -> bytes:
         """Return it as `granted` reads it."""
         return json.dumps(self).encode()
+
+
+TURN_S = 0.02
+"""How often each of the processes that serve a robot tells that it has its turn: often, as the least age of an enable
+is what they are judged by."""
+
+
+class Serves(IntEnum):
+    """A process that serves a robot beside its loop."""
+
+    WEB = 0
+    LINE = 1
+
+
+SERVERS = ("the web server", "the line for stops")
+
+
+class Turns:
+    """When each of the processes that serve a robot last had its turn; one that has not begun yet is not missed."""
+
+    def __init__(self) -> None:
+        self._memory: Any = RawArray("d", len(SERVERS))
+
+    def turn(self, who: Serves, t_s: float) -> None:
+        """Note a turn at t_s, on the loop's clock."""
+        self._memory[who] = t_s
+
+    def missed(self, now_s: float, longest_s: float) -> str:
+        """Return which of them had no turn for longer than longest_s, in words; empty where all had."""
+        late = (name for name, t_s in zip(SERVERS, self._memory, strict=True) if t_s and now_s - t_s > longest_s)
+        return next(late, "")
 
 
 def granted(grant: Newest) -> Grant:

@@ -26,6 +26,7 @@ from armsight.drivers.remote.protocol import JointDescription, RobotDescription
 from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
 from armsight.records import JointReading
+from armsight.units import MS
 
 OFF_CYCLES = 2
 """Cycles without enable after somebody let go of it, however soon they give it anew: a reset is done in the first."""
@@ -131,14 +132,16 @@ class OrderSource:
 
     Goals are followed until they are reached, velocities for SETPOINT_S; all is forgotten when the enable ends, the
     driver leaves or the guard stops. The enable comes by two ways, the server's and the line for stops; whichever is
-    first counts. dropped: how often it forgot. was_enabled: what enabled() said last.
+    first counts. It ends by itself where it is too old, or one of the processes that serve the robot stood still, and
+    counts again once it was let go of. dropped: how often it forgot. lapsed: why the enable ended by itself, empty
+    where it did not.
     """
 
     name = "client"
 
     def __init__(self, channels: Channels, clock: Clock, parent: int | None, enable_age_s: float) -> None:
         self._orders, self._line_orders, self._grant = channels.orders, channels.line.orders, channels.line.grant
-        self._enable_age_s = enable_age_s
+        self._turns, self._enable_age_s = channels.line.turns, enable_age_s
         self._clock = clock
         self._parent = parent
         self._loop: ControlLoop | None = None
@@ -149,8 +152,8 @@ class OrderSource:
         self._lease, self._number = 0, 0
         self._enable = False
         self._off = 0
-        self.was_enabled = False
         self.dropped = 0
+        self.lapsed = ""
 
     def attach(self, loop: ControlLoop) -> None:
         """Let orders stop, reset and end this loop."""
@@ -174,9 +177,9 @@ class OrderSource:
 
     def enabled(self) -> bool:
         """Return whether the driver lives and allows motion."""
-        self.was_enabled = not self._off and self._alive()
+        enabled = not self._off and self._alive()
         self._off = max(0, self._off - 1)
-        return self.was_enabled
+        return enabled
 
     def drop(self) -> None:
         """Forget what was asked."""
@@ -189,7 +192,17 @@ class OrderSource:
         self._goal, self._asked = None, False
 
     def _alive(self) -> bool:
-        return self._enable and self._clock.now_s() - self._beat_s <= self._enable_age_s
+        """Tell whether the enable is alive; one that is not any more has lapsed."""
+        if self._enable and (why := self._why_lapsed(self._clock.now_s())):
+            self._enable, self._beat_s, self.lapsed = False, -math.inf, why
+        return self._enable
+
+    def _why_lapsed(self, now_s: float) -> str:
+        if missed := self._turns.missed(now_s, self._enable_age_s):
+            return f"{missed} stood still"
+        if now_s - self._beat_s > self._enable_age_s:
+            return f"no enable came for more than {self._enable_age_s / MS:.0f} ms"
+        return ""
 
     def _obey(self, order: str, value: Any = None, sent_s: float = -math.inf, lease: int = 0, key: str = "") -> None:
         match order:
@@ -227,11 +240,11 @@ class OrderSource:
             self._lease, self._number = lease, number or 0
         if not enable:
             self._let_go()
-            return
-        self._enable, self._beat_s = True, max(sent_s, self._beat_s)
+        elif not self.lapsed and self._clock.now_s() - sent_s <= self._enable_age_s:
+            self._enable, self._beat_s = True, max(sent_s, self._beat_s)
 
     def _let_go(self) -> None:
-        self._enable, self._beat_s, self._off = False, -math.inf, OFF_CYCLES
+        self._enable, self._beat_s, self._off, self.lapsed = False, -math.inf, OFF_CYCLES, ""
 
     def _leave(self) -> None:
         self._let_go()
@@ -256,7 +269,7 @@ def run_loop(
             loop = ControlLoop(robot, guard, source, counted, enabled=source.enabled, sink=sink)
             source.attach(loop)
             channels.records.put(pickle.dumps(("described", describe(robot, guard, driver).model_dump())))
-            publish = StatusPublisher(channels.state, source).publish
+            publish = StatusPublisher(channels.state, source, sink).publish
             loop.run(until=publish if channels.track is None else tracked(publish, robot, channels.track, clock))
     except ArmsightError as error:
         put_error(channels.records, error)
@@ -282,16 +295,21 @@ def tracked(
 class StatusPublisher:
     """Publishes the newest status after each cycle."""
 
-    def __init__(self, state: Newest, source: OrderSource) -> None:
-        self._state = state
-        self._source = source
+    def __init__(self, state: Newest, source: OrderSource, sink: RecordSink) -> None:
+        self._state, self._source, self._sink = state, source, sink
+        self._lapsed = ""
 
     def publish(self, status: RobotStatus) -> bool:
         """Publish it with what the source of orders forgot; never ends the loop."""
         # what was asked before a stop must not move the robot after the reset
         if status.guard is GuardState.STOPPED:
             self._source.drop()
-        published = replace(status, why=status.why[:500], dropped=self._source.dropped)
+        lapsed = self._source.lapsed
+        if lapsed and lapsed != self._lapsed:
+            self._sink.event(status.t_s, f"the enable ended: {lapsed}", "warning", self._source.name)
+        self._lapsed = lapsed
+        why = lapsed if lapsed and status.guard is GuardState.DISABLED else status.why
+        published = replace(status, why=why[:500], dropped=self._source.dropped, lapsed=lapsed)
         self._state.write(pickle.dumps(published, protocol=5))
         return False
 

@@ -147,19 +147,23 @@ class OperatorSession:
                 self._vain.add(browser)  # held on till the other leaves, it would move the arm unawares
                 raise
         now_s = self._host.now_s()
-        stale = now_s - seen_s > FRESH_S
-        self._again = enable and (self._again or stale)
+        over = self._why_over(now_s, seen_s) if enable else ""
+        self._again = enable and (self._again or bool(over))
         self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
         if not self._held:
             self._let_line("")  # first, so that nothing that comes there brings it back
         self._perform(Beat(enable=self._held, number=number), age_s)
         if self._held:
             self._let_line(key)
-        if stale and enable:
-            raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
         self._follow(push if self._held else None)
         if self._again:  # said at every beat: who holds on has to know why nothing moves
-            raise DeviceFailed("the enable was held on", consequence="The robot is held", cure=LET_GO)
+            raise DeviceFailed(over or "the enable was held on", consequence="The robot is held", cure=LET_GO)
+
+    def _why_over(self, now_s: float, seen_s: float) -> str:
+        """Return why an enable that is held counts no more until it was let go of; empty where it counts."""
+        if now_s - seen_s > FRESH_S:
+            return "the connection is slow"
+        return self._authority.lapsed(self._host.status()) if self._held else ""
 
     @synchronized
     def look(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.alter.frames import SEQUENCES, FrameSplitter, StateFrame, answer
+from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, FrameSplitter, StateFrame, answer
 from armsight.drivers.alter.settings import AlterSettings, ArmOnLink
 from armsight.drivers.controller_clock import ControllerClock
-from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
+from armsight.drivers.pace import LinkTimes
 from armsight.drivers.proof import Probe, Proof, ProofState, flange_and_joint_probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent
+from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -46,23 +47,6 @@ PARTS = 6
 
 OTHER_ARM = (5.0 * MM, 0.5 * DEG)
 """An arm's file whose flange is farther from the controller's than this, in m or rad, is of another arm."""
-
-
-@dataclass(slots=True)
-class AlterCounts:
-    """Frames since the link was opened.
-
-    heard: good ones. missed: numbers that never came. repeated: with a number that was there, or an older one.
-    refused: whole, with values that cannot be. late: answers that the controller counted as late. garbage_bytes:
-    that belong to no frame.
-    """
-
-    heard: int = 0
-    missed: int = 0
-    repeated: int = 0
-    refused: int = 0
-    late: int = 0
-    garbage_bytes: int = 0
 
 
 class AlterRobot(CyclicRobot):
@@ -217,6 +201,10 @@ class AlterRobot(CyclicRobot):
         while not self._closing:
             try:
                 data = self._line.read(self._line.in_waiting or 1)
+                if self._stood_still():  # what has come is of the past, and a full line has dropped what followed it
+                    while waiting := self._line.in_waiting:
+                        self._line.read(waiting)
+                    data = self._splitter.clear()
             except (serial.SerialException, OSError, TypeError):
                 self._lose("its serial port is gone")
                 return
@@ -224,7 +212,7 @@ class AlterRobot(CyclicRobot):
             self.counts.garbage_bytes = self._splitter.garbage_bytes
             for state in states:
                 self._take(state, newest=state is states[-1])
-            if self._silent():
+            if self._fallen_silent():
                 self._lose("its controller has fallen silent")
 
     def _take(self, state: StateFrame, *, newest: bool) -> None:
@@ -238,7 +226,10 @@ class AlterRobot(CyclicRobot):
             self.counts.refused += 1
             return
         cycles = 1 if self._last is None else (state.sequence - self._last.sequence) % SEQUENCES
+        unheard_s = 0.0 if self._last is None else self._unheard_s()
         self._hear(state)
+        if unheard_s > self._times.silent_s:
+            self._check_session(state)
         self._numbers += cycles
         self._hear_clock(self._clock.now_s(), self._numbers)
         if newest and not self._lost:
@@ -287,7 +278,7 @@ class AlterRobot(CyclicRobot):
     def _follows(self, state: StateFrame, last: StateFrame) -> bool:
         """Tell whether a state is newer than the last; several that are not mean a controller that started anew."""
         ahead = (state.sequence - last.sequence) % SEQUENCES
-        if 0 < ahead <= MOST_MISSED:
+        if 0 < ahead <= MOST_MISSED + round(self._unheard_s() / self.cycle_s):
             self._behind = 0
             self.counts.missed += ahead - 1
             return True
@@ -299,10 +290,19 @@ class AlterRobot(CyclicRobot):
                 self._lose("its controller, or path control on it, has started anew (the numbering went back)")
         return False
 
+    def _check_session(self, state: StateFrame) -> None:
+        """Begin anew where the controller had no answer for as long as it waits: it has ended path control by then.
+
+        A whole way that is still in force would be taken back by one from here: that session goes on.
+        """
+        if not state.corrected:
+            self._begin_anew("path control on its controller has started anew meanwhile", state.q)
+            self._nominal = state.T_base_flange
+
     def _reachable_since(self, state: StateFrame) -> bool:
         """Tell whether the arm can be where a state has it, after the last."""
         last = self._last
-        return last is None or self._possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES)
+        return last is None or possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES, self.cycle_s)
 
     def _hear(self, state: StateFrame) -> None:
         self.counts.late = (state.n_late - self._first_late) % SEQUENCES

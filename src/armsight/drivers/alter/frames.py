@@ -50,12 +50,34 @@ class StateFrame:
     corrected: bool
 
 
+@dataclass(slots=True)
+class AlterCounts:
+    """Frames since the link was opened.
+
+    heard: good ones. missed: numbers that never came. repeated: with a number that was there, or an older one.
+    refused: whole, with values that cannot be. late: answers that the controller counted as late. garbage_bytes:
+    that belong to no frame.
+    """
+
+    heard: int = 0
+    missed: int = 0
+    repeated: int = 0
+    refused: int = 0
+    late: int = 0
+    garbage_bytes: int = 0
+
+
 class FrameSplitter:
     """Finds state frames in what comes over the line; what is none is counted and left out."""
 
     def __init__(self) -> None:
         self._rest = b""
         self.garbage_bytes = 0
+
+    def clear(self) -> bytes:
+        """Forget what has come of a frame; return that nothing has."""
+        self._rest = b""
+        return self._rest
 
     def feed(self, data: bytes) -> list[StateFrame]:
         """Return the frames that data completes, in their order."""

@@ -13,8 +13,8 @@ from armsight.clock import Clock
 from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
 from armsight.drivers.goals import GivenGoals
-from armsight.drivers.link_settings import Positive
-from armsight.drivers.udp import Sender, UdpRobot, UdpSettings
+from armsight.drivers.link_settings import Positive, UdpSettings
+from armsight.drivers.udp import Sender, UdpRobot
 from armsight.units import MS
 
 Array = NDArray[np.float64]
@@ -60,6 +60,11 @@ class EgmRobot(UdpRobot[ControllerPacket]):
 
     def _cycles_between(self, last: ControllerPacket, state: ControllerPacket) -> int:
         return state.sequence - last.sequence
+
+    def _check_session(self, state: ControllerPacket, last: ControllerPacket) -> None:
+        """Begin anew where the controller had no answer for its CommTimeout: it has ended the guidance by then."""
+        if self._unheard_s() > self._times.silent_s:
+            self._begin_anew("EGM on its controller has started anew meanwhile", state.q)
 
     def _stamp(self, state: ControllerPacket) -> tuple[float, int]:
         return state.tm_ms * MS, state.sequence

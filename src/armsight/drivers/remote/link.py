@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
+from armsight.clock import StandStill, monotonic_s
 from armsight.drivers.remote import protocol as say
 from armsight.drivers.remote.wire import Answer, ServerAddress, Wire
 from armsight.errors import ArmsightError, DeviceFailed
@@ -134,15 +134,18 @@ class Heart:
     """Sends heartbeats from a thread of its own while the program that drives is alive.
 
     Motion stays enabled only while the program calls beat or touch at least every quiet_s of time_s: a program that
-    hangs stops enabling, though this thread runs on.
+    hangs stops enabling, though this thread runs on. Where all of the program stood still what it enabled before counts
+    no more: it has to enable anew.
     """
 
-    def __init__(self, link: Link, *, quiet_s: float = 1.0, time_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, link: Link, *, quiet_s: float = 1.0, time_s: Callable[[], float] = monotonic_s) -> None:
         self._link = link
         self._quiet_s = quiet_s
         self._time_s = time_s
         self._touched_s = time_s()
         self._enable = False
+        self._stood_s = 0.0
+        self._turns, self._turning = StandStill(0.0), threading.Lock()
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -153,13 +156,25 @@ class Heart:
 
     def touch(self) -> None:
         """The program is alive."""
+        self._turn()
         self._touched_s = self._time_s()
 
-    def beat(self, enable: bool) -> None:
-        """Set whether motion is allowed, and tell the server now. Raises as Link.ask."""
-        self._enable = enable
+    def check(self) -> None:
+        """Raise DeviceFailed where the program stood still since it enabled motion."""
         self.touch()
-        self._link.beat(enable=enable, waits=True)
+        if self._stood_s:
+            raise DeviceFailed(
+                f"this program stood still for {self._stood_s:.2f} s, which ended its enable",
+                consequence="Nothing was sent",
+                cure="Enable motion anew; longer work beside a motion belongs into another process",
+            )
+
+    def beat(self, enable: bool | None = None) -> None:
+        """Tell the server now that the program lives, and set whether motion is allowed. Raises as Link.ask."""
+        self.touch()
+        if enable is not None:
+            self._enable, self._stood_s = enable, 0.0
+        self._link.beat(enable=self._enable, waits=True)
 
     def end(self) -> None:
         """Beat no more; legal always."""
@@ -168,9 +183,17 @@ class Heart:
             self._thread.join()
         self._thread = None
 
+    def _turn(self) -> None:
+        """Note a turn of the program, by whichever thread; an enable from before a stand-still is let go of."""
+        with self._turning:
+            stood_s = self._turns.turn(self._time_s())
+            if stood_s and self._enable:
+                self._enable, self._stood_s = False, stood_s
+
     def _run(self) -> None:
         pause_s = self._link.welcome.heartbeat_s / BEATS
         while not self._over.wait(pause_s):
+            self._turn()
             alive = self._time_s() - self._touched_s <= self._quiet_s
             try:
                 self._link.beat(enable=self._enable and alive, waits=False)

@@ -107,7 +107,7 @@ class RemoteRobot:
 
     def heartbeat(self) -> None:
         """Tell the server now that this program lives, besides what its thread tells. Raises DeviceLost."""
-        self._alive("be enabled")[1].beat(enable=True)
+        self._alive("be enabled")[1].beat()
 
     def read(self) -> JointReading:
         """Return the newest reading, its time on this program's clock.
@@ -186,7 +186,7 @@ class RemoteRobot:
 
     def _command(self, make: Any, **fields: Any) -> Sent:
         link, heart = self._alive("move")
-        heart.touch()
+        heart.check()
         answer = link.ask(make, **fields)
         if not isinstance(answer, say.Accepted) or answer.q is None:
             raise DeviceFailed(f"{self.name} did not say where it goes", consequence="It is not known what it was sent")

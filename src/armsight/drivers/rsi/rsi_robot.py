@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
 from armsight.drivers.goals import between
-from armsight.drivers.link_settings import Positive
+from armsight.drivers.link_settings import Positive, UdpSettings
 from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correction, parse, read_tags
-from armsight.drivers.udp import Sender, UdpRobot, UdpSettings
+from armsight.drivers.udp import NEW_SESSION_CYCLES, Sender, UdpRobot
 from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
 
@@ -80,6 +80,7 @@ class RsiRobot(UdpRobot[RobMessage]):
 
     def _begin(self) -> None:
         self._refusal = ""
+        self._set_point_tells = False  # that joints are away from their set point by the correction in force
         self._obeyed = False
         self._first_late: int | None = None
         self._late_when_answered: int | None = None
@@ -126,7 +127,7 @@ class RsiRobot(UdpRobot[RobMessage]):
         if gap < self.settings.late_limit:
             self._refusal = f"{self.name} is in the middle of an RSI session that was left"
             return False
-        if message.q_set is not None and float(np.abs(message.q - message.q_set).max()) > CORRECTED_RAD:
+        if _uncorrected(message) is False:
             self._refusal = f"{self.name} stands away from its set point, under another program's correction"
             return False
         self._start_q, self._start_pose = message.q, message.T_base_flange
@@ -138,17 +139,27 @@ class RsiRobot(UdpRobot[RobMessage]):
         self._obeyed = self._obeyed or (late is not None and late < 1)
         return late is None or late < 1
 
-    def _check_session(self, state: RobMessage) -> None:
-        """Lose a link whose session may be new: a session of before has counted all cycles since as late.
+    def _check_session(self, state: RobMessage, last: RobMessage) -> None:
+        """Begin anew where a state is of another session.
 
-        In a new one the correction of before would pull the arm. Where none is in force, that is where it begins.
+        A session that goes on has counted all cycles since as late, and the joints are away from their set point by
+        the correction. In a new one the correction of before would pull the arm, and none would where it is in force
+        still: where it cannot be told, the link is lost, and nothing is sent.
         """
-        late = self._late_since(state)
-        if late is not None and late >= 0:
+        corrects = self._corrects()
+        gone = corrects and self._set_point_tells and _uncorrected(state) is True
+        restarted = state.n_late is not None and last.n_late is not None and state.n_late < last.n_late
+        if not restarted:
+            late = self._late_since(state)
+            counted = late is not None and late >= 0
+            if self._unheard_s() <= NEW_SESSION_CYCLES * self.cycle_s or (counted and not gone):
+                return
+        why = "RSI on its controller has started anew"
+        if corrects and not gone:
+            self._lose(f"{why}, or may have")
             return
-        if self._corrects():
-            self._lose("RSI on its controller may have started anew meanwhile")
-            return
+        if restarted or gone:
+            self._stop_moved(why)
         self._start_q, self._start_pose = state.q, state.T_base_flange
         self._rebase(state.q)
 
@@ -172,6 +183,7 @@ class RsiRobot(UdpRobot[RobMessage]):
         if state.n_late is not None:
             self._first_late = state.n_late if self._first_late is None else self._first_late
             self.counts.late = max(0, state.n_late - self._first_late)
+        self._set_point_tells |= self._corrects() and _uncorrected(state) is False
 
     def _hear_old(self, state: RobMessage, newest: RobMessage, sender: Sender) -> None:
         """Answer the same once more as before, for a controller that waits.
@@ -193,3 +205,8 @@ class RsiRobot(UdpRobot[RobMessage]):
 
     def _answered(self, state: RobMessage) -> None:
         self._answered_ipoc, self._late_when_answered = state.ipoc, state.n_late
+
+
+def _uncorrected(message: RobMessage) -> bool | None:
+    """Tell whether the joints are at their set point, so that no correction is in force; None where it is not told."""
+    return None if message.q_set is None else float(np.abs(message.q - message.q_set).max()) <= CORRECTED_RAD

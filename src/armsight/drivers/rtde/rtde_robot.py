@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import LARGEST_RAD, CyclicRobot, LinkTimes
+from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.drivers.lock import DeviceLock
+from armsight.drivers.pace import LinkTimes
+from armsight.drivers.readings import LARGEST_RAD
 from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent
@@ -153,9 +155,10 @@ class RtdeRobot(CyclicRobot):
         while not self._closing and not self._lost:
             try:
                 state = self._worker.receive(self.cycle_s)
+                self._stood_still()  # the program on the controller, kept going by ur-rtde's process, has held the goal
                 if state is not None:
                     self._take(state)
-                elif self._silent():
+                elif self._fallen_silent():
                     raise DeviceLost("its controller has fallen silent")
             except (DeviceLost, Inconsistent) as error:
                 self._lose(error.cause)

@@ -117,7 +117,8 @@ def keep_going(link: socket.socket, receiver: Any, controller: Any, cycle_s: flo
         last_s = stamp_s
         q = [*receiver.getActualQ(), *receiver.getTargetQ()]
         runtime, safety = int(receiver.getRuntimeState()), int(receiver.getSafetyStatusBits())
-        link.sendall(STATE.pack(stamp_s, *q, runtime, safety))
+        if select.select([], [link], [], 0.0)[1]:  # a driver that stands still takes none: its goal is held meanwhile
+            link.sendall(STATE.pack(stamp_s, *q, runtime, safety))
         select.select([link], [], [], WAIT_SHARE * cycle_s)
         goal = newest(link, goal)
         if goal is not None and not all(map(math.isfinite, goal)):
