@@ -138,6 +138,8 @@ class Cell:
         self.lie: Lie | None = None
         self.log = Log()
 
+    status = PoseStatus.OK
+
     @property
     def t_s(self) -> float:
         return self.n * CYCLE_S
@@ -184,7 +186,7 @@ class Cell:
         else:
             pose = TargetPose(
                 t_s=t_s,
-                status=PoseStatus.OK,
+                status=self.status,
                 parent="rig",
                 spots=("A", "B", "C"),
                 T_parent_target=shown,
@@ -451,17 +453,17 @@ def judged(lied: Log, honest: Log) -> Verdict:
     stood = np.linalg.norm(at[:-1, :3, 3] - other[1:, :3, 3], axis=1)
     turned, kept = _angles(at[1:], other[1:]), _angles(at[:-1], other[1:])
     still = float(np.linalg.norm(at[-1, :3, 3] - at[-20, :3, 3])) < 5e-4
-    away_m, way_m = _harm(apart, stood)
+    away_m, way_m = harm(apart, stood)
     return Verdict(
         away_m=away_m,
         way_m=way_m,
-        turn_rad=_harm(turned, kept)[1],
+        turn_rad=harm(turned, kept)[1],
         stopped=still and lied.states[-1] is not GuardState.RUNNING,
         why=lied.why[-1],
     )
 
 
-def _harm(apart: Array, stood: Array) -> tuple[float, float]:
+def harm(apart: Array, stood: Array) -> tuple[float, float]:
     """Return the most and the sum of all ways away: of distances with each step, and had it not been made."""
     away = most = total = 0.0
     for now, before in zip(apart, stood, strict=True):

@@ -17,7 +17,7 @@ from armsight.control.servo.premise import PremiseWatch
 sys.path.insert(0, str(Path(__file__).parent))
 import servo_lies as scene
 
-BOUND_M = 0.03
+BOUND_M, WITHOUT_M = 0.02, 0.025
 
 
 def way_m(name: str, seed: int, after_s: float) -> float:
@@ -38,7 +38,7 @@ def way_m(name: str, seed: int, after_s: float) -> float:
 def test_a_lie_is_harmless_and_without_its_rule_it_is_not(monkeypatch, name, seed, after_s, rule):
     assert way_m(name, seed, after_s) < BOUND_M
     monkeypatch.setattr(*rule, lambda *_, **__: None)
-    assert way_m(name, seed, after_s) > BOUND_M
+    assert way_m(name, seed, after_s) > WITHOUT_M
 
 
 @pytest.mark.parametrize("seed", [22, 5])

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.correlation import regions
+from armsight.calibrate.timing.sampling import sampling_times
 from armsight.errors import Ambiguous, Inconsistent
 from armsight.kinematics import Arm, dh_arm, fk, preset
 from armsight.records import PoseStatus, TargetPose
@@ -19,7 +20,6 @@ from armsight.verify import Align, Kind, Measured, Reported, Verification, verif
 from armsight.verify.alignment import align
 from armsight.verify.evidence import Linear, fit_linear, jackknife_std
 from armsight.verify.model import Mounts
-from armsight.verify.pairing import sampling_times
 from refusals import refuses
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "ur10_tmac"

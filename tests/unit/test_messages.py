@@ -105,7 +105,11 @@ MESSAGES: dict[type[errors.ArmsightError], tuple[Callable[[], object], Sequence[
     ),
     errors.NotEnoughData: (
         lambda: tracks.parse_times(b"t_s\n", "times.csv"),
-        ("times.csv: no row below the header.", "There is nothing to do."),
+        (
+            "times.csv: no row below the header.",
+            "There is nothing to do.",
+            "Check that the recording ran, and that the file was copied whole.",
+        ),
     ),
     errors.Degenerate: (
         lambda: align_points(ON_A_LINE, ON_A_LINE),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -82,7 +82,8 @@ def join(job: JoinJob) -> JoinOutput:
             consequence="Nothing is written",
             cure="Check that both files are of one run" if not job.still else "Leave --still away, or let the arm rest",
         )
-    _write(job, arm, paired, rows, inside, _covariances(file, paired, rows))
+    table = _Joined(paired=paired, rows=rows, reported=reported, covariance=_covariances(file, paired, rows))
+    _write(job, arm, table, inside)
     return _output(job, file, paired, len(rows))
 
 
@@ -115,7 +116,7 @@ def _reported(job: JoinJob, arm: Arm | None) -> Reported:
     if found.q is None or found.q.shape[1] != arm.n:
         count = 0 if found.q is None else found.q.shape[1]
         raise UsageError(f"{job.joints} has {count} joints, {arm.name} has {arm.n}", cure="Give the log of this arm")
-    return found if arm.direct else replace(found, q=arm.values(found.q))
+    return found.values_of(arm)
 
 
 def _inverse(measured: Measured) -> Measured:
@@ -150,15 +151,19 @@ def _covariances(file: MeasuredFile, paired: Paired, rows: list[NDArray[np.intp]
     return np.array([(own[g] - shared[g]).mean(axis=0) / len(g) + shared[g].mean(axis=0) for g in rows])
 
 
-def _write(
-    job: JoinJob,
-    arm: Arm | None,
-    paired: Paired,
-    rows: list[NDArray[np.intp]],
-    inside: bool,
-    covariance: Array | None,
-) -> None:
-    """Write the file asked for: one row for each group of rows, their mean; covariance (k, 6, 6) of these."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Joined:
+    """Rows that belong together, the groups of them that make one row, the log, and the covariance (k, 6, 6)."""
+
+    paired: Paired
+    rows: list[NDArray[np.intp]]
+    reported: Reported
+    covariance: Array | None
+
+
+def _write(job: JoinJob, arm: Arm | None, table: _Joined, inside: bool) -> None:
+    """Write the file asked for: one row for each group of rows, their mean."""
+    paired, rows, covariance = table.paired, table.rows, table.covariance
     measured = _inverse(paired.measured) if inside else paired.measured
     xyz = np.array([measured.xyz_m[group].mean(axis=0) for group in rows])
     turned = measured.rotation
@@ -172,11 +177,12 @@ def _write(
     if paired.q is None or arm is None:
         raise UsageError(f"{job.kind} need joint readings")
     q = arm.readings(np.array([paired.q[group].mean(axis=0) for group in rows]))
+    at_s = None if paired.at_s is None else np.array([paired.at_s[group].mean() for group in rows])
+    q = q if at_s is None else table.reported.in_their_turn(q, at_s)
     names, columns = [*(f"q{i + 1}" for i in range(q.shape[1])), *POSITION], [q, xyz]
     if R is not None and job.kind == "points":
         names, columns = [*names, *QUATERNION], [*columns, R.as_quat(canonical=True)]
-    if paired.at_s is not None and job.kind == "points":  # calibrate arm takes neighbours in time as what they are
-        at_s = np.array([paired.at_s[group].mean() for group in rows])
+    if at_s is not None and job.kind == "points":  # calibrate arm takes neighbours in time as what they are
         names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
     if covariance is not None:
         C = covariance[:, :3, :3]
@@ -185,8 +191,8 @@ def _write(
     labels = [measured.point[group[0]] for group in rows]
     named = any(labels)
     lines = [",".join([*names, *(["point"] if named else [])])]
-    table = np.concatenate(columns, axis=1)
-    lines += [f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(table, labels, strict=True)]
+    values = np.concatenate(columns, axis=1)
+    lines += [f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(values, labels, strict=True)]
     write_text(job.out, "\n".join(lines) + "\n")
 
 

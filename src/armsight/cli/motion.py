@@ -216,6 +216,8 @@ def play(face: CommandUI, job: requests.motion.PlayJob, yes: Yes = False) -> Non
         done = run_play(job, face.moves(yes=yes), PlayLine(face).show, face.progress("playing"), begun=begun)
         play_tables(face, done)
         face.result(done)
+        if done.wrong_premise is not None:
+            raise ResultsDoubted
 
 
 def play_keys(source: PathSource) -> dict[str, Callable[[], None]]:

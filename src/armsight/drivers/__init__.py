@@ -4,13 +4,13 @@ from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSett
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
+from armsight.drivers.opening import is_live, is_video, open_pairs, open_source, open_split
 from armsight.drivers.pace import Pace, Paced
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
 from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent
 from armsight.drivers.registry import CAMERAS, CELLS, METHODS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
-from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, ordered_map
+from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, frame_period_s, ordered_map
 from armsight.records.result_parts import Skew
 
 __all__ = [
@@ -53,7 +53,9 @@ __all__ = [
     "check_forward",
     "cores",
     "folder",
+    "frame_period_s",
     "is_live",
+    "is_video",
     "known",
     "list_images",
     "load",

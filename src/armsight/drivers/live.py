@@ -276,6 +276,11 @@ class LivePairs:
         return None
 
     @property
+    def n_dropped(self) -> int:
+        """Frames so far that had no partner."""
+        return self._n_dropped
+
+    @property
     def skew(self) -> Skew | None:
         """Right minus left over the pairs so far; None before the first."""
         if not self._n_pairs:

@@ -26,6 +26,11 @@ def is_live(text: str) -> bool:
     return text.startswith(CAMERA)
 
 
+def is_video(text: str) -> bool:
+    """Tell whether the text names a video file."""
+    return Path(text).suffix.lower() in VIDEO_SUFFIXES and not Path(text).is_dir()
+
+
 def open_source(
     text: str,
     *,
@@ -58,7 +63,7 @@ def open_source(
             f"{text} is a recording, and only frames of cameras, images and videos are taken here",
             cure="Turn it into images first: armsight convert recording",
         )
-    if suffix in VIDEO_SUFFIXES and not Path(text).is_dir():
+    if is_video(text):
         reading.require_none(text)
         return VideoFile(text, colour=colour, fps=fps, times_s=times_s)
     return ImageFolder(text, colour=colour, fps=fps or FPS, times_s=times_s, reading=reading)

@@ -6,7 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import repeat
+from itertools import chain, islice, repeat
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
@@ -80,6 +80,10 @@ HEADER_TOLERANCE = 0.02
 is taken as broken off."""
 
 
+FIRST = 5
+"""Frames that tell whether a video has time stamps at all: some begin with two alike."""
+
+
 class Capture(Protocol):
     """The part of cv2.VideoCapture that is used, so that tests can put their own in its place."""
 
@@ -93,6 +97,10 @@ class Capture(Protocol):
 
     def get(self, key: int, /) -> float:
         """Return a property."""
+        ...
+
+    def set(self, key: int, value: float, /) -> bool:
+        """Set a property."""
         ...
 
     def release(self) -> None:
@@ -109,7 +117,17 @@ def open_video(path: str) -> Capture:
             cure="Rename it, and the folders that it is in",
         )
     capture: Capture = cv2.VideoCapture(path)
+    # a camera is calibrated as its sensor sees, and OpenCV turns by what the file says of the player's screen
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture
+
+
+def frame_period_s(path: str) -> float:
+    """Return the time from frame to frame that a video's header states, FPS' where it states none. Raises BadFile."""
+    capture = open_video(path)
+    rate = capture.get(cv2.CAP_PROP_FPS)
+    capture.release()
+    return 1.0 / (rate if np.isfinite(rate) and rate > 0.0 else FPS)
 
 
 class ImageFolder:
@@ -205,8 +223,9 @@ class ImageFolder:
 class VideoFile:
     """The frames of a video file, decoded ahead in a thread of its own.
 
-    Time stamps are times_s where given, else the file's where they increase, else index / fps (the file's rate, or
-    the given one). Raises BadImage where the file breaks off before the length its header states.
+    Time stamps are times_s where given, else the file's where it has any, else index / fps (the file's rate, or the
+    given one). A frame whose stamp does not increase has no time, and comes as one that cannot be read. Raises BadImage
+    where the file breaks off before the length its header states.
     """
 
     def __init__(
@@ -261,20 +280,24 @@ class VideoFile:
         if capture is None:
             return
         rate = capture.get(cv2.CAP_PROP_FPS)
-        fps = self._fps or (rate if np.isfinite(rate) and rate > 0.0 else FPS)
-        stamped = self._fps is None
-        sequence, last_s = 0, -np.inf
-        while True:
-            good, image = capture.read()
-            if not good or image is None:
-                break
-            stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-            stamped = stamped and stamp_s > last_s
+        rate = rate if np.isfinite(rate) and rate > 0.0 else FPS
+        fps = self._fps or rate
+        read = _stamped_images(capture, rate)
+        first = list(islice(read, FIRST))
+        stamps = [stamp_s for stamp_s, _ in first]
+        stamped = self._fps is None and self._times_s is None and stamps[-1:] > stamps[:1]
+        sequence, last_s, end_s = 0, -np.inf, 0.0
+        for stamp_s, image in chain(first, read):
+            why, end_s = "", max(end_s, stamp_s, 0.0 if stamps[-1:] > stamps[:1] else sequence / rate)
+            if stamped and stamp_s <= last_s:
+                why = f"its time stamp of {stamp_s:.6f} s is none: the frame before it has {last_s:.6f} s"
+                stamp_s = float(np.nextafter(last_s, np.inf))
             last_s = stamp_s
             t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
-            yield Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=f"{self.name}:{sequence}")
+            source = f"{self.name}:{sequence}"
+            yield Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=source, unreadable=why)
             sequence += 1
-        self._check_end(sequence)
+        self._check_end(sequence, end_s, self._said / rate)
 
     def _time_s(self, sequence: int, else_s: float) -> float:
         if self._times_s is None:
@@ -290,15 +313,33 @@ class VideoFile:
             return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         return image
 
-    def _check_end(self, count: int) -> None:
+    def _check_end(self, count: int, last_s: float, length_s: float) -> None:
         if self._times_s is not None and count < len(self._times_s):
             raise wrong_times(self._times_s, self.name, count)
-        if count < self._said - max(2, HEADER_TOLERANCE * self._said):
+        # of a rate that varies the header's count is the length times a mean rate: what is missing is missing in time
+        tolerance = max(2.0, HEADER_TOLERANCE * self._said)
+        if count < self._said - tolerance and last_s < length_s * (1.0 - tolerance / self._said):
             raise BadImage(
                 f"the video {self.name} ends after {count} frames, its header states {self._said}",
                 consequence="The frames behind that are lost; those before it were read",
                 cure="Copy the file again from where it was recorded",
             )
+
+
+def _stamped_images(capture: Capture, fps: float) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Yield the images of a video with their stamps in s, on the container's own clock.
+
+    OpenCV counts milliseconds from the first frame, and tells where that stands in frames (from 4.11 on).
+    """
+    began_s = None
+    while True:
+        good, image = capture.read()
+        if not good or image is None:
+            return
+        if began_s is None:
+            first = capture.get(getattr(cv2, "CAP_PROP_PTS", -1))
+            began_s = first / fps if np.isfinite(first) and first > 0.0 else 0.0
+        yield began_s + capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, image
 
 
 def wrong_times(times_s: Sequence[float], name: str, count: int) -> Inconsistent:

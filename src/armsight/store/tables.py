@@ -21,6 +21,9 @@ from armsight.store.atomic import read_bytes
 MAX_BYTES = 1_000_000_000
 """A quarter of an hour of poses at 1 kHz has 0.9 GB."""
 
+MOST_ROWS = 2_000_000
+"""Half an hour at 1 kHz. Measured: 0.7 GB of memory for a million rows of four columns."""
+
 Array = NDArray[np.float64]
 
 NO_NUMBER = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "missing", "-", "--", "---"))
@@ -134,7 +137,7 @@ def parse_table(
                 cure="Give every row one cell per column",
             )
     if need_rows and not body:
-        raise NotEnoughData(f"{where}: no row below the header", consequence="There is nothing to do")
+        raise no_rows(where)
     columns = list(zip(*body, strict=True)) if body else [() for _ in header]
     numbers, words = {}, {}
     for name, cells in zip(header, columns, strict=True):
@@ -146,17 +149,28 @@ def parse_table(
     return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
 
 
-def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows that are not empty, each with its line. Raises BadFile."""
+def decoded(data: bytes, where: str) -> str:
+    """Return the text of a table, UTF-8 with or without mark. Raises BadFile for others, and above MOST_ROWS."""
+    rows = data.count(b"\n")
+    if rows > MOST_ROWS:
+        raise BadFile(
+            f"{where}: {rows:,} lines, at most {MOST_ROWS:,} are read",
+            consequence="They would take more memory than most machines have",
+            cure="Give a part of the file, or every tenth row: what is fitted wants minutes of motion, not hours",
+        )
     try:
-        content = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(
             f"{where}: byte {error.start} is not UTF-8 text",
             consequence="The file cannot be read",
             cure="Save it as CSV in UTF-8, or check that it is not a binary file",
         ) from error
-    reader = csv.reader(io.StringIO(content, newline=""), strict=True)
+
+
+def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows that are not empty, each with its line. Raises BadFile."""
+    reader = csv.reader(io.StringIO(decoded(data, where), newline=""), strict=True)
     try:
         for row in reader:
             if any(_swallows_rows(cell, len(row)) for cell in row):
@@ -169,6 +183,15 @@ def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
                 yield reader.line_num, row
     except csv.Error as error:
         raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+
+
+def no_rows(where: str) -> NotEnoughData:
+    """Return the refusal of a table that is a header alone."""
+    return NotEnoughData(
+        f"{where}: no row below the header",
+        consequence="There is nothing to do",
+        cure="Check that the recording ran, and that the file was copied whole",
+    )
 
 
 def _swallows_rows(cell: str, columns: int) -> bool:
@@ -198,7 +221,11 @@ def _check_header(
         )
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
-        raise BadFile(f"{where}: the column {twice[0][:40]!r} stands twice", consequence="The file is not used")
+        raise BadFile(
+            f"{where}: the column {twice[0][:40]!r} stands twice",
+            consequence="Nobody knows which of them is meant",
+            cure="Rename one of them, or take it out",
+        )
     known = [*required, *optional]
     for name in header:
         if name not in known and not _in_series(name, series):

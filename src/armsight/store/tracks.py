@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.timing.sampling import without_seams
 from armsight.clock import Clock
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
@@ -325,8 +326,9 @@ def parse_joints(data: bytes, where: str, format_: TableFormat = OURS, *, measur
     table = parse_table(data, where, ("t_s", "q1"), series="q", blank=("q",) if measured else ())
     table = in_time(without_lost(table, format_.notify) if measured else table, format_.notify)
     check_joint_values(table.stacked(table.series("q")), where, format_)
+    q = table.stacked(table.series("q"))
     with named(where):
-        return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))
+        return Motion(t_s=table.numbers["t_s"], q=without_seams(q) if measured else q)
 
 
 def write_joints(path: Path, motion: Motion) -> None:

@@ -34,8 +34,8 @@ from armsight.store.covariances import (
     has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
-from armsight.store.lost import lost_rows, lost_words, without_rare_rotations
-from armsight.store.tables import Table, parse_table
+from armsight.store.lost import NOTHING_LEFT, lost_rows, lost_words, without_rare_rotations
+from armsight.store.tables import Table, no_rows, parse_table
 from armsight.verify import Measured, Repeats, Reported
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def _parse(
         need_rows=False,
     )
     if not len(table):
-        raise NotEnoughData(f"{where}: no row below the header that can be read", consequence="There is nothing to do")
+        raise no_rows(where)
     row_of_line = {line: k + 1 for k, line in enumerate(sorted({*table.lines, *torn}))}
     row = np.array([row_of_line[line] for line in table.lines], dtype=np.intp)
     notes: list[str] = []
@@ -188,7 +188,9 @@ def _measured(rows: _Rows) -> MeasuredFile:
     index, rejected, lost = _usable(rows, quat)
     if not len(index):
         raise NotEnoughData(
-            f"{table.where}: no row has a position that can be used", consequence="There is nothing to do"
+            f"{table.where}: no row has a position that can be used: {[*lost.values(), *dict(rejected).values()][0]}",
+            consequence="There is nothing to do",
+            cure=NOTHING_LEFT,
         )
     measured = Measured(
         xyz_m=table.stacked(POSITION)[index],

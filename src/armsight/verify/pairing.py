@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm.points import check_scale
-from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
+from armsight.calibrate.timing.sampling import SamplingTimes, sampling_times, without_seams
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
 from armsight.verify.alignment import Align, left_handed
@@ -23,11 +23,29 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reported:
     """What the controller says: joint values q (n, joints), or commanded poses T (n, 4, 4); t_s (n,) where stamped.
-    Rows that could not be read are NaN."""
+    Rows that could not be read are NaN. readings: (n, joints) as the log has them, where q are made of them."""
 
     q: Array | None = None
     T: Array | None = None
     t_s: Array | None = None
+    readings: Array | None = None
+
+    def values_of(self, arm: Arm) -> Reported:
+        """Return it with the joints' own values in place of the readings, which may jump by a turn in a log."""
+        if self.q is None:
+            return self
+        q = self.q if self.t_s is None else without_seams(self.q)
+        return replace(self, q=q if arm.direct else arm.values(q), readings=self.q)
+
+    def in_their_turn(self, q: Array, at_s: Array) -> Array:
+        """Return readings (m, joints) at times (m,) within the turn of the log's row nearest in time."""
+        if self.readings is None or self.t_s is None:
+            return q
+        good = np.isfinite(self.readings).all(axis=1)
+        t_s, log = self.t_s[good], self.readings[good]
+        after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+        near = log[after - (at_s - t_s[after - 1] < t_s[after] - at_s)]
+        return np.asarray(q - 2.0 * np.pi * np.round((q - near) / (2.0 * np.pi)))
 
     def __len__(self) -> int:
         return len(self.q) if self.q is not None else len(self.T) if self.T is not None else 0
@@ -125,7 +143,9 @@ def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: M
     at = clock.on_arm(times.t_s)
     there = covered(stream.t_s, at)
     doubtful = (
-        "a row of its burst was lost, and its sampling time is open" if times.bursts else "repeats the stamp before"
+        "a row of its burst was lost, and its sampling time is open"
+        if times.bursts
+        else "came at once with others: when it was sampled is not known"
     )
     rejected = [(int(row), doubtful) for row in measured.rows[~times.sure]]
     rejected += [(int(measured.rows[i]), _uncovered(stream, float(at[i]))) for i in np.flatnonzero(times.sure & ~there)]
@@ -196,97 +216,3 @@ def check_spread(measured: Measured, F: Array) -> None:
     seen = float(np.linalg.norm(measured.xyz_m - np.median(measured.xyz_m, axis=0), axis=1).mean())
     if expected > 1e-3:
         check_scale(expected, seen, "the arm moves its flange")
-
-
-# When rows were sampled, from stamps that may be those of their delivery: bursts of rows share one instant.
-
-Mask = NDArray[np.bool_]
-
-SHARED = 0.2
-"""Share of rows stamped as the row before from which the stamps are those of deliveries, not of samples."""
-WINDOW = 101
-"""Deliveries over which the sampling clock is followed where they come at no steady rate."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SamplingTimes:
-    """When rows were really sampled.
-
-    t_s (n,): when each row was sampled, growing. bursts: the stamps were those of deliveries. sure (n,): False where
-    rows of the delivery were lost, so that the others' times are open by some periods. std_s: of the sampling clock
-    behind bursts. note: what to know of it."""
-
-    t_s: Array
-    bursts: bool
-    sure: Mask
-    std_s: float = 0.0
-    note: str = ""
-
-
-def sampling_times(stamps_s: Array, what: str) -> SamplingTimes:
-    """Return when rows with these stamps (n,) were sampled; rows of one burst are spread over the time before it.
-
-    what: whose stamps, in words. Raises Inconsistent where all stamps are equal, or where they fall.
-    """
-    t = np.asarray(stamps_s, float)
-    step = np.diff(t)
-    if len(t) > 1 and not np.ptp(t) > 0.0:
-        raise Inconsistent(
-            f"all {len(t)} stamps of {what} are {t[0]:.6g} s",
-            consequence="When the rows were sampled is not known; nothing is compared by time",
-            cure="Leave t_s out of both files where rows belong together by order, or export with real stamps",
-        )
-    if (step < 0.0).any():
-        row = int(np.argmax(step < 0.0)) + 2
-        raise Inconsistent(
-            f"the time of {what} falls at row {row}, from {t[row - 2]:.6f} to {t[row - 1]:.6f} s",
-            consequence="The rows have no order; nothing is compared by time",
-            cure="Sort the rows, or split the file where the clock was set anew",
-        )
-    if np.mean(step == 0.0) < SHARED:
-        keep = np.concatenate([[True], step > 0.0])
-        return SamplingTimes(t_s=t, bursts=False, sure=keep)
-    return _spread(t, what)
-
-
-def _spread(t: Array, what: str) -> SamplingTimes:
-    """Return the times of rows in bursts: the last row of each is taken as just delivered."""
-    ends = np.flatnonzero(np.diff(np.append(t, np.inf)) > 0.0)
-    size = np.diff(np.append(-1, ends))
-    burst = np.repeat(np.arange(len(ends)), size)
-    back = ends[burst] - np.arange(len(t))  # rows until the burst's last
-    usual = int(np.median(size))
-    regular = np.mean(size >= usual - 1) > 0.9 and size.max() <= usual + 1 and usual > 1
-    if regular and len(ends) >= FEWEST_FRAMES:
-        try:
-            clock = steady(t[ends], what)
-        except Inconsistent:
-            pass
-        else:
-            period = clock.period_s / usual
-            sure = (size == usual)[burst]
-            note = f"{what} came in bursts of {usual} rows every {clock.period_s:.4g} s: taken {period:.4g} s apart"
-            times = clock.t_s[burst] - period * back
-            std = float(np.sqrt(clock.clock_covariance(clock.mid_s)[0, 0]))
-            return SamplingTimes(t_s=times, bursts=True, sure=sure, std_s=std, note=note)
-    return _followed(t, ends, burst, back, what)
-
-
-def _followed(
-    t: Array, ends: NDArray[np.intp], burst: NDArray[np.intp], back: NDArray[np.intp], what: str
-) -> SamplingTimes:
-    """Return the times of rows in bursts of any size: lines of the deliveries over the number of rows, bit by bit."""
-    number = ends.astype(float)
-    out = np.empty(len(t))
-    half = min(WINDOW, len(ends)) // 2
-    for b in range(len(ends)):
-        low = int(np.clip(b - half, 0, max(len(ends) - 2 * half - 1, 0)))
-        part = slice(low, low + 2 * half + 1)
-        slope, level = np.polyfit(number[part] - number[b], t[ends[part]], 1) if half else (0.0, t[ends[b]])
-        mine = burst == b
-        out[mine] = level - slope * back[mine]
-    out = np.maximum.accumulate(out + 1e-9 * np.arange(len(t)))
-    note = f"{what} came in bursts of uneven size: their sampling times are those of a steady clock to about a period"
-    off = t[ends] - out[ends]
-    std = float(np.std(off) / np.sqrt(max(len(ends), 1)))
-    return SamplingTimes(t_s=out, bursts=True, sure=np.ones(len(t), bool), std_s=std, note=note)

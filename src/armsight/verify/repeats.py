@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.calibrate.timing.sampling import SHARED
 from armsight.errors import Inconsistent
 from armsight.verify.body import FEWEST, Bodies, bodies_of
 from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
 from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
-from armsight.verify.pairing import SHARED
 from armsight.verify.records import Measured, Repeats
 
 Array = NDArray[np.float64]

@@ -308,13 +308,77 @@ def test_a_weave_on_the_true_arm_is_within_a_third_of_a_millimetre() -> None:
     assert source.progress.stage == "finished"
 
 
+def swung(mount: Mount, wrong: RigidTransform, late_s: float = 0.0) -> tuple[PlayWatch, float]:
+    """Return a watch of an arm that moves, whose cameras are `wrong` from where they are believed, and its way in m."""
+    camera = RigidTransform.from_components([0.2, 0.1, 0.3], Rotation.from_rotvec([0.2, 0.4, 0.1]))
+    carried = mount is Mount.EYE_IN_HAND
+    flange = RigidTransform.from_matrix(ARM.fk(Q)) * ARM.T_flange_tool.inv()
+    believed = RigidTransform.from_translation([0.0, 0.0, 0.1]) if carried else camera
+    there = RigidTransform.from_components([0.02, 0.05, 0.5], Rotation.from_rotvec([0.0, 0.2, 0.3]))
+    target = flange * believed * there if carried else flange.inv() * believed * there
+    sight = CameraPlacement(mount=mount, T_parent_camera=believed, T_parent_target=target)
+    watch, rng = PlayWatch(sight, ARM, stop_m=None, arm_lag_s=0.03, cycle_s=0.01), np.random.default_rng(3)
+
+    def joints(t_s: float) -> np.ndarray:
+        return Q + 0.02 * np.sin(max(t_s - 0.3, 0.0) * np.array([1.0, 1.5, 2.0, 2.5, 1.2, 1.8]))
+
+    def flange_at(t_s: float) -> RigidTransform:
+        return RigidTransform.from_matrix(ARM.fk(joints(t_s))) * ARM.T_flange_tool.inv()
+
+    noise = np.array([2e-5, 2e-5, 1.5e-4])
+    for k in range(200):
+        t_s = 0.01 * k
+        tip = RigidTransform.from_matrix(ARM.fk(joints(t_s)))
+        watch.cycle(
+            CycleState(t_s=t_s, cycle_s=0.01, q=joints(t_s), q_sent=Q, qd_sent=np.zeros(6), T_base_tool=tip, q_s=t_s)
+        )
+        if k < 10 or k % 3:
+            continue
+        T = flange_at(t_s - 0.02 - late_s)
+        start = flange * believed * wrong * there if carried else flange.inv() * believed * wrong * there
+        seen = ((T if carried else T.inv()) * believed * wrong).inv() * start
+        shown = RigidTransform.from_translation(noise * rng.normal(size=3)) * seen
+        watch.observe(
+            TargetPose(
+                t_s=t_s,
+                status=PoseStatus.OK,
+                parent="rig",
+                T_parent_target=shown.as_matrix(),
+                covariance=np.diag([*noise**2, 1e-6, 1e-6, 1e-6]),
+            ),
+            t_s - 0.02,
+            t_s,
+        )
+        if watch.exceeded:
+            break
+    return watch, float(np.linalg.norm((flange_at(t_s) * believed).translation - (flange * believed).translation))
+
+
+@pytest.mark.parametrize("mount", list(Mount))
+@pytest.mark.parametrize(
+    ("axis", "deg", "late_s", "cause", "word"),
+    [
+        ("z", 180.0, 0.0, "hand-eye", "180 deg about their z"),
+        ("y", 90.0, 0.0, "hand-eye", "90 deg about their y"),
+        ("x", 20.0, 0.0, "hand-eye", "deg about their"),
+        ("x", 0.0, 0.5, "pictures", ""),
+        ("x", 0.5, 0.03, None, ""),  # as good as hand-eye calibrations and --latency are
+    ],
+)
+def test_the_watch_names_what_the_targets_motion_contradicts(mount, axis, deg, late_s, cause, word) -> None:
+    watch, way_m = swung(mount, RigidTransform.from_rotation(Rotation.from_euler(axis, deg, degrees=True)), late_s)
+    assert (None if watch.wrong is None else watch.wrong.cause.value) == cause, watch.exceeded
+    assert bool(watch.exceeded) == (cause is not None) and word in watch.exceeded
+    assert way_m < 0.014 or cause is None
+
+
 @pytest.mark.parametrize("mount", list(Mount))
 def test_the_watch_compares_the_tip_with_where_it_was_told_to_be_at_the_exposure(mount: Mount) -> None:
     camera = RigidTransform.from_components([0.2, 0.1, 0.3], Rotation.from_rotvec([0.2, 0.4, 0.1]))
     target = RigidTransform.from_components([0.0, 0.05, 0.6], Rotation.from_rotvec([0.0, 0.2, 0.3]))
     tip = RigidTransform.from_translation([0.0, 0.0, 0.15])
     sight = CameraPlacement(mount=mount, T_parent_camera=camera, T_parent_target=target)
-    watch = PlayWatch(sight, tip, stop_m=0.002, arm_lag_s=0.03, cycle_s=0.01)
+    watch = PlayWatch(sight, replace(ARM, T_flange_tool=tip), stop_m=0.002, arm_lag_s=0.03, cycle_s=0.01)
     start = RigidTransform.from_components([0.5, 0.0, 0.4], Rotation.from_rotvec([3.0, 0.1, 0.0]))
     velocity = np.array([0.05, 0.0, 0.0])
 

@@ -21,7 +21,7 @@ def rigs(n: int) -> list[np.ndarray]:
         s = max(k - 10, 0) * FRAME_S
         T = np.eye(4)
         T[:3, 3] = 0.02 * np.sin([1.9 * s, 1.3 * s, 2.3 * s])
-        T[:3, :3] = Rotation.from_rotvec(0.03 * np.sin([1.5 * s, 2.1 * s, 1.1 * s])).as_matrix()
+        T[:3, :3] = Rotation.from_rotvec(0.06 * np.sin([1.5 * s, 2.1 * s, 1.1 * s])).as_matrix()
         out.append(T)
     return out
 

@@ -19,6 +19,7 @@ from armsight.app.requests.identify import IdentifyJob
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound, placed_by
+from armsight.drivers import is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.measure.poses.beacon import without_standing
@@ -153,10 +154,12 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
     wanted = set(frames.tolist())
     spots: list[tuple[int, Spots, Spots]] = []
     with open_pairs(job.left, job.right, colour=target.colour is not None) as pairs:
-        for number, (left, right) in enumerate(pairs):
+        for count, (left, right) in enumerate(pairs):
+            # by time a frame without partner leaves no pair, and the next one keeps its number
+            number = left.sequence if is_video(job.left) else count
             if progress.cancelled():
                 raise Cancelled("the frames were not read to the end", consequence="Nothing was written")
-            progress.update(number + 1, max(wanted) + 1, "looking for the beacon")
+            progress.update(count + 1, max(wanted) + 1, "looking for the beacon")
             if number in wanted:
                 check_sizes(setup.rig, left, right)
                 at_left, at_right = (find_spots(frame.image, setup.settings) for frame in (left, right))

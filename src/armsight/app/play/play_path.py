@@ -70,6 +70,10 @@ class PlayOutput(Output):
     late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
     missed: Annotated[int, Doc("Cycles that never began.")]
     stopped_by: Annotated[str, Doc("Why it ended: end (of the path), operator, or in words what stopped it.")]
+    wrong_premise: Annotated[
+        str | None,
+        Doc("What the target's motion contradicts: hand-eye, rig, target, pictures or robot; null: nothing."),
+    ]
     finished: Annotated[bool, Doc("Whether the path was run to its end.")]
     share: Annotated[float, Doc("Share of the path that was run, 0 to 1.")]
     length_m: Annotated[float, Doc("Length of the path along its seam, m.")]
@@ -168,6 +172,7 @@ def play_output(
         late=timing.late,
         missed=timing.missed,
         stopped_by=tally.stopped_by(),
+        wrong_premise=None if watch is None or watch.wrong is None else watch.wrong.cause.value,
         finished=tally.finished,
         share=source.progress.share,
         length_m=plan.length_m,
@@ -266,7 +271,7 @@ class PlaySession:
             return None
         watch = PlayWatch(
             monitor.sight,
-            guard.arm.T_flange_tool,
+            guard.arm,
             stop_m=self._job.stop_m,
             arm_lag_s=LAG_CYCLES * guard.cycle_s,
             cycle_s=guard.cycle_s,

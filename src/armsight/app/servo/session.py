@@ -19,7 +19,7 @@ from armsight.app.servo.vision import Beside, Vision, VisionThread, probe
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, TargetState
 from armsight.control.loop import ControlLoop
-from armsight.control.servo import Gain, ServoSettings, ServoSource, chosen_gain
+from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, chosen_gain
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot, RobotTraits
@@ -332,12 +332,20 @@ def check_arm(robot: Robot, arm: Arm) -> None:
         )
 
 
+NOT_SEEN = (
+    " Note: cameras beside the robot do not see the arm, and a wrong hand-eye calibration does not show: the tool "
+    "would go to a wrong place, within the guard's limits."
+)
+
+
 def question(robot: Robot, guard: Guard, gain: Gain, source: ServoSource) -> str:
     """Return what is asked before the arm follows."""
     limits, mount = guard.limits, source.settings.mount
     noted = f" Note: {gain.note}." if gain.note else ""
+    blind = "" if mount is Mount.EYE_IN_HAND else NOT_SEEN
     return (
         f"{robot.name} follows the target with gain {gain.used:.3g} 1/s ({mount}, delay "
         f"{(gain.n_delay * gain.cycle_s) / MS:.0f} ms, arm's lag taken as {source.arm_lag_s / MS:.0f} ms), at up to "
-        f"{limits.speed_m_s / MM:.0f} mm/s and {limits.turn_rad_s / DEG:.0f} deg/s.{noted} It may start at once. Move?"
+        f"{limits.speed_m_s / MM:.0f} mm/s and {limits.turn_rad_s / DEG:.0f} deg/s."
+        f"{noted}{blind} It may start at once. Move?"
     )

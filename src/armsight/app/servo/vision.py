@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import threading
 import time
+import zlib
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -34,6 +36,8 @@ JOIN_S = 2.0
 """How long the end of the thread is waited for."""
 NOISY_SHARE = 0.05
 """Share of an image's pixels that differ from one picture to the next where a sensor's noise is in them."""
+SHOWN = 200
+"""Pictures that are remembered: one of them that comes again shows nothing of now."""
 PROBED = 15
 """Pairs of which the cameras' delay is measured before anything moves."""
 PROBED_S = 5.0
@@ -69,6 +73,7 @@ class Vision:
         self._sink = sink
         self._tracker = TargetTracker(setup)
         self._last: tuple[Frame, Frame] | None = None
+        self._shown: tuple[deque[int], deque[int]] = (deque(maxlen=SHOWN), deque(maxlen=SHOWN))
         self._noisy = False
         self._ahead_s = math.inf  # the clock's time at the cameras' zero
 
@@ -97,17 +102,22 @@ class Vision:
         return self._ahead_s
 
     def _stands(self, pair: tuple[Frame, Frame]) -> bool:
-        """Tell whether a camera sent its last picture again. A sensor's noise never repeats; rendered pictures may."""
+        """Tell whether a camera sends one of its last pictures again. A sensor's noise never repeats; rendered pictures
+        may."""
         last, self._last = self._last, pair
         if last is None or any(a.image.shape != b.image.shape for a, b in zip(last, pair, strict=True)):
             return False
         changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in zip(last, pair, strict=True)]
         self._noisy = self._noisy or min(changed) > NOISY_SHARE
-        return self._noisy and any(np.array_equal(a.image, b.image) for a, b in zip(last, pair, strict=True))
+        marks = [zlib.crc32(frame.image[::8, ::8].tobytes()) for frame in pair]
+        again = [mark in shown for mark, shown in zip(marks, self._shown, strict=True)]
+        for mark, shown in zip(marks, self._shown, strict=True):
+            shown.append(mark)
+        return self._noisy and any(again)
 
     def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
         if self._stands(pair):
-            return lost_pair(pair, "a camera sends the same picture again")
+            return lost_pair(pair, "a camera sends one of its last pictures again")
         return self._tracker.take(*pair)
 
 

@@ -31,7 +31,10 @@ from armsight.drivers import (
     PairSource,
     Skew,
     SplitImages,
+    VideoFile,
     by_side,
+    frame_period_s,
+    is_video,
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
@@ -109,7 +112,7 @@ class RecordedFrames:
 
 
 class RecordedPairs:
-    """Pairs of one recording or bag or of two, matched by time."""
+    """Pairs of one recording or bag, or of two of them or two videos, matched by time."""
 
     def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
         self._left = left
@@ -145,11 +148,19 @@ class RecordedPairs:
         try:
             yield from self._pairs
         except DeviceFailed as error:  # the rule is that of live cameras, the cause is in the file
-            raise Inconsistent(
-                error.cause,
-                consequence="Nobody can say which frames were taken together",
-                cure="Check that both cameras were recorded on one clock, or allow more with --max-skew",
-            ) from error
+            raise _apart(error.cause) from error
+        if self._pairs.skew is None and self._pairs.n_dropped:
+            raise _apart(f"no frame of {self.name} has a partner of its time")
+
+
+def _apart(cause: str) -> Inconsistent:
+    """Return the refusal of frames that never meet."""
+    return Inconsistent(
+        cause,
+        consequence="Nobody can say which frames were taken together",
+        cure="Check that both cameras were recorded on one clock, or allow more with --max-skew; with --fps, frames of "
+        "two videos are paired by their number",
+    )
 
 
 def open_source(
@@ -221,7 +232,7 @@ def open_pairs(
     """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
     recorded = [text for text in (left, right) if text is not None and is_recording(text)]
     bags = [text for text in (left, right) if text is not None and is_bag(text)]
-    for text in (*recorded, *bags):
+    for text in (*recorded, *bags, *((left,) if left is not None and is_video(left) else ())):
         reading.require_none(text)
     if recorded and (left is None or right is None or len(recorded) == 2):
         _require_as_recorded(recorded[0], fps, times_s, settings)
@@ -229,14 +240,15 @@ def open_pairs(
         return RecordedPairs(*ends, max_skew_s=max_skew_s)
     if left is None or right is None:
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
-    if recorded:
-        raise UsageError(f"{left} and {right} cannot be paired: one is a recording, the other is not")
-    if len(bags) == 1:
-        raise UsageError(f"{left} and {right} cannot be paired: one is of a bag, the other is not")
+    if recorded or len(bags) == 1:
+        kind = "a recording" if recorded else "of a bag"
+        raise UsageError(f"{left} and {right} cannot be paired: one is {kind}, the other is not")
     if bags and left != right:
         _require_as_recorded(left, fps, times_s, settings)
         sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
         return RecordedPairs(*sides, max_skew_s=max_skew_s)
+    if fps is None and times_s is None and is_video(left) and is_video(right) and left != right:
+        return _video_pairs(left, right, colour, max_skew_s, settings)
     return drivers.open_pairs(
         left,
         right,
@@ -247,6 +259,14 @@ def open_pairs(
         settings=settings,
         reading=reading,
     )
+
+
+def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, settings: PairSettings) -> RecordedPairs:
+    """Return the pairs of two videos, matched by their stamps. Raises UsageError for settings of live cameras."""
+    for asked in by_side(settings):
+        asked.require_none(left)
+    skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
+    return RecordedPairs(VideoFile(left, colour=colour), VideoFile(right, colour=colour), max_skew_s=skew_s)
 
 
 def _require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:

@@ -173,9 +173,7 @@ def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
             consequence="Nothing is verified",
             cure="Give the file of this arm, with q1 .. qn in the order of its joints",
         )
-    if not arm.direct:
-        found = replace(found, q=arm.values(found.q))
-    return _Expected(arm=arm, reported=found, turned=True)
+    return _Expected(arm=arm, reported=found.values_of(arm), turned=True)
 
 
 def in_world(measured: Measured, world: World) -> Measured:

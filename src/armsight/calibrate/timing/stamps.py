@@ -63,11 +63,12 @@ class SteadyStamps:
         return np.asarray(move @ self.covariance @ move.T)
 
 
-def steady(stamps_s: Array, side: str) -> SteadyStamps:
+def steady(stamps_s: Array, side: str, *, complete: bool = False) -> SteadyStamps:
     """Return the steady clock behind the stamps (n,) of a camera, by a robust line of stamp over frame number.
 
-    Raises NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent for stamps beyond MAX_STAMP_S, and where no steady
-    clock explains the stamps.
+    complete: no frame is lost, so that the k-th stamp is that of the k-th frame however late it comes. Raises
+    NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent for stamps beyond MAX_STAMP_S, and where no steady clock
+    explains the stamps.
     """
     s = np.asarray(stamps_s, float)
     if len(s) < FEWEST_FRAMES:
@@ -82,11 +83,11 @@ def steady(stamps_s: Array, side: str) -> SteadyStamps:
             consequence="The delay at stamp 0 and the drift since then cannot be told apart; no timing is given",
             cure="Take the same number off all stamps of both cameras, here and when measuring, to begin near 0",
         )
-    number = _numbers(s)
+    number = np.arange(len(s)) if complete else _numbers(s)
     # in turns: a line tells which number each stamp is nearest to, the numbers give a better line
     for _ in range(ROUNDS_OF_NUMBERS):
         offset, period, weight, jitter = _line(number, s)
-        again = _growing((s - offset) / period) if period > 0.0 else number
+        again = number if complete or not period > 0.0 else _growing((s - offset) / period)
         if np.array_equal(again, number):
             break
         number = again

@@ -13,8 +13,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.servo import Mount
 from armsight.control.servo.delay import ArmLag
+from armsight.control.servo.premise import PremiseWatch
+from armsight.control.servo.premise_bank import Premise
 from armsight.control.setpoints import CycleState
-from armsight.records import PoseStatus, TargetPose
+from armsight.errors import StaleData
+from armsight.kinematics import Arm
+from armsight.records import JointReading, PoseStatus, TargetPose
+from armsight.records.motion import JointHistory
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -23,6 +28,8 @@ KEPT = 4000
 """Cycles remembered: 16 s at 4 ms, more than any camera is late."""
 AGREE = 2
 """So many frames one after the other must be off before the arm is stopped: one alone may be a reflection."""
+LATE_S = 0.12
+"""Pictures may be so much older than their times: --latency is seldom measured, and a path needs no better."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,6 +49,11 @@ class CameraPlacement:
         if self.mount is Mount.EYE_IN_HAND:
             return self.T_parent_target * T_rig_target.inv() * self.T_parent_camera.inv()
         return self.T_parent_camera * T_rig_target * self.T_parent_target.inv()
+
+    def rig(self, T_base_flange: RigidTransform) -> RigidTransform:
+        """Return the rig's pose in the axes in which the target stands: those of the base, or of the flange."""
+        on_flange = self.mount is Mount.EYE_IN_HAND
+        return (T_base_flange if on_flange else T_base_flange.inv()) * self.T_parent_camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,14 +77,20 @@ class PlayWatch:
     def __init__(
         self,
         sight: CameraPlacement,
-        T_flange_tip: RigidTransform,
+        arm: Arm,
         *,
         stop_m: float | None,
         arm_lag_s: float,
         cycle_s: float,
     ) -> None:
-        """stop_m: beyond it the arm is to stop; None: only told. arm_lag_s: from a command to motion, at first."""
-        self._sight, self._T_flange_tip, self._stop_m = sight, T_flange_tip, stop_m
+        """arm: whose tool is the tip. stop_m: beyond it the arm is to stop; None: only told.
+
+        arm_lag_s: from a command to motion, at first.
+        """
+        self._sight, self._arm, self._stop_m = sight, arm, stop_m
+        self._T_base_world = arm.T_world_base.inv()
+        self._premise = PremiseWatch(late_s=LATE_S)
+        self._history = JointHistory(cycle_s)
         self._lag = ArmLag(arm_lag_s, cycle_s)
         self._commanded: deque[tuple[float, Array]] = deque(maxlen=KEPT)
         self._lock = threading.Lock()
@@ -107,6 +125,7 @@ class PlayWatch:
         """Take where the tip was told to be at the end of the cycle before; T_base_tool is of the tip."""
         self._commanded.append((now.t_s - now.cycle_s, np.asarray(now.T_base_tool.translation)))
         if now.q_s is not None:
+            self._history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source="play"))
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
 
     def observe(self, pose: TargetPose, exposed_s: float, now_s: float) -> None:
@@ -115,11 +134,33 @@ class PlayWatch:
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
             self.tip = None
             return
-        tip = self._sight.flange(RigidTransform.from_matrix(pose.T_parent_target)) * self._T_flange_tip
+        self._hold_against_arm(pose, exposed_s)
+        tip = self._sight.flange(RigidTransform.from_matrix(pose.T_parent_target)) * self._arm.T_flange_tool
         self.tip = tip
         commanded = self._commanded_at(exposed_s - self._lag.lag_s)
         if commanded is not None:
             self._compare(np.asarray(tip.translation) - commanded, exposed_s)
+
+    @property
+    def wrong(self) -> Premise | None:
+        """What the target's motion contradicts of what is believed; None where nothing."""
+        return self._premise.wrong
+
+    def _hold_against_arm(self, pose: TargetPose, exposed_s: float) -> None:
+        """Hold how the target moves in the pictures against how the arm's readings say that it has to."""
+        if pose.T_parent_target is None or pose.covariance is None:
+            return
+        arm = self._arm
+        try:
+            T_world_tip = RigidTransform.from_matrix(arm.fk(arm.values(self._history.at(exposed_s).q)))
+        except StaleData:
+            return
+        T_base_flange = self._T_base_world * T_world_tip * arm.T_flange_tool.inv()
+        sigma_m = np.sqrt(np.diag(pose.covariance)[:3])
+        T_frame_rig = self._sight.rig(T_base_flange).as_matrix()
+        self._premise.see(exposed_s, T_frame_rig, pose.T_parent_target[:3, 3], sigma_m)
+        if self.wrong is not None:
+            self.exceeded = self.exceeded or self.wrong.text
 
     def _commanded_at(self, t_s: float) -> Array | None:
         """Return where the tip (3,) was told to be at a time; None where that is not known."""

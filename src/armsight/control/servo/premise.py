@@ -39,8 +39,21 @@ FLOOR_M = 1e-4
 """Standard deviation added to a position: tremor of a hand (0.07 mm), shaking and steps of an arm."""
 HONEST_S = 0.006
 """Standard deviation of the pictures' times where they are honest."""
-LIKELY = 12.0
-"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so."""
+JITTER_S = 0.002
+"""Standard deviation of a picture's time beside the others', and of what joints do between two readings."""
+LATE_S = 0.025
+"""Pictures that are older than their times by no more than this are not called late."""
+CALM = 1.0
+"""How much less likely a hand is held to be for each tenfold of its jerk's power."""
+LIKELY, MOVING = 12.0, 4.0
+"""Logarithm of the ratio of likelihoods, less a premise's handicap, from which on it is held to be so: where the target
+stands under it, and how much more for each tenfold of its jerk's power. Of hands that move less is known: honest ones
+came to 12.6 at the second level and to 15 at the fourth; wrong premises before a target that stands are at none."""
+UNFIT = 15
+"""So many poses in a row that cannot be, before any that can, are no reflection and no hand before a light."""
+ENOUGH, MISSING = 20, 0.5
+"""Each frame that a window has less than ENOUGH asks for so much more: a hand's reach is even for a third of a second,
+and an arm that starts after it goes as it does. An honest one came to 14.4 in ten frames."""
 STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
 """A camera that moved less in the window tells nothing."""
 LEVER_M = 0.01 / (2.0 * DEG)
@@ -50,14 +63,16 @@ LEVER_M = 0.01 / (2.0 * DEG)
 class PremiseWatch:
     """Watches one track of a target. One thread sees; any may look at wrong and way_m."""
 
-    def __init__(self, others: tuple[Premise, ...] = ()) -> None:
-        """others: premises under which the cameras are elsewhere; where, is told with each frame."""
-        self._others = others
+    def __init__(self, others: tuple[Premise, ...] = (), late_s: float = LATE_S) -> None:
+        """others: premises under which the cameras are elsewhere; where, is told with each frame. late_s: by how much
+        pictures may be older than their times."""
+        self._others, self._late_s = others, late_s
         self._t_s: deque[float] = deque(maxlen=FRAMES + BACK[-1])
         self._T: deque[Array] = deque(maxlen=FRAMES + BACK[-1])
         self._seen: deque[Array] = deque(maxlen=FRAMES)
         self._elsewhere: deque[Array] = deque(maxlen=FRAMES)
         self._anew = False
+        self._unfit = 0
         self.way_m = 0.0
         self.wrong: Premise | None = None
 
@@ -69,6 +84,7 @@ class PremiseWatch:
         """
         if self._anew:
             self.begin()
+        self._unfit = 0
         if self._t_s and t_s - self._t_s[-1] < STEP_S:
             return
         if self._T:
@@ -82,6 +98,12 @@ class PremiseWatch:
         self._elsewhere.append(np.empty((0, 4, 4)) if others is None else others)
         if len(self._seen) >= FEWEST:
             self.wrong = self._judged()
+
+    def refuse(self, premise: Premise) -> None:
+        """Take a pose that cannot be, and what it looks like; where none was seen that can, that is what is so."""
+        self._unfit += 1
+        if self._unfit >= UNFIT and not self._t_s:
+            self.wrong = premise
 
     def begin(self) -> None:
         """Begin anew: another track of the target. For the thread that sees."""
@@ -110,11 +132,18 @@ class PremiseWatch:
         ways = np.concatenate([xyz_m[None], ways])
         terms = modes.T @ camera_terms(now, xyz_m)  # (k, 39)
         paths = np.concatenate([(terms @ bank().weights), spread(modes, ways)], axis=1)
-        doubt = np.concatenate([terms @ bank().doubt, spread(modes, HONEST_S * swept(t_s, now, xyz_m)[None])], axis=1)
-        likely = likelihoods(by_way(paths), by_way(doubt), variances, sigma_m)
-        premises = (*bank().premises, UNMOVED, *(late_by(one, t_s) for one in BACK), *self._others)
-        handicap = np.array([premise.handicap for premise in premises])
-        if self.wrong is None and (likely - likely[0] - handicap).max() < LIKELY:
+        speeds = swept(t_s, now, xyz_m)
+        doubt = np.concatenate([terms @ bank().doubt, spread(modes, HONEST_S * speeds[None])], axis=1)
+        sigma_m = np.sqrt(sigma_m**2 + np.square(JITTER_S * speeds).mean(axis=0))
+        likely, level = likelihoods(by_way(paths), by_way(doubt), variances, sigma_m)
+        frame_s = float(t_s[-1] - t_s[0]) / (n - 1)
+        premises = (*bank().premises, UNMOVED, *(late_by(one * frame_s) for one in BACK), *self._others)
+        borne = len(bank().premises) + 1 + np.flatnonzero(np.array(BACK) * frame_s <= self._late_s)
+        likely[0] = max(likely[0], *likely[borne], -np.inf)
+        likely[borne] = -np.inf
+        handicap = np.array([premise.handicap for premise in premises]) + MOVING * level
+        least = LIKELY + MISSING * max(ENOUGH - n, 0)
+        if self.wrong is None and (likely - likely[0] - handicap).max() < least:
             return None
         return premises[1 + int(np.argmax(likely[1:]))]
 
@@ -171,8 +200,8 @@ def swept(t_s: Array, T: Array, xyz_m: Array) -> Array:
     return np.asarray((at[after, k] - at[before, k]) / (t_s[after] - t_s[before])[:, None])
 
 
-def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> Array:
-    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each under the hand's motion that explains it best.
+def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each at its best one of LEVELS, and which (h,).
 
     doubt (r, k, 3): what the honest errors do to a way, each of unit deviation; they are eliminated, as is usual in
     generalised least squares. variances (k,): of the hand's shapes.
@@ -184,4 +213,5 @@ def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) ->
     projector = np.linalg.solve(root, weighed)  # (level, r, 3 k)
     explained = np.square(x @ projector.reshape(-1, x.shape[1]).T).reshape(len(x), len(LEVELS), -1).sum(axis=2)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    return np.asarray((-0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log)).max(axis=1))
+    likely = -0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log) - CALM * np.arange(len(LEVELS))
+    return likely.max(axis=1), likely.argmax(axis=1)

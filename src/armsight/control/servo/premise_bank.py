@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.geometry.poses import skew
+from armsight.records import PoseStatus
 from armsight.units import DEG, MM, MS
 
 Array = NDArray[np.float64]
@@ -65,9 +66,8 @@ UNMOVED = Premise(
 )
 
 
-def late_by(frames: int, t_s: Array) -> Premise:
-    """Return the premise that pictures are so many frames older than their times t_s (n,)."""
-    late_s = frames * float(t_s[-1] - t_s[0]) / (len(t_s) - 1)
+def late_by(late_s: float) -> Premise:
+    """Return the premise that pictures are so much older than their times."""
     return Premise(
         cause=Cause.PICTURES,
         says=f"the pictures are older than their times by about {late_s / MS:.0f} ms",
@@ -89,6 +89,21 @@ def joint_reversed(joint: int) -> Premise:
         says=f"the target moves in the pictures as if joint {joint + 1} turned the other way than the model has it",
         handicap=2.0,
     )
+
+
+NEAR_M, FAR_M = 0.02, 20.0
+"""Nearer and further no rig of this kind sees a target."""
+
+
+def impossible_pose(status: PoseStatus, distance_m: float) -> Premise | None:
+    """Return what is wrong where a pose with its target so far before the cameras cannot be; None where it can."""
+    if status is PoseStatus.DOUBTFUL:
+        return Premise(cause=Cause.TARGET, says="the lights that are seen do not fit the target's on this rig")
+    if distance_m <= 0.0:
+        return Premise(cause=Cause.RIG, says="the target is seen behind the cameras: are left and right exchanged?")
+    if not NEAR_M < distance_m < FAR_M:
+        return Premise(cause=Cause.RIG, says=f"the target is seen {distance_m:.3g} m before the cameras: other units?")
+    return None
 
 
 def weights(M: Array, m: Array) -> Array:
@@ -177,7 +192,7 @@ def aside(far_m: float, axis: Array) -> Premise:
         cause=Cause.HAND_EYE,
         says=f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
         f"along their {'xyz'[i]}",
-        handicap=2.0,
+        handicap=8.0,
     )
 
 

@@ -22,7 +22,7 @@ from armsight.control.servo.law import (
     stability_gain,
 )
 from armsight.control.servo.premise import LEVER_M, PremiseWatch
-from armsight.control.servo.premise_bank import INVERTED, Premise, joint_reversed
+from armsight.control.servo.premise_bank import INVERTED, Premise, impossible_pose, joint_reversed
 from armsight.control.servo.settings import Mount, ServoSettings, Turning
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
@@ -136,9 +136,11 @@ class ServoSource:
         self._camera.add(exposed_s, now_s)
         self._lag.estimate(now_s)
         T_rig_target, covariance = pose.T_parent_target, pose.covariance
-        if pose.status is PoseStatus.DOUBTFUL:  # as good as not seen
+        if T_rig_target is None or covariance is None:
             return
-        if T_rig_target is None or covariance is None or not T_rig_target[2, 3] > 0.0:  # nothing behind it is seen
+        impossible = impossible_pose(pose.status, float(T_rig_target[2, 3]))
+        if impossible is not None:  # as good as not seen
+            self._premise.refuse(impossible)
             return
         try:
             q = self.history.at(exposed_s).q

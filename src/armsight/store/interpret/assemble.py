@@ -247,6 +247,9 @@ def _roll_pitch_yaw(found: Found, names: Sequence[str]) -> EulerOrder | None:
     """Return ROS's order (REP 103) for columns called roll, pitch and yaw, None for others."""
     if not all(word in name.lower() for word, name in zip(("roll", "pitch", "yaw"), names, strict=True)):
         return None
+    if all(name.startswith("qtm_") for name in names):
+        found.notes.append("Roll, Pitch, Yaw: taken as QTM means them, --euler says another order")
+        return EulerOrder(axes="xyz")
     found.notes.append("roll, pitch, yaw: taken as ROS means them, --euler says another order")
     return EulerOrder(axes="xyz", fixed=True)
 

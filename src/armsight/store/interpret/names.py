@@ -91,6 +91,7 @@ PREFIXES = frozenset(
         "pose",
         "poses",
         "position",
+        "qtm",
         "robot",
         "rotation",
         "sample",
@@ -108,8 +109,9 @@ PREFIXES = frozenset(
 )
 """Words that may stand before a coordinate and do not change what it is: 'pose_position_x' is one, 'velocity_x' not."""
 ROLL_PITCH_YAW: Mapping[str, str] = {"roll": "x", "pitch": "y", "yaw": "z"}
-COMMANDED = frozenset(("target", "command", "commanded", "desired"))
-"""Words before what was asked for, not what was there."""
+COMMANDED = frozenset(("command", "commanded", "desired"))
+"""Words before what was asked for, not what was there; `target_` is that before joints and a controller's pose, and may
+be a body's name elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

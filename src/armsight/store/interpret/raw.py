@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armsight.errors import BadFile, NotEnoughData
+from armsight.store.tables import decoded, no_rows
 
 REMARKS = ("#", "%", "//")
 
@@ -36,8 +37,8 @@ def parse_text(data: bytes, where: str) -> RawTable:
     A remark right before the first row names the columns where it has as many words. Rows of four numbers whose every
     fourth is 0 0 0 1 are poses of 4 x 4. Raises BadFile that names the line.
     """
-    lines = [(i, line) for i, line in enumerate(_decoded(data, where).splitlines(), 1) if line.strip()]
-    body = [(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)]
+    lines = [(i, line) for i, line in enumerate(decoded(data, where).splitlines(), 1) if line.strip()]
+    body = _without_preamble([(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)])
     if not body:
         raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
     split = _splitter(body[min(1, len(body) - 1)][1])
@@ -50,7 +51,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
         words = split(before[-1].lstrip().lstrip("#%/").strip()) if before else []
         names = tuple(words) if len(words) == len(rows[0][1]) and not is_data(words) else ()
     if not rows:
-        raise NotEnoughData(f"{where}: no row below the header", consequence="There is nothing to do")
+        raise no_rows(where)
     blocks = None if names else _matrix_blocks(rows)
     if blocks is not None:
         return _transposed(where, "matrices of 4 x 4, one below the other", MATRIX, blocks)
@@ -64,6 +65,14 @@ def parse_text(data: bytes, where: str) -> RawTable:
             )
     how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
     return _transposed(where, how, names, rows, csv=split.by == ",")
+
+
+def _without_preamble(body: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return the lines from the header of a QTM export on, which begins with keys and values."""
+    if not body or not body[0][1].startswith("NO_OF_FRAMES"):
+        return body
+    header = next((k for k, (_, line) in enumerate(body) if line.lower().startswith("frame\ttime")), 0)
+    return body[header:]
 
 
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
@@ -100,17 +109,6 @@ def _transposed(
     return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(i for i, _ in rows), csv=csv)
 
 
-def _decoded(data: bytes, where: str) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
-            cure="Save it as CSV in UTF-8, or check that it is not a binary file",
-        ) from error
-
-
 class _splitter:  # noqa: N801 - a function that says how it splits
     """Splits a line as the sample is written."""
 
@@ -122,7 +120,7 @@ class _splitter:  # noqa: N801 - a function that says how it splits
         if not self.by:
             return line.split()
         cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self.by))]
-        if self.by == ";":
+        if self.by in (";", "\t"):
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         return cells
 

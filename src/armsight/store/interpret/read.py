@@ -171,7 +171,7 @@ def kind_of_table(path: Path, format_: TableFormat, among: Sequence[str]) -> str
         raise why
     if not best:
         raise UsageError(
-            f"{path}: which kind of table it is cannot be told",
+            f"{path}: which kind of table it is cannot be told; {why.cause if why else 'it can be several'}",
             cure=f"Say it with --as {', '.join(among)}, and see what is missing",
         )
     return best

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armsight.errors import Ambiguous, BadFile
 from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
-from armsight.store.interpret.names import Meaning, meaning, split_unit
+from armsight.store.interpret.names import PREFIXES, Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import PAIR_FRAMES, Role
 from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
@@ -75,10 +75,12 @@ def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:
         )
         for frame in {*(m.frame for m in chosen.values()), *role.frames, ""}
     }
-    _time(out, found[""], role)
     _joints(out, found[""], role, format_)
     for frame in role.frames:
         _pose(out, found, frame, role, chosen)
+    moved = out.columns
+    _time(out, found[""], role)
+    out.columns = {name: out.columns[name] for name in ("t_s", *moved) if name in out.columns}
     for k in kept:
         out.columns[names[k]] = list(raw.columns[k])
     unused = [names[k] for k in range(len(names)) if k not in chosen and k not in words.values() and k not in kept]
@@ -103,7 +105,7 @@ def _names(raw: RawTable, role: Role, format_: TableFormat) -> tuple[str, ...]:
             )
         return stated
     if raw.names:
-        return _joint_state_names(raw)
+        return _qtm_names(_joint_state_names(raw))
     maker = format_.maker
     timed = role.time != "no"
     if role.frames == ("",) and role.joints != "wanted":
@@ -134,6 +136,28 @@ def _joint_state_names(raw: RawTable) -> tuple[str, ...]:
                 raise BadFile(f"{raw.where}: the column {name} names several joints", consequence="It is not used")
             names[names.index(position)] = joint
     return tuple(names)
+
+
+_QTM = ("x_mm", "y_mm", "z_mm", "qtm_roll_deg", "qtm_pitch_deg", "qtm_yaw_deg")
+_QTM_CELLS = tuple(f"m{row}{column}" for column in range(3) for row in range(3))
+
+
+def _qtm_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of a body's columns in an export of QTM by what they are.
+
+    Frame, Time, 'Body X', Y, Z, Roll, Pitch, Yaw[, Residual, Rot[0] .. Rot[8]]: mm, degrees, the matrix column by
+    column (QTM's manual, 6DOF data as TSV). Where the matrix is there it is taken: angles may be set to other axes.
+    """
+    low = [name.strip().lower() for name in names]
+    if low[:2] != ["frame", "time"] or "roll" not in low:
+        return names
+    out = list(names)
+    for k in range(2, len(low) - 5):
+        if low[k].endswith(" x") and low[k + 1 : k + 6] == ["y", "z", "roll", "pitch", "yaw"]:
+            turned = low[k + 7 : k + 16] == [f"rot[{i}]" for i in range(9)]
+            out[k : k + 6] = (*_QTM[:3], SKIPPED, SKIPPED, SKIPPED) if turned else _QTM
+            out[k + 7 : k + 16] = _QTM_CELLS if turned else out[k + 7 : k + 16]
+    return tuple(out)
 
 
 def _meanings(raw: RawTable, names: Sequence[str], role: Role, format_: TableFormat) -> dict[int, Meaning]:
@@ -182,8 +206,9 @@ def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> dict[int, M
             out[key] = k
             continue
         other = meanings[before]
-        if found.commanded != other.commanded:
-            out[key] = k if other.commanded else before
+        asked, was = (_asked(one, beside) for one, beside in ((found, other), (other, found)))
+        if asked != was:
+            out[key] = k if was else before
         elif found.kind == "t":  # the stamp of the measurement, not that of the recording
             out[key] = k if "stamp" in found.name else before
         else:
@@ -193,6 +218,16 @@ def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> dict[int, M
                 cure="Give --columns with - for those that are not used",
             )
     return {k: meanings[k] for k in sorted(out.values())}
+
+
+MEASURED = frozenset(("actual", "current", "measured"))
+
+
+def _asked(one: Meaning, beside: Meaning) -> bool:
+    """Whether a column is what was asked for; `target_` says so unless the other one is named after a body too."""
+    words = [set(split_unit(meaning.name)[0].split("_")) for meaning in (one, beside)]
+    others = words[1] & PREFIXES
+    return one.commanded or ("target" in words[0] and (not others or not MEASURED.isdisjoint(others)))
 
 
 def _numbers(raw: RawTable, name: str, k: int, kind: str) -> Array:
@@ -221,7 +256,12 @@ def _time(out: Standard, found: Found, role: Role) -> None:
             out.foreign = True
         return
     scale, values = columns[0].meaning.scale, columns[0].values
-    if scale is None:
+    if scale is None and found.format.time_s is not None:
+        scale = found.format.time_s
+    elif scale is None and (counted := _counted_ms(out, values)):
+        scale = 1e-3
+        out.notes.append(f"{columns[0].meaning.name}: taken as ms: {counted}; --units s says seconds")
+    elif scale is None:
         scale = 1.0
         for least, unit, name in EPOCHS:
             if values.size and np.nanmin(np.abs(values)) > least:
@@ -231,6 +271,33 @@ def _time(out: Standard, found: Found, role: Role) -> None:
         else:
             out.notes.append(f"{columns[0].meaning.name}: taken as seconds, no unit is stated")
     out.columns["t_s"] = values if scale == 1.0 else values * scale
+
+
+FASTEST, SLOWEST = 12.0, 0.1
+"""rad/s or m/s: what moves between these at its fastest in ms would hardly move at all in s."""
+SMOOTH = 10.0
+"""A motion goes further than this many of its usual steps; noise does not."""
+
+
+def _counted_ms(out: Standard, t: Array) -> str:
+    """Return why whole numbers without a unit are ms: what the table holds would not move in s; '' where they are not.
+
+    Called when the columns that move are there.
+    """
+    step = np.diff(t)
+    if len(t) < 20 or not np.isfinite(t).all() or (t != np.round(t)).any() or not (step >= 1.0).all():
+        return ""
+    for names, unit in ((("x_m", "y_m", "z_m"), "m/s"), ([n for n in out.columns if _OURS_Q.fullmatch(n)], "rad/s")):
+        moved = [column for n in names if isinstance(column := out.columns.get(n), np.ndarray)]
+        if not moved:
+            continue
+        values = np.stack(moved, axis=1)
+        moves = np.abs(np.diff(values, axis=0)).max(axis=1)
+        fastest = float(np.nanmax(moves / step, initial=0.0))
+        far = float(np.nanmax(np.ptp(values[np.isfinite(values).all(axis=1)], axis=0), initial=0.0))
+        if SLOWEST < 1e3 * fastest < FASTEST and far > SMOOTH * float(np.nanmedian(moves)):
+            return f"whole numbers, and in seconds nothing would move faster than {fastest:.2g} {unit}"
+    return ""
 
 
 def _joints(out: Standard, found: Found, role: Role, format_: TableFormat) -> None:

@@ -65,12 +65,13 @@ class TableFormat:
         _ = self.order, self.names, self.length_m, self.angle_rad
 
     def unit(self, quantity: str, of_maker: float | None) -> float:
-        """Return the SI value of the unit of columns that state none: of 'length' or 'angle'; else the maker's, or 1.
+        """Return the SI value of the unit of columns that state none: of 'length', 'angle' or 'time'; else the maker's,
+        or 1.
 
         Raises UsageError for units that are not known.
         """
         for name in filter(None, (part.strip().lower() for part in self.units.split(","))):
-            if name not in UNITS or UNITS[name][0] == "time":
+            if name not in UNITS:
                 raise UsageError(f"--units {self.units!r}: {name!r} is no unit", cure="Write for instance mm,deg")
             if UNITS[name][0] == quantity:
                 return UNITS[name][1]
@@ -90,6 +91,11 @@ class TableFormat:
     def joint_rad(self) -> float:
         """The unit of joint values that state none, in rad. Raises UsageError."""
         return self.unit("angle", self.maker.joint_rad if self.maker else None)
+
+    @property
+    def time_s(self) -> float | None:
+        """The unit of times that state none, in s; None where nothing is said. Raises UsageError."""
+        return self.unit("time", 0.0) or None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -157,6 +163,15 @@ def _written_out(token: str, maker: RobotFormat | None) -> list[str]:
 
 
 UNITS: Mapping[str, tuple[str, float]] = {
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), ("length", 1.0)),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), ("length", MM)),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), ("length", 1e-2)),
+    **dict.fromkeys(("radian", "radians"), ("angle", 1.0)),
+    **dict.fromkeys(("second", "seconds", "secs"), ("time", 1.0)),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec"), ("time", 1e-3)),
+    **dict.fromkeys(("microsecond", "microseconds", "usec"), ("time", 1e-6)),
+    **dict.fromkeys(("nanosecond", "nanoseconds", "nsec"), ("time", 1e-9)),
+    "inches": ("length", 0.0254),
     "m": ("length", 1.0),
     "mm": ("length", MM),
     "cm": ("length", 1e-2),

@@ -1,0 +1,96 @@
+"""Trackers' and controllers' tables as their programs write them: whose order, unit, time and body is meant."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armsight.app.tables import convert_table
+from armsight.errors import Ambiguous, UsageError
+from armsight.store.interpret import TableFormat
+from armsight.store.tracks import read_joints, read_poses
+from armsight.store.verify_files import read_measured
+from refusals import refuses
+from reports import case
+
+LOST = [30, 31, 32, 77, 78, 101]
+
+
+def measured(file, **stated):
+    return read_measured(case("trackers") / file, TableFormat(**stated)).measured
+
+
+def poses(file):
+    found = measured(file)
+    return found.xyz_m, found.rotation
+
+
+@pytest.mark.parametrize(
+    "file", ["qtm_6D.tsv", "qtm_cut.tsv", "qtm_cut_nolost.tsv", "qtm_euler.tsv", "qtm_othername.tsv", "q2.tsv"]
+)
+def test_qtm_is_read_as_qtm_means_it(file):
+    xyz, R = poses(file)
+    true_xyz, true_R = poses("poses_full.csv")
+    kept = np.delete(np.arange(120), LOST)
+    assert len(xyz) == len(kept)
+    np.testing.assert_allclose(xyz, true_xyz[kept], atol=1e-6)
+    np.testing.assert_allclose(R, true_R[kept], atol=2e-5)
+
+
+def test_a_time_in_words_is_a_time_and_units_in_words_are_units():
+    t, full = measured("tw_full.csv"), measured("poses_full.csv")
+    np.testing.assert_allclose(t.t_s, full.t_s + 3.0, atol=1e-9)
+    words, plain = measured("units_words.csv"), measured("time_words.csv")
+    np.testing.assert_allclose(words.xyz_m, plain.xyz_m, atol=2e-6)
+    np.testing.assert_allclose(words.t_s, plain.t_s)
+
+
+def test_decimal_commas_stand_between_tabs_too():
+    folder = case("trackers")
+    commas = read_poses(folder / "tabs_comma.txt", format_=TableFormat(robot="kuka"), timed=False)
+    points = read_poses(folder / "kuka_e6.csv", format_=TableFormat(robot="kuka"), timed=False)
+    for a, b in zip(commas, points, strict=True):
+        np.testing.assert_allclose(a.T_parent_target, b.T_parent_target, atol=3e-6)
+
+
+def test_whole_milliseconds_are_none_of_them_seconds():
+    notes = []
+    folder = case("trackers")
+    found = read_joints(folder / "franka6.csv", TableFormat(notify=notes.append))
+    np.testing.assert_allclose(found.t_s, read_joints(folder / "joints.csv").t_s, atol=1e-9)
+    assert any("taken as ms" in note and "--units s" in note for note in notes)
+    assert read_joints(folder / "franka6.csv", TableFormat(units="s")).t_s[-1] == 5950.0  # what the note says works
+
+
+@pytest.mark.parametrize("file", ["two_robot_target.csv", "two_base_target.csv", "two_base_flange.csv"])
+def test_of_two_bodies_nobody_chooses_by_a_name(file):
+    path = case("trackers") / file
+    with refuses(Ambiguous, "--columns"):
+        read_measured(path)
+    names = "t_s," + ",".join(["-"] * 7) + ",xyz_m,quat_xyzw"  # the cure: - for those that are not used
+    found = read_measured(path, TableFormat(columns=names)).measured
+    true_xyz, true_R = poses("poses_full.csv")
+    np.testing.assert_allclose(found.xyz_m, true_xyz, atol=2e-6)
+    np.testing.assert_allclose(found.rotation, true_R, atol=1e-5)
+
+
+def test_a_table_of_no_kind_says_what_is_missing(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("alpha,beta\n1,2\n3,4\n")
+    with refuses(UsageError, "alpha", "t_s", "missing"):
+        convert_table(path, None)
+
+
+def test_a_controllers_target_is_asked_for_where_the_actual_one_stands_beside_it():
+    folder = case("trackers")
+    found = read_joints(folder / "robot_data.csv").q
+    np.testing.assert_allclose(found, read_joints(folder / "joints.csv").q, atol=1e-6)
+
+
+def test_orders_of_qtm_by_a_rotation_of_our_own(tmp_path):
+    angles = np.array([[10.0, -20.0, 30.0], [60.0, 25.0, -140.0], [-5.0, 70.0, 15.0]])
+    path = tmp_path / "a.tsv"
+    rows = [f"{k}\t{k / 10}\t10\t20\t30\t" + "\t".join(map(str, row)) for k, row in enumerate(angles)]
+    path.write_text("\n".join(["Frame\tTime\tWand X\tY\tZ\tRoll\tPitch\tYaw", *rows]) + "\n")
+    want = Rotation.from_euler("XYZ", angles, degrees=True)
+    for pose, R in zip(read_poses(path), want, strict=True):
+        np.testing.assert_allclose(pose.T_parent_target[:3, :3], R.as_matrix(), atol=1e-12)
