@@ -31,6 +31,7 @@ from armsight.records.target import BLUE, RED
 from armsight.report.residuals import distance_rms
 from armsight.store import tracks
 from armsight.store.foreign import rig_from_kalibr
+from armsight.store.urdf import arm_from_urdf
 from armsight.units import DEG, MM
 from armsight_sim.render import PointSource, render_sources
 
@@ -225,6 +226,21 @@ def test_line_unmeasured_target():
     pose = measured.pose.pose
     assert np.allclose(pose.translation, points.mean(axis=0), atol=2e-3)
     assert np.allclose(pose.rotation.as_matrix(), np.eye(3), atol=0.03)  # u right, v down, w away from the camera
+
+
+def test_line_base():
+    limit = '<limit lower="-1" upper="1"/></joint>'
+    text = (
+        '<robot name="r"><link name="floor"/><link name="arm"/><joint name="j" type="revolute"><parent link="floor"/>'
+        f'<child link="arm"/><origin xyz="0.2 0.1 0.5" rpy="1 0 0"/><axis xyz="0 0 1"/>{limit}</robot>'
+    )
+    arm = arm_from_urdf(text)
+    assert arm.base_link == "floor"
+    assert np.allclose(arm.T_world_base.as_matrix(), np.eye(4))
+    assert np.allclose(arm.T_base_frame0.translation, [0.2, 0.1, 0.5])
+    assert np.allclose(fk(arm, [0.3])[:3, 3], [0.2, 0.1, 0.5])
+    table = dh_arm("a", [(0.1, 0.0, 0.2, 0.0)])
+    assert np.allclose(table.T_base_frame0.as_matrix(), np.eye(4))
 
 
 def test_line_dh():

@@ -156,10 +156,11 @@ class SimJoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimArm:
-    """A chain of joints on T_world_base."""
+    """A chain of joints on T_world_base. T_base_frame0 (4, 4): where in base axes the first joint's table begins."""
 
     joints: tuple[SimJoint, ...]
     T_world_base: RigidTransform = field(default_factory=RigidTransform.identity)
+    T_base_frame0: Array = field(default_factory=lambda: np.eye(4))
 
     @property
     def n(self) -> int:
@@ -167,8 +168,8 @@ class SimArm:
         return len(self.joints)
 
     def frames(self, q: ArrayLike) -> Array:
-        """Return the poses (n + 1, 4, 4) of the base and of the frame behind each joint, in base axes."""
-        frames = [np.eye(4)]
+        """Return the poses (n + 1, 4, 4) of the table's first frame and of that behind each joint, in base axes."""
+        frames = [self.T_base_frame0]
         for joint, value in zip(self.joints, np.asarray(q, dtype=float), strict=True):
             frames.append(frames[-1] @ joint.matrix(float(value)))
         return np.array(frames)
@@ -180,7 +181,7 @@ class SimArm:
     def flanges(self, q: ArrayLike) -> Array:
         """Return T_base_flange (m, 4, 4) at joint values q (m, n), all at once."""
         values = np.atleast_2d(np.asarray(q, dtype=float))
-        pose = np.broadcast_to(np.eye(4), (len(values), 4, 4))
+        pose = np.broadcast_to(self.T_base_frame0, (len(values), 4, 4))
         for joint, column in zip(self.joints, values.T, strict=True):
             pose = pose @ np.array([joint.matrix(float(value)) for value in column])
         return np.asarray(pose)
@@ -240,6 +241,7 @@ class SimArm:
         return {
             "convention": "standard",
             "T_world_base": pose_mapping(self.T_world_base),
+            "T_base_frame0": pose_mapping(RigidTransform.from_matrix(self.T_base_frame0)),
             "T_flange_tool": pose_mapping(T_flange_tool),
             "joints": [
                 {

@@ -17,6 +17,7 @@ from armsight.api.results import Result, Row, with_std
 from armsight.app.identify.sweep_files import identify_output, seen_in_frames
 from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
+from armsight.calibrate.identify.result import placed_by
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
@@ -192,5 +193,5 @@ def _identified(
     base = None if T_base is None else T_base.inv().as_matrix()
     found = identify(sweeps, rig=rig, sigma=sigma, base=base, name=name, **how)
     if T_base is not None:  # found in the rig's axes
-        found = replace(found, arm=replace(found.arm, T_world_base=T_base * found.arm.T_world_base))
+        found = replace(found, arm=placed_by(T_base, found.arm, on_base=True))
     return ArmIdentification(detail=found)

@@ -13,14 +13,19 @@ from armsight.kinematics import (
     in_convention,
     preset,
 )
+from armsight.kinematics.axes import links_told
 from armsight.records.output import Output, output
 from armsight.store.arm_file import read_arm, write_arm
-from armsight.store.urdf import read_urdf, write_urdf
+from armsight.store.urdf import read_urdf
+from armsight.store.urdf_writer import write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
+
+
+NOTES = Doc("Which links of a URDF base and tool are, and what of it was taken otherwise than it is written.")
 
 
 @output
@@ -31,6 +36,13 @@ class ConvertArmOutput(Output):
     file: Annotated[str, Doc("The file written.")]
     joints: Annotated[int, Doc("How many joints.")]
     convention: Annotated[str, Doc("standard or craig.")]
+    notes: Annotated[tuple[str, ...], NOTES]
+
+
+def arm_notes(arm: Arm) -> tuple[str, ...]:
+    """Return what to know of an arm of a URDF; nothing of another."""
+    told = links_told(arm)
+    return (*told, arm.source) if told and arm.source.startswith("URDF") else told
 
 
 def given_arm(arm: Path | str | None) -> Arm | None:
@@ -119,4 +131,10 @@ def convert_arm(source: str, out: Path, *, convention: str | None = None) -> Con
         write_arm(out, model, inputs=[] if file is None else [file])
     else:
         raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
-    return ConvertArmOutput(arm=model.name, file=str(out), joints=model.n, convention=model.convention.value)
+    return ConvertArmOutput(
+        arm=model.name,
+        file=str(out),
+        joints=model.n,
+        convention=model.convention.value,
+        notes=arm_notes(model),
+    )

@@ -9,8 +9,9 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from armsight.app.arm_files import load_arm
+from armsight.app.arm_files import NOTES, arm_notes, load_arm
 from armsight.app.sources.bags import joint_states
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
@@ -38,20 +39,30 @@ from armsight.store.tables import cells, number
 Array = NDArray[np.float64]
 
 
+ROTATION_HELD = 1e-5
+"""rad: tracks that turn the tool so near to the path's poses hold them."""
+
+
 @output
-class FkOutput(Output):
-    """armsight kinematics fk."""
+class OfArm(Output):
+    """What is said of an arm in every result."""
 
     arm: Annotated[str, Doc("The arm's name.")]
+    notes: Annotated[tuple[str, ...], NOTES]
+
+
+@output
+class FkOutput(OfArm):
+    """armsight kinematics fk."""
+
     n: Annotated[int, Doc("Rows.")]
     n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
 
 
 @output
-class JacobianOutput(Output):
+class JacobianOutput(OfArm):
     """armsight kinematics jacobian."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
     n: Annotated[int, Doc("Rows.")]
     axes: Annotated[str, Doc("Axes of the Jacobian: world, base or tool.")]
 
@@ -61,25 +72,28 @@ class UnsolvedPose(Output):
     """A pose without a solution."""
 
     pose: Annotated[int, Doc("The pose, from 0.")]
-    status: Annotated[str, Doc("out_of_reach, limits or no_solution.")]
+    status: Annotated[str, Doc("out_of_reach, limits, no_solution; or position_only, where the rotation is missed.")]
     why: Annotated[str, Doc("Why, in words.")]
 
 
 @output
-class IkOutput(Output):
+class IkOutput(OfArm):
     """armsight kinematics ik."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
     n: Annotated[int, Doc("Poses.")]
-    status: Annotated[dict[str, int], Doc("Poses by status: ok, out_of_reach, singular, limits, no_solution.")]
+    status: Annotated[
+        dict[str, int], Doc("Poses by status: ok, position_only, out_of_reach, singular, limits, no_solution.")
+    ]
+    n_solutions: Annotated[int, Doc("Solutions within limits, of all poses.")]
+    n_beyond_limits: Annotated[int, Doc("Solutions left out because a joint would be beyond a limit.")]
+    complete: Annotated[bool, Doc("Whether these are all: true where a closed form gives them.")]
     unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
 
 
 @output
-class PathOutput(Output):
+class PathOutput(OfArm):
     """armsight kinematics path."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
     n: Annotated[int, Doc("Poses of the path.")]
     n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
     branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
@@ -95,10 +109,9 @@ class FormulasOutput(Output):
 
 
 @output
-class ShowOutput(Output):
+class ShowOutput(OfArm):
     """armsight kinematics show."""
 
-    arm: Annotated[str, Doc("The arm's name.")]
     file: Annotated[str, Doc("The page written.")]
     tool_xyz_m: Annotated[tuple[float, float, float], Doc("Where the tool is, in world axes, m.")]
 
@@ -143,7 +156,7 @@ def write_poses_of_joints(arm: str, joints: Path, out: Path, format_: TableForma
         ),
     )
     beyond = int((~model.within_limits(motion.q)).sum())
-    return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond)
+    return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond, notes=arm_notes(model))
 
 
 def write_jacobians(
@@ -159,7 +172,7 @@ def write_jacobians(
     header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
     rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return JacobianOutput(arm=model.name, n=len(J), axes=axes)
+    return JacobianOutput(arm=model.name, n=len(J), axes=axes, notes=arm_notes(model))
 
 
 def write_joints_of_poses(
@@ -174,6 +187,8 @@ def write_joints_of_poses(
 ) -> IkOutput:
     """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
 
+    Beyond limits none is written; the result counts them, and says whether there may be further ones.
+
     near: joints.csv with one row, or one per pose. Without it each pose is solved near the one before. Poses without a
     solution get one row with empty joint values; the reason is its status, and in words in the result.
     """
@@ -183,6 +198,7 @@ def write_joints_of_poses(
     aim = task_of(model, task)
     here = start_values(model, None)
     rows, counts, unsolved = [], Counter[str](), []
+    within, beyond, complete = 0, 0, True
     for k, target in enumerate(targets):
         here = starts[k] if starts is not None else here
         answer = _solve(model, target, here, aim)
@@ -190,11 +206,22 @@ def write_joints_of_poses(
         if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
             unsolved.append(UnsolvedPose(pose=k, status=answer.status.value, why=answer.why))
         rows += _rows(model, k, answer, every)
+        within, beyond = within + len(answer.solutions), beyond + len(answer.beyond_limits)
+        complete &= answer.complete
         if answer.solutions:
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return IkOutput(arm=model.name, n=len(targets), status=dict(counts), unsolved=unsolved)
+    return IkOutput(
+        arm=model.name,
+        notes=arm_notes(model),
+        n=len(targets),
+        status=dict(counts),
+        n_solutions=within,
+        n_beyond_limits=beyond,
+        complete=complete,
+        unsolved=unsolved,
+    )
 
 
 def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
@@ -226,6 +253,7 @@ def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
     out = []
     for i, solution in enumerate(solutions):
         status = Status.SINGULAR if solution.singular else Status.OK
+        status = answer.status if answer.status is Status.POSITION_ONLY else status
         values = cells([*arm.readings(solution.q).tolist(), solution.error_m, solution.error_rad])
         out.append(f"{k},{i},{values},{status}")
     return out or [f"{k},," + "," * (arm.n + 2) + answer.status.value]
@@ -252,10 +280,24 @@ def write_joint_path(
         write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
     return PathOutput(
         arm=model.name,
+        notes=(*arm_notes(model), *_turned(model, track.q, T, task)),
         n=len(targets),
         n_reached=len(track.q),
         branch=list(track.branch),
         issues=track.issues,
+    )
+
+
+def _turned(arm: Arm, q: Array, T: Array, task: str | None) -> tuple[str, ...]:
+    """Return by how much a track q (k, n) of few joints turns the tool otherwise than the poses T (m, 4, 4) want."""
+    if arm.n >= 6 or task is not None or not len(q):
+        return ()
+    turned = Rotation.from_matrix(np.swapaxes(T[: len(q), :3, :3], 1, 2) @ fk(arm, q)[:, :3, :3])
+    off = float(turned.magnitude().max())
+    if off < ROTATION_HELD:
+        return ()
+    return (
+        f"{arm.n} joints hold the path's positions alone: the tool is turned up to {np.rad2deg(off):.3g} deg from it",
     )
 
 
@@ -283,7 +325,7 @@ def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
     q = start_values(model, None) if joints is None else _joint_values(model, joints)
     write_text(out, arm_report(model, q))
     T = fk(model, np.atleast_2d(q)[0])
-    return ShowOutput(arm=model.name, file=str(out), tool_xyz_m=T[:3, 3].tolist())
+    return ShowOutput(arm=model.name, notes=arm_notes(model), file=str(out), tool_xyz_m=T[:3, 3].tolist())
 
 
 def reading_values(arm: Arm, text: str) -> Array:

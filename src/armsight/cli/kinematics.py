@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -20,6 +21,12 @@ Start: TypeAlias = Annotated[Path | None, Doc("joints.csv; its first row is wher
 Every: TypeAlias = Annotated[bool, Doc("Write every solution, not the nearest alone."), Flag("--all")]
 
 
+def _say_notes(face: CommandUI, notes: Sequence[str]) -> None:
+    """Say what to know of the arm."""
+    for note in notes:
+        face.say(f"  {note}")
+
+
 @command(kinematics, streamed=True)
 def fk(
     face: CommandUI, *, arm: ArmFile, joints: Joints, out: Out, tip: Tip = None, base: Base = None, table: Table
@@ -31,6 +38,7 @@ def fk(
     done = run(arm_source(arm, tip=tip, base=base), joints, out, table)
     beyond = f", {done.n_beyond_limits} of them beyond limits" if done.n_beyond_limits else ""
     face.say(f"{done.n} poses of {done.arm}{beyond}: {out}")
+    _say_notes(face, done.notes)
     face.result(done)
 
 
@@ -55,6 +63,11 @@ def ik(
     done = run(arm_source(arm, tip=tip, base=base), poses, out, near=near, every=every, task=task, format_=table)
     counts = ", ".join(f"{count} {status}" for status, count in done.status.items())
     face.say(f"{done.n} poses of {done.arm} ({counts}): {out}")
+    if every:
+        left = f", {done.n_beyond_limits} more beyond limits are left out" if done.n_beyond_limits else ""
+        more = "" if done.complete else "; found by search: there may be further ones"
+        face.say(f"  {done.n_solutions} solutions{left}{more}")
+    _say_notes(face, done.notes)
     for entry in done.unsolved[:5]:
         face.say(f"  pose {entry.pose}: {entry.status}, {entry.why}")
     face.result(done)
@@ -78,6 +91,7 @@ def jacobian(
 
     done = run(arm_source(arm, tip=tip, base=base), joints, out, axes=axes, format_=table)
     face.say(f"{done.n} Jacobians of {done.arm} in {done.axes} axes: {out}")
+    _say_notes(face, done.notes)
     face.result(done)
 
 
@@ -101,6 +115,7 @@ def path(
     done = run(arm_source(arm, tip=tip, base=base), poses, out, start=start, task=task, format_=table)
     branch = f" on the branch {', '.join(done.branch)}" if done.branch else ""
     face.say(f"{done.n_reached} of {done.n} poses of {done.arm} reached{branch}: {out}")
+    _say_notes(face, done.notes)
     for issue in done.issues:
         face.say(f"  {issue.text}")
     face.result(done)
@@ -132,6 +147,7 @@ def show(
 
     done = draw_arm(arm_source(arm, tip=tip, base=base), out, joints=joints)
     face.say(f"{done.arm}: {out}")
+    _say_notes(face, done.notes)
     face.result(done)
 
 
@@ -150,4 +166,5 @@ def convert_arm(
 
     done = run(arm_source(source, tip=tip, base=base), out, convention=convention)
     face.say(f"{done.arm}, {done.joints} joints: {out}")
+    _say_notes(face, done.notes)
     face.result(done)

@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
-from armsight.kinematics.convention import Convention, distal_rows
-from armsight.kinematics.joints import Coupling, Joint, JointType, ToolPoint, check_couplings
+from armsight.kinematics.chain_table import chain_table
+from armsight.kinematics.convention import Convention
+from armsight.kinematics.couplings import Coupling, check_couplings, gearing, gearing_back, require_followed
+from armsight.kinematics.joints import Joint, ToolPoint
 from armsight.kinematics.kernels.chain import one_pose
 from armsight.kinematics.kernels.gravity import many_torques, settle_under_weight
 from armsight.records import (
@@ -49,7 +51,11 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm(Saveable):
-    """A serial arm: joints from base to flange, T_world_base, T_flange_tool.
+    """A serial arm: joints from base to flange, T_world_base, T_base_frame0, T_flange_tool.
+
+    base is the model's root: the base link of a URDF, the first frame of a DH table. T_base_frame0: where that table's
+    frame 0, whose z axis is joint 1's, lies in it; the identity but for arms of a URDF or in axes of another base.
+    base_link, tool_link: what a URDF calls the links of base and tool, empty where nothing does.
 
     All kinematics is in the joints' own values q, which are the controller's readings unless `couplings` say otherwise
     or joints give way under the arm's weight (`compliance`): `values` and `readings` turn one into the other.
@@ -66,17 +72,20 @@ class Arm(Saveable):
     joints: tuple[Joint, ...]
     convention: Convention = Convention.STANDARD
     T_world_base: RigidTransform = field(default_factory=RigidTransform.identity)
+    T_base_frame0: RigidTransform = field(default_factory=RigidTransform.identity)
     T_flange_tool: RigidTransform = field(default_factory=RigidTransform.identity)
     source: str = ""
     covariance: NamedCovariance | None = None
     couplings: tuple[Coupling, ...] = ()
     tool_points: tuple[ToolPoint, ...] = ()
     down_in_base: Array | None = None
+    base_link: str = ""
+    tool_link: str = ""
     chain: Array = field(init=False, repr=False)
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        for field_name in ("name", "source"):
+        for field_name in ("name", "source", "base_link", "tool_link"):
             require_kind(field_name, getattr(self, field_name), str)
         for field_name, kind in (("joints", Joint), ("couplings", Coupling), ("tool_points", ToolPoint)):
             entries = getattr(self, field_name)
@@ -84,7 +93,7 @@ class Arm(Saveable):
             for entry in entries:
                 require_kind(f"an entry of {field_name}", entry, kind)
             object.__setattr__(self, field_name, tuple(entries))
-        for field_name in ("T_world_base", "T_flange_tool"):
+        for field_name in ("T_world_base", "T_base_frame0", "T_flange_tool"):
             require_kind(field_name, getattr(self, field_name), RigidTransform, cure="RigidTransform.from_matrix(T)")
         require_kind("covariance", self.covariance, NamedCovariance, NoneType)
         object.__setattr__(self, "convention", one_of(Convention, "convention", self.convention))
@@ -93,7 +102,7 @@ class Arm(Saveable):
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
-        check_couplings(self.couplings, names)
+        check_couplings(self.couplings, self.joints)
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
@@ -106,7 +115,7 @@ class Arm(Saveable):
             )
         if self.down_in_base is not None:
             object.__setattr__(self, "down_in_base", _unit(self.down_in_base))
-        chain = _chain(self)
+        chain = chain_table(self)
         chain.setflags(write=False)
         object.__setattr__(self, "chain", chain)
 
@@ -131,8 +140,13 @@ class Arm(Saveable):
         return np.asarray(self.chain[1:-1, 0] == 0.0)
 
     @property
+    def T_world_frame0(self) -> Array:
+        """Where frame 0 of the table stands in world (4, 4)."""
+        return self.T_world_base.as_matrix() @ self.T_base_frame0.as_matrix()
+
+    @property
     def reach_m(self) -> float:
-        """Upper bound of the distance of the tool's origin from the base's, in m; inf with an unlimited slide."""
+        """Upper bound of the distance of the tool's origin from frame 0's, in m; inf with an unlimited slide."""
         known = self.found.get("reach_m")
         if isinstance(known, float):
             return known
@@ -145,20 +159,33 @@ class Arm(Saveable):
     @property
     def length_m(self) -> float:
         """Characteristic length in m, by which metres are compared with radians: the mean length of a link."""
+        known = self.found.get("length_m")
+        if isinstance(known, float):
+            return known
         rows = self.chain[1:-1]
-        lengths = np.hypot(rows[:, 4], rows[:, 3])
-        lengths = np.append(lengths, np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        lengths = np.append(np.hypot(rows[:, 4], rows[:, 3]), np.linalg.norm(self.chain[-1, [3, 7, 11]]))
         used = lengths[lengths > 0.0]
-        return float(used.mean()) if len(used) else 1.0
+        self.found["length_m"] = length_m = float(used.mean()) if len(used) else 1.0
+        return length_m
 
     @property
     def gearing(self) -> Array:
-        """Return (n, n): how the joints' values follow the controller's readings; the identity without couplings."""
-        index = {joint.name: i for i, joint in enumerate(self.joints)}
-        gearing = np.eye(self.n)
-        for coupling in self.couplings:
-            gearing[index[coupling.joint], index[coupling.by]] += coupling.share
-        return gearing
+        """Return (n, n): how the joints' values follow the readings; a joint without a drive has a column of zeros."""
+        return gearing(self.joints, self.couplings)
+
+    @property
+    def gearing_back(self) -> Array:
+        """Return (n, n): how readings follow the joints' values; a joint without a drive reads its own value."""
+        return gearing_back(self.joints, self.couplings)
+
+    @property
+    def undriven(self) -> tuple[int, ...]:
+        """Which joints, from 0, have no drive and follow others."""
+        known = self.found.get("undriven")
+        if isinstance(known, tuple):
+            return known
+        self.found["undriven"] = found = tuple(i for i, joint in enumerate(self.joints) if not joint.driven)
+        return found
 
     @property
     def compliant(self) -> bool:
@@ -174,6 +201,8 @@ class Arm(Saveable):
         """Return the joints' own values (n,) or (m, n) of a controller's readings at rest; raises as `checked`."""
         readings = self.checked(readings)
         driven = readings @ self.gearing.T if self.couplings else readings
+        if self.undriven:
+            require_followed(self.joints, self.couplings, readings, driven)
         return self.sagged(driven) if self.compliant else driven
 
     def readings(self, q: ArrayLike) -> Array:
@@ -181,7 +210,7 @@ class Arm(Saveable):
         q = self.checked(q)
         if self.compliant:
             q = q - np.array([joint.compliance for joint in self.joints]) * self.gravity_torque(q)
-        return np.asarray(np.linalg.solve(self.gearing, q.T).T) if self.couplings else q
+        return np.asarray(q @ self.gearing_back.T) if self.couplings else q
 
     @property
     def down(self) -> Array:
@@ -358,37 +387,6 @@ def _unit(down: Array) -> Array:
     down /= size
     down.setflags(write=False)
     return down
-
-
-def _chain(arm: Arm) -> Array:
-    """Return the table (n + 2, 12) of kernels.chain."""
-    T_base, rows, T_tool = distal_rows(
-        arm.convention,
-        arm.T_world_base.as_matrix(),
-        [(joint.a_m, joint.alpha_rad, joint.beta_rad) for joint in arm.joints],
-        arm.T_flange_tool.as_matrix(),
-    )
-    chain = np.zeros((arm.n + 2, 12))
-    chain[0] = T_base[:3].ravel()
-    chain[-1] = T_tool[:3].ravel()
-    for row, joint, (a, alpha, beta) in zip(chain[1:-1], arm.joints, rows, strict=True):
-        row[0] = float(joint.type is JointType.PRISMATIC)
-        row[1:4] = joint.sign, joint.theta_rad, joint.d_m
-        row[4] = a
-        row[5:7] = exact_cos_sin(alpha)
-        row[7:9] = exact_cos_sin(beta)
-        row[9:12] = joint.lower, joint.upper, alpha
-    return chain
-
-
-def exact_cos_sin(angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine, exact where the angle is the nearest float64 to a quarter turn."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    if abs(c) < math.ulp(1.0):
-        return 0.0, math.copysign(1.0, s)
-    if abs(s) < math.ulp(1.0):
-        return math.copysign(1.0, c), 0.0
-    return c, s
 
 
 def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:

@@ -8,7 +8,7 @@ from math import atan2, inf
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
 from armsight.kinematics.arm import Arm
@@ -45,24 +45,35 @@ class AxisJoint:
     mass_kg: float = 0.0
     com_m: Array = field(default_factory=lambda: np.zeros(3))
 
+    def started_at(self, value: float) -> AxisJoint:
+        """Return the joint with its zero where its value is now this, in rad or m."""
+        step = np.eye(4)
+        if self.type is JointType.REVOLUTE:
+            step[:3, :3] = Rotation.from_rotvec(value * self.axis).as_matrix()
+        else:
+            step[:3, 3] = value * self.axis
+        return replace(
+            self, T_parent_joint=self.T_parent_joint @ step, lower=self.lower - value, upper=self.upper - value
+        )
+
 
 def arm_from_axes(
     name: str, T_world_base: Array, joints: Sequence[AxisJoint], T_last_flange: Array, T_flange_tool: Array
 ) -> Arm:
     """Return the arm in standard Denavit-Hartenberg form whose poses are those of the axes, to rounding.
 
-    All (4, 4): T_world_base of the link before the first joint, T_last_flange of the flange in the last joint's frame.
+    All (4, 4): T_world_base of the model's root, which the first joint's frame is given in, T_last_flange of the flange
+    in the last joint's frame. base stays the root; frame 0 of the table is put on the first joint's axis.
     Joint values keep their zero and their sense. Where a frame is already one of Denavit and Hartenberg's its
     parameters come back as they are; nearly parallel axes get a beta. Raises Inconsistent for an axis that is not of
     unit length.
     """
     lines = []
-    at = T_world_base
+    at = np.eye(4)
     for joint in joints:
         at = at @ joint.T_parent_joint
         lines.append((at, *_direction(joint)))
-    frame = _first_frame(T_world_base, lines[0][0], lines[0][1])
-    base = frame
+    frame0 = frame = _first_frame(lines[0][0], lines[0][1])
     rows: list[Joint] = []
     for k, joint in enumerate(joints):
         here, _, sign = lines[k]
@@ -78,10 +89,43 @@ def arm_from_axes(
     arm = Arm(
         name=name,
         joints=tuple(rows),
-        T_world_base=RigidTransform.from_matrix(base),
+        T_world_base=RigidTransform.from_matrix(T_world_base),
+        T_base_frame0=RigidTransform.from_matrix(frame0),
         T_flange_tool=RigidTransform.from_matrix(T_flange_tool),
     )
-    return _loaded(arm, joints, [here for here, _, _ in lines])
+    return _loaded(arm, joints, [T_world_base @ here for here, _, _ in lines])
+
+
+def in_short_rows(arm: Arm) -> Arm:
+    """Return the same arm with beta on nearly parallel axes (Hayati), where d of a plain table runs to hundreds of m.
+
+    In standard convention; joint values keep zero and sense, covariance is dropped. Raises Inconsistent for scales.
+    """
+    T_world_base, joints, last, tool = axes_of(arm)
+    short = arm_from_axes(arm.name, T_world_base, joints, last, tool)
+    before, after = (
+        link_frames(one, np.zeros(arm.n))[1:-1] for one in (in_convention(arm, Convention.STANDARD), short)
+    )
+    rows = [
+        replace(
+            row,
+            compliance=joint.compliance,
+            driven=joint.driven,
+            mass_kg=joint.mass_kg,
+            com_m=tuple((np.linalg.solve(new, old) @ [*joint.com_m, 1.0])[:3].tolist()),
+        )
+        for row, joint, old, new in zip(short.joints, arm.joints, before, after, strict=True)
+    ]
+    T = short.T_flange_tool * arm.T_flange_tool.inv()  # of the flange, as the whole behind the last joint is the same
+    return replace(
+        arm,
+        joints=tuple(rows),
+        convention=Convention.STANDARD,
+        T_base_frame0=short.T_base_frame0,
+        T_flange_tool=short.T_flange_tool,
+        covariance=None,
+        tool_points=tuple(point.seen_from(T) for point in arm.tool_points),
+    )
 
 
 def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array]) -> Arm:
@@ -123,7 +167,7 @@ def axes_of(arm: Arm) -> tuple[Array, list[AxisJoint], Array, Array]:
     Raises Inconsistent for a joint with a scale, which URDF cannot say.
     """
     standard = in_convention(arm, Convention.STANDARD)
-    before = np.eye(4)
+    before = standard.T_base_frame0.as_matrix()
     out = []
     for joint in standard.joints:
         if abs(joint.sign) != 1.0:
@@ -149,6 +193,13 @@ def axes_of(arm: Arm) -> tuple[Array, list[AxisJoint], Array, Array]:
     return standard.T_world_base.as_matrix(), out, before, standard.T_flange_tool.as_matrix()
 
 
+def links_told(arm: Arm) -> tuple[str, ...]:
+    """Return which links of a URDF base and tool are, as a sentence; nothing for an arm that has none by name."""
+    if not (arm.base_link and arm.tool_link):
+        return ()
+    return (f"base is the link {arm.base_link}, the tool the link {arm.tool_link}",)
+
+
 def _clean(value: float) -> float:
     """Return zero for what is zero but for rounding."""
     return 0.0 if abs(value) < ROUNDING else float(value)
@@ -169,14 +220,13 @@ def _direction(joint: AxisJoint) -> tuple[Array, float]:
     return axis, 1.0
 
 
-def _first_frame(T_world_base: Array, T_world_joint: Array, axis: Array) -> Array:
-    """Return frame 0: the base where its z axis is joint 1's axis, else the joint's own frame turned to its axis."""
-    z = T_world_joint[:3, :3] @ axis
-    to_axis = T_world_joint[:3, 3] - T_world_base[:3, 3]
-    off = np.linalg.norm(np.cross(z, to_axis))
-    if np.linalg.norm(T_world_base[:3, 2] - z) < SAME and off < SAME:
-        return T_world_base
-    frame = T_world_joint.copy()
+def _first_frame(T_base_joint: Array, axis: Array) -> Array:
+    """Return frame 0 in base: the base where its z axis is joint 1's, else the joint's frame turned to its axis."""
+    z = T_base_joint[:3, :3] @ axis
+    off = np.linalg.norm(np.cross(z, T_base_joint[:3, 3]))
+    if np.linalg.norm(z - [0.0, 0.0, 1.0]) < SAME and off < SAME:
+        return np.eye(4)
+    frame = T_base_joint.copy()
     if np.linalg.norm(frame[:3, 2] - z) > 0.0:
         side = frame[:3, int(np.abs(frame[:3, :3].T @ z).argmin())]
         x = side - (side @ z) * z

@@ -103,7 +103,7 @@ def _recognise(arm: Arm, wrist: Wrist, tolerance: float) -> Family | None:
 
 
 def _outside(arm: Arm) -> tuple[Array, Array]:
-    """Return (4, 4): inverse of T_world_base, and of all that comes after the turn of joint 6."""
+    """Return (4, 4): inverse of frame 0's pose in world, and of all that comes after the turn of joint 6."""
     base, tool = np.eye(4), np.eye(4)
     base[:3], tool[:3] = arm.chain[0].reshape(3, 4), arm.chain[-1].reshape(3, 4)
     row = arm.chain[-2]

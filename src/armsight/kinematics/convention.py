@@ -2,7 +2,7 @@
 
 Standard: T_i = Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). Craig: T_i = Tx(a) Rx(alpha) Ry(beta) Rz(theta) Tz(d). The
 parameters are the same with a, alpha, beta moved by one joint (MATH 4.5); what is left over at the ends goes into
-the base or the tool.
+frame 0 or the tool.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ def link_matrix(a_m: float, alpha_rad: float, beta_rad: float) -> Array:
 
 
 def distal_rows(
-    convention: Convention, T_world_base: Array, links: Sequence[Link], T_flange_tool: Array
+    convention: Convention, T_world_frame0: Array, links: Sequence[Link], T_flange_tool: Array
 ) -> tuple[Array, list[Link], Array]:
-    """Return base, links and tool of the same arm in standard convention; matrices (4, 4)."""
+    """Return frame 0, links and tool of the same arm in standard convention; matrices (4, 4)."""
     if convention is Convention.STANDARD:
-        return T_world_base, list(links), T_flange_tool
-    return T_world_base @ link_matrix(*links[0]), [*links[1:], (0.0, 0.0, 0.0)], T_flange_tool
+        return T_world_frame0, list(links), T_flange_tool
+    return T_world_frame0 @ link_matrix(*links[0]), [*links[1:], (0.0, 0.0, 0.0)], T_flange_tool
 
 
 def proximal_rows(
-    convention: Convention, T_world_base: Array, links: Sequence[Link], T_flange_tool: Array
+    convention: Convention, T_world_frame0: Array, links: Sequence[Link], T_flange_tool: Array
 ) -> tuple[Array, list[Link], Array]:
-    """Return base, links and tool of the same arm in Craig's convention; matrices (4, 4)."""
+    """Return frame 0, links and tool of the same arm in Craig's convention; matrices (4, 4)."""
     if convention is Convention.CRAIG:
-        return T_world_base, list(links), T_flange_tool
-    return T_world_base, [(0.0, 0.0, 0.0), *links[:-1]], link_matrix(*links[-1]) @ T_flange_tool
+        return T_world_frame0, list(links), T_flange_tool
+    return T_world_frame0, [(0.0, 0.0, 0.0), *links[:-1]], link_matrix(*links[-1]) @ T_flange_tool

@@ -43,6 +43,9 @@ def parameter_jacobian(arm: Arm, q: ArrayLike) -> tuple[Array, Array]:
     many_parameter_columns(arm.chain, rows, T, J)
     if arm.convention is Convention.CRAIG:
         J = _craig_columns(arm, T, J)
+    lever = arm.chain[0, [3, 7, 11]] - arm.T_world_base.translation
+    if lever.any():  # columns turn about the chain's first frame, and the base about its own origin
+        J[:, :3, -9:-6] += np.cross(np.eye(3), lever).T
     return (T, J) if values.ndim == 2 else (T[0], J[0])
 
 
@@ -53,7 +56,7 @@ def _craig_columns(arm: Arm, T: Array, J: Array) -> Array:
     for source, key in ((0, 0), (1, 1), (4, 4)):
         for i in range(1, n):
             out[:, :, PER_JOINT * i + key] = J[:, :, PER_JOINT * (i - 1) + source]
-    base = arm.T_world_base.as_matrix()  # the first link stands on it
+    base = arm.T_world_frame0  # the first link stands on it
     first = arm.joints[0]
     x = base[:3, 0]
     y = base[:3, :3] @ Rotation.from_rotvec([first.alpha_rad, 0.0, 0.0]).as_matrix()[:, 1]
@@ -63,8 +66,6 @@ def _craig_columns(arm: Arm, T: Array, J: Array) -> Array:
     out[:, :3, 0], out[:, 3:, 0] = x, 0.0
     out[:, :3, 1], out[:, 3:, 1] = np.cross(x, p - at_x), x
     out[:, :3, 4], out[:, 3:, 4] = np.cross(y, p - at_y), y
-    base_turns = slice(PER_JOINT * n + 3, PER_JOINT * n + 6)
-    out[:, :3, base_turns] = np.cross(np.eye(3), (p - base[:3, 3])[:, None, :]).transpose(0, 2, 1)
     return out
 
 
@@ -84,14 +85,12 @@ def moved(arm: Arm, changes: Mapping[str, float]) -> Arm:
         own = {key: changes[f"{joint.name}.{key}"] for key in LINK_KEYS if f"{joint.name}.{key}" in changes}
         values = {key: getattr(joint, key) + step for key, step in own.items()}
         joints.append(dataclasses.replace(joint, **values) if own else joint)
-    return Arm(
-        name=arm.name,
+    return dataclasses.replace(
+        arm,
         joints=tuple(joints),
-        convention=arm.convention,
         T_world_base=_moved_pose(arm.T_world_base, [changes.get(f"base.{key}", 0.0) for key in POSE_KEYS]),
         T_flange_tool=_moved_pose(arm.T_flange_tool, [changes.get(f"tool.{key}", 0.0) for key in POSE_KEYS]),
-        source=arm.source,
-        down_in_base=arm.down_in_base,
+        covariance=None,
     )
 
 

@@ -97,7 +97,7 @@ def fk_jacobian(
 
 
 def link_frames(arm: Arm, q: ArrayLike) -> Array:
-    """Return (n + 2, 4, 4): T_world_base, the frame behind each joint in standard convention, T_world_tool."""
+    """Return (n + 2, 4, 4) in world: frame 0, the frame behind each joint in standard convention, the tool."""
     values = arm.checked(q)
     if values.ndim != 1:
         raise UsageError("link frames are computed for one joint vector at a time")
@@ -111,30 +111,27 @@ def link_frames(arm: Arm, q: ArrayLike) -> Array:
 def in_convention(arm: Arm, convention: Convention | str) -> Arm:
     """Return the same arm written in the other convention; its poses stay the same, its covariance is dropped.
 
-    A link length or twist that the new convention cannot hold at its end goes into the base or the tool.
+    A link length or twist that the new convention cannot hold at its end goes into frame 0 or the tool; the base stays.
     """
     wanted = Convention(convention)
     if wanted is arm.convention:
         return arm
     move = distal_rows if wanted is Convention.STANDARD else proximal_rows
     links = [(joint.a_m, joint.alpha_rad, joint.beta_rad) for joint in arm.joints]
-    base, rows, tool = move(arm.convention, arm.T_world_base.as_matrix(), links, arm.T_flange_tool.as_matrix())
+    frame0, rows, tool = move(arm.convention, arm.T_base_frame0.as_matrix(), links, arm.T_flange_tool.as_matrix())
     joints = tuple(
         dataclasses.replace(joint, a_m=a, alpha_rad=alpha, beta_rad=beta)
         for joint, (a, alpha, beta) in zip(arm.joints, rows, strict=True)
     )
     T_flange_tool = RigidTransform.from_matrix(tool)
     T_new_old = T_flange_tool * arm.T_flange_tool.inv()  # of the flange
-    T_old_new_base = arm.T_world_base.inv() * RigidTransform.from_matrix(base)
     last = joints[-1]
-    return Arm(
-        name=arm.name,
+    return dataclasses.replace(
+        arm,
         joints=(*joints[:-1], dataclasses.replace(last, com_m=tuple(T_new_old.apply(last.com_m).tolist()))),
         convention=wanted,
-        T_world_base=RigidTransform.from_matrix(base),
+        T_base_frame0=RigidTransform.from_matrix(frame0),
         T_flange_tool=T_flange_tool,
-        source=arm.source,
-        couplings=arm.couplings,
+        covariance=None,
         tool_points=tuple(point.seen_from(T_new_old) for point in arm.tool_points),
-        down_in_base=None if arm.down_in_base is None else T_old_new_base.as_matrix()[:3, :3].T @ arm.down_in_base,
     )

@@ -29,8 +29,8 @@ from armsight.kinematics.kernels.closed import (
     solve_closed_many,
 )
 from armsight.kinematics.kernels.numeric import solve_damped_least_squares
-from armsight.kinematics.numeric import FROM_START_ONLY, MAX_STEPS, Attempt, Stop, search_starts, solve_numeric
-from armsight.kinematics.singular import near_singularities
+from armsight.kinematics.numeric import MAX_STEPS, Attempt, Stop, attempt_from, search_starts
+from armsight.kinematics.singular import motions, near_singularities
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import frozen_array
 
@@ -44,6 +44,12 @@ SINGULAR_HERE = 1e-6
 
 FINE = 1e-11
 """Numeric solutions are run down to this (m and rad) where rounding lets them, so that equal ones are seen as equal."""
+
+SAME_PLACE = 1e-3
+"""Solutions of a position alone that are closer (rad or m) are one: they lie where the rotation is missed by least."""
+
+TURNED_AS_WELL = 0.01
+"""rad: solutions of a position that turn the tool so much worse than the best come after it, however near they are."""
 
 NUMERIC_SEARCHES = 24
 """Searches from different starts for the several solutions of an arm without a closed form."""
@@ -59,11 +65,12 @@ class Status(StrEnum):
     SINGULAR = "singular"
     LIMITS = "limits"
     NO_SOLUTION = "no_solution"
+    POSITION_ONLY = "position_only"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
-    """Joint values q (n,) that reach the pose within tolerance.
+    """Joint values q (n,) that reach the pose within tolerance, or its position: error_rad then says how it is turned.
 
     branch: ('shoulder right', 'elbow up', 'wrist no flip') for arms with a closed form, else empty. singular: names of
     the singularities it stands in; there the free joints keep the values they were near to.
@@ -102,9 +109,10 @@ _PUT_Q, _PUT_BRANCH, _PUT_SINGULAR, _PUT_ERROR_M, _PUT_ERROR_RAD = (
 class Inverse:
     """The solutions of one pose, nearest first.
 
-    status ok: at least one within limits. singular: all of them stand in a singularity. limits: solutions exist, all
-    beyond the limits (in beyond_limits). out_of_reach, no_solution: none; why says the reason. complete: the closed
-    form gave them, so there are no others.
+    status ok: at least one within limits. singular: all of them stand in a singularity. position_only: they reach the
+    position, but fewer than six joints do not turn the tool as wanted (error_rad says by how much). limits: solutions
+    exist, all beyond the limits (in beyond_limits). out_of_reach, no_solution: none; why says the reason. complete: the
+    closed form gave them, so there are no others.
     """
 
     solutions: tuple[Solution, ...]
@@ -156,19 +164,24 @@ def ik(
     Closed form (MATH 2.2, with its singular cases) where the table has one; refined numerically where the arm is only
     close to such a family; a numeric search from many starts otherwise. Turning joints are moved by whole turns to be
     within limits and nearest to near (default: the middle of the range). In a singular pose the free joint keeps the
-    value of near. A result that misses the tolerance is not a solution. Raises as `target_matrices`.
+    value of near. A result that misses the tolerance is not a solution. Without a task fewer than six joints are asked
+    for the whole pose, and where they do not hold it for its position, turned as near as they can. Raises as
+    `target_matrices`.
     """
     tolerance = tolerance or USUAL
     T = target_matrices(arm, T_world_tool)
     if len(T) != 1:
         raise UsageError("give one pose; `ik_many` takes many")
     q_seed = start_values(arm, q_seed)
+    few = task is None and arm.n < 6
     task = task_of(arm, task)
     (x, y, z), base = T[0, :3, 3].tolist(), arm.chain[0]
     distance = hypot(x - base[3], y - base[7], z - base[11])
-    if distance > arm.reach_m:
-        why = f"the pose is {distance:.4g} m from the base; the arm reaches {arm.reach_m:.4g} m at most"
+    if distance > arm.reach_m + tolerance.m:
+        why = f"the pose is {distance:.6g} m from the first joint; the arm reaches {arm.reach_m:.6g} m at most"
         return Inverse(solutions=(), beyond_limits=(), status=Status.OUT_OF_REACH, why=why, complete=True)
+    if few:
+        return _of_few_joints(arm, T[0], q_seed, tolerance)
     family = family_of(arm) if task is Task.POSE else None
     if family is None:
         return _searched(arm, T[0], q_seed, task, tolerance)
@@ -276,23 +289,25 @@ def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, t
 
 def _searched(arm: Arm, T: Array, q_seed: Array, task: Task, tolerance: Tolerance) -> Inverse:
     """Return what a numeric search from several starts finds; one solution where joints are more than needed."""
-    rows = 6 if task is Task.POSE else 3
     fine = Tolerance(m=min(tolerance.m, FINE), rad=min(tolerance.rad, FINE))
     found: list[Solution] = []
     closest: Attempt | None = None
     for start in search_starts(arm, q_seed, NUMERIC_SEARCHES, seed=0):
-        attempt = solve_numeric(arm, T, start, task=task, tolerance=tolerance, effort=FROM_START_ONLY)
+        attempt = attempt_from(arm, T, start, task, tolerance)
         if not attempt.converged:
             closest = attempt if closest is None or attempt.error_m < closest.error_m else closest
             continue
-        finer = solve_numeric(arm, T, attempt.q, task=task, tolerance=fine, effort=FROM_START_ONLY)
-        attempt = finer if finer.error_m <= attempt.error_m and finer.error_rad <= tolerance.rad else attempt
+        if any(_gap(arm, attempt.q, other.q) < SAME_SOLUTION for other in found):
+            continue
+        finer = attempt_from(arm, T, attempt.q, task, fine)
+        turned = task is Task.POSITION or finer.error_rad <= tolerance.rad
+        attempt = finer if finer.error_m <= attempt.error_m and turned else attempt
         q = in_range(arm, attempt.closest_q.copy(), q_seed)
         if any(_gap(arm, q, other.q) < SAME_SOLUTION for other in found):
             continue
-        singular = near_singularities(arm, q, SINGULAR_HERE)
+        singular = near_singularities(arm, q, SINGULAR_HERE, task)
         found.append(Solution(q=q, branch=(), singular=singular, error_m=attempt.error_m, error_rad=attempt.error_rad))
-        if arm.n > rows:
+        if arm.n > motions(arm, task):
             break
     if found or closest is None:
         found.sort(key=lambda solution: float(np.abs(solution.q - q_seed).max()))
@@ -301,6 +316,31 @@ def _searched(arm: Arm, T: Array, q_seed: Array, task: Task, tolerance: Toleranc
     status = Status.LIMITS if closest.stopped is Stop.LIMITS else Status.NO_SOLUTION
     why = f"{closest.stopped}; the closest approach is {closest.error_m:.3g} m and {closest.error_rad:.3g} rad off"
     return Inverse(solutions=(), beyond_limits=(), status=status, why=why, complete=False)
+
+
+def _of_few_joints(arm: Arm, T: Array, q_seed: Array, tolerance: Tolerance) -> Inverse:
+    """Return the solutions of the whole pose where fewer than six joints hold it, else those of its position.
+
+    The latter begin where the whole pose is missed by least, so that the tool is turned as near to it as they can.
+    """
+    whole = _searched(arm, T, q_seed, Task.POSE, tolerance)
+    if whole.solutions:
+        return whole
+    found: list[Solution] = []
+    for start in search_starts(arm, q_seed, NUMERIC_SEARCHES, seed=0):
+        nearest = attempt_from(arm, T, start, Task.POSE, tolerance)
+        placed = attempt_from(arm, T, nearest.closest_q, Task.POSITION, tolerance)
+        if not placed.converged:
+            continue
+        q = in_range(arm, placed.closest_q.copy(), q_seed)
+        if arm.within_limits(q) and all(_gap(arm, q, other.q) >= SAME_PLACE for other in found):
+            found.append(Solution(q=q, branch=(), singular=(), error_m=placed.error_m, error_rad=placed.error_rad))
+    if not found:
+        return whole if whole.beyond_limits else _searched(arm, T, q_seed, Task.POSITION, tolerance)
+    least = min(solution.error_rad for solution in found)
+    found.sort(key=lambda one: (one.error_rad > least + TURNED_AS_WELL, float(np.abs(one.q - q_seed).max())))
+    why = f"the position is reached, but {arm.n} joints turn the tool no nearer than {found[0].error_rad:.3g} rad"
+    return Inverse(solutions=tuple(found), beyond_limits=(), status=Status.POSITION_ONLY, why=why, complete=False)
 
 
 def whole_turns(arm: Arm) -> Array:

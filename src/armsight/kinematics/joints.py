@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from numbers import Real
@@ -44,8 +43,9 @@ class Joint:
     Revolute: theta = sign * q + theta_rad. Prismatic: d = sign * q + d_m. beta_rad: Hayati's turn about y, for
     nearly parallel axes. lower, upper: limits of q (rad or m). max_speed (rad/s or m/s) and stall_effort (N m or N)
     where known. sign: +1 or -1, times the joint's scale where one was identified. compliance: how far the joint gives
-    way, rad per N m or m per N. mass_kg, com_m: of the link behind the joint, its centre of mass (3,) in the frame that
-    `link_frames` has for it; 0 where not known.
+    way, rad per N m or m per N. driven: False for a joint that only follows others by couplings, and has no reading of
+    its own. mass_kg, com_m: of the link behind the joint, its centre of mass (3,) in the frame that `link_frames` has
+    for it; 0 where not known.
     """
 
     name: str
@@ -63,6 +63,7 @@ class Joint:
     compliance: float = 0.0
     mass_kg: float = 0.0
     com_m: tuple[float, float, float] = AT_FRAME
+    driven: bool = True
 
     def __post_init__(self) -> None:
         try:
@@ -124,29 +125,6 @@ class Joint:
         if self.com_m is not AT_FRAME:  # fits make arms by the thousand
             com_m = frozen_array(f"com_m of joint {self.name}", self.com_m, (3,))
             object.__setattr__(self, "com_m", tuple(com_m.tolist()))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coupling:
-    """A controller's reading that is not the joint's own: value of joint = its reading + share * reading of by."""
-
-    joint: str
-    by: str
-    share: float = 1.0
-
-
-def check_couplings(couplings: Sequence[Coupling], names: Sequence[str]) -> None:
-    """Raise Inconsistent where a coupling names no joints, or one that does not come before."""
-    for coupling in couplings:
-        known = coupling.joint in names and coupling.by in names
-        if not known or names.index(coupling.by) >= names.index(coupling.joint):
-            raise Inconsistent(
-                f"{coupling.joint} is coupled to {coupling.by}, which is no joint before it",
-                consequence="Its readings cannot be turned into values",
-                cure=f"Name joints in their order from the base: {', '.join(names)}",
-            )
-        if not (math.isfinite(coupling.share) and abs(coupling.share) <= 2.0):
-            raise Inconsistent(f"{coupling.joint} is coupled to {coupling.by} by {coupling.share:g}, not by about one")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -139,7 +140,7 @@ def solve_numeric(
         if found.converged:
             return found
         starts = found.starts
-        if best is None or _cost(found, weight) < _cost(best, weight):
+        if best is None or _cost(found, weight, rows) < _cost(best, weight, rows):
             best = found
     if best is None:
         raise UsageError("at least one start is needed")
@@ -151,19 +152,33 @@ def _attempts(
 ) -> Iterator[Attempt]:
     """Yield what the search for T (4, 4) came to from the first start (n,), then from further ones; Newton has none."""
     solver = solve_newton if newton else solve_damped_least_squares
-    weight = arm.length_m**-2
     starts = iter([first]) if newton else search_starts(arm, first, effort.restarts, effort.seed)
     for count, q in enumerate(starts, start=1):
-        errors = np.empty(2)
-        reason, steps = solver(arm.chain, T, rows, weight, tolerance.m, tolerance.rad, effort.max_steps, q, errors)
-        yield Attempt(
-            stopped=STOPS[reason],
-            closest_q=np.where(np.isfinite(q), q, first),
-            error_m=float(errors[0]),
-            error_rad=float(errors[1]),
-            steps=int(steps),
-            starts=count,
-        )
+        yield replace(_attempt(arm, T, q, first, solver, rows, tolerance, effort.max_steps), starts=count)
+
+
+def attempt_from(arm: Arm, T: Array, start: Array, task: Task, tolerance: Tolerance) -> Attempt:
+    """Return what damped least squares comes to for T (4, 4) from one start (n,), nothing checked: for searches."""
+    rows = 6 if task is Task.POSE else 3
+    return _attempt(arm, T, start.copy(), start, solve_damped_least_squares, rows, tolerance, MAX_STEPS)
+
+
+def _attempt(
+    arm: Arm, T: Array, q: Array, first: Array, solver: Any, rows: int, tolerance: Tolerance, max_steps: int
+) -> Attempt:
+    """Return what a solver comes to from q (n,), which it changes; where that is not finite, first (n,)."""
+    errors = np.empty(2)
+    reason, steps = solver(arm.chain, T, rows, arm.length_m**-2, tolerance.m, tolerance.rad, max_steps, q, errors)
+    closest = np.where(np.isfinite(q), q, first)
+    return Attempt(
+        stopped=STOPS[reason],
+        closest_q=closest,
+        error_m=float(errors[0]),
+        # where the position alone was asked for, how the tool is turned there is told all the same
+        error_rad=float(errors[1]) if rows == 6 else _turned_off(arm, T, closest),
+        steps=int(steps),
+        starts=1,
+    )
 
 
 def solve_numeric_many(
@@ -202,6 +217,13 @@ def search_starts(arm: Arm, first: Array, more: int, seed: int) -> Iterator[Arra
         yield rng.uniform(low, high)
 
 
-def _cost(attempt: Attempt, weight: float) -> float:
-    """Return the scaled squared error."""
-    return weight * attempt.error_m**2 + attempt.error_rad**2
+def _cost(attempt: Attempt, weight: float, rows: int) -> float:
+    """Return the scaled squared error of what was asked for: the pose (6 rows) or the position (3)."""
+    return weight * attempt.error_m**2 + (attempt.error_rad**2 if rows == 6 else 0.0)
+
+
+def _turned_off(arm: Arm, T: Array, q: Array) -> float:
+    """Return the angle in rad between the tool at q (n,) and the pose T (4, 4)."""
+    R = T[:3, :3].T @ arm.fk(q)[:3, :3]
+    sine = 0.5 * np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))

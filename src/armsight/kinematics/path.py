@@ -18,7 +18,7 @@ from armsight.kinematics.closed_form import Family, family_of
 from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
 from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
-from armsight.kinematics.singular import NEAR, UNNAMED, singular_values, singularity_measures
+from armsight.kinematics.singular import NEAR, UNNAMED, motions, singular_values, singularity_measures
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import Motion, frozen_array
 from armsight.records.output import Output, output
@@ -113,14 +113,24 @@ def track_path(
         raise UsageError("a path needs at least one pose")
     if times is not None and (np.diff(times) <= 0.0).any():
         raise UsageError("the times of a path must increase", cure="Sort the rows and drop repeated ones")
-    task = task_of(arm, task)
     tolerance = tolerance or Tolerance()
     q_seed = start_values(arm, start)
+    if task is None and arm.n < 6:  # the whole poses where so few joints hold them, else their positions
+        whole = _best_track(arm, T, times, q_seed, Task.POSE, tolerance, begun=start is not None)
+        if whole.complete:
+            return whole
+    return _best_track(arm, T, times, q_seed, task_of(arm, task), tolerance, begun=start is not None)
+
+
+def _best_track(
+    arm: Arm, T: Array, times: Array | None, q_seed: Array, task: Task, tolerance: Tolerance, *, begun: bool
+) -> JointPath:
+    """Return the track with the least trouble of those from each solution of the first pose; begun: the nearest one."""
     first = ik(arm, T[0], q_seed, task=task, tolerance=tolerance)
     if not first.solutions:
         issue = _issue(Trouble.UNREACHED, 0, 0, 0, "", np.nan, np.nan, f"pose 0: {first.status}, {first.why}")
         return JointPath(q=np.empty((0, arm.n)), t_s=times, poses=len(T), branch=(), issues=(issue,))
-    options = first.solutions[:1] if start is not None else first.solutions
+    options = first.solutions[:1] if begun else first.solutions
     tracks = [_track(arm, T, option.q, times, task, tolerance) for option in options]
     return max(tracks, key=lambda track: (len(track.q), -sum(_weight(issue) for issue in track.issues)))
 
@@ -252,7 +262,7 @@ def _singular(arm: Arm, q: Array, task: Task) -> list[Issue]:
         measures = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     else:
         values = singular_values(arm, q, task)
-        measures = {UNNAMED: values[:, -1] / values[:, 0]}
+        measures = {UNNAMED: values[:, motions(arm, task) - 1] / values[:, 0]}
     issues = []
     for name, value in measures.items():
         crossed = np.concatenate([[False], np.sign(value[1:]) * np.sign(value[:-1]) < 0.0])

@@ -16,6 +16,12 @@ NEAR = 0.035
 """Sine (or share of the reach) below which a singularity counts as near: two degrees, where joint speeds have grown
 thirtyfold."""
 
+DRAWN = 16
+"""Positions at which it is looked for in how many directions an arm moves."""
+
+ANY_MOTION = 1e-6
+"""Share of the fastest motion below which there is none: rounding."""
+
 UNNAMED = "singular"
 """The name given where the arm belongs to no family with names of its own."""
 
@@ -28,12 +34,27 @@ def scaled_jacobian(arm: Arm, q: ArrayLike, task: Task | str | None = None) -> A
 
 
 def singularity_distance(arm: Arm, q: ArrayLike, task: Task | str | None = None) -> Array:
-    """Return the smallest singular value of the scaled Jacobian, shape () or (m,).
+    """Return the smallest singular value of the scaled Jacobian, shape () or (m,), of the motions that the arm has.
 
     It is the distance, in the 2-norm, from the Jacobian to the nearest singular one: the slowest direction of the tool
-    per unit of joint speed.
+    per unit of joint speed. Directions in which too few joints never move it do not count.
     """
-    return np.asarray(singular_values(arm, q, task)[..., -1])
+    return np.asarray(singular_values(arm, q, task)[..., motions(arm, task) - 1])
+
+
+def motions(arm: Arm, task: Task | str | None = None) -> int:
+    """Return in how many directions of the task the arm moves its tool where it is not singular."""
+    task = task_of(arm, task)
+    known = arm.found.get(f"motions {task}")
+    if isinstance(known, int):
+        return known
+    rng = np.random.default_rng(0)
+    low, high = np.maximum(arm.lower, -3.0), np.minimum(arm.upper, 3.0)
+    q = rng.uniform(np.minimum(low, high), np.maximum(low, high), (DRAWN, arm.n))
+    values = singular_values(arm, q, task)
+    found = int((values > ANY_MOTION * values[:, :1]).sum(axis=1).max(initial=1))
+    arm.found[f"motions {task}"] = found = max(found, 1)
+    return found
 
 
 def singular_values(arm: Arm, q: ArrayLike, task: Task | str | None = None) -> Array:
@@ -70,10 +91,10 @@ def singularity_measures(arm: Arm, q: ArrayLike) -> dict[str, float]:
     }
 
 
-def near_singularities(arm: Arm, q: ArrayLike, within: float = NEAR) -> tuple[str, ...]:
+def near_singularities(arm: Arm, q: ArrayLike, within: float = NEAR, task: Task | str | None = None) -> tuple[str, ...]:
     """Return the names of the singularities that q (n,) is in or close to: shoulder, elbow, wrist, or 'singular'."""
     measures = singularity_measures(arm, q)
     if measures:
         return tuple(name for name, value in measures.items() if abs(value) < within)
-    values = singular_values(arm, q)
-    return (UNNAMED,) if values[-1] < within * values[0] else ()
+    values = singular_values(arm, q, task)
+    return (UNNAMED,) if values[motions(arm, task) - 1] < within * values[0] else ()

@@ -60,7 +60,7 @@ def formulas(arm: Arm, *, numbers: bool = False) -> Formulas:
     joints = sp.symbols(f"q1:{arm.n + 1}", real=True)
     base, links, tool = distal_rows(
         arm.convention,
-        arm.T_world_base.as_matrix(),
+        arm.T_world_frame0,
         [(joint.a_m, joint.alpha_rad, joint.beta_rad) for joint in arm.joints],
         arm.T_flange_tool.as_matrix(),
     )

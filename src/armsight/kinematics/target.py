@@ -71,8 +71,15 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
     """Return the poses T_world_tool as (m, 4, 4), m = 1 for a single one.
 
     poses: RigidTransform, (4, 4) or (m, 4, 4). Raises Inconsistent for values that are not finite, for matrices that
-    are no rigid motion and for poses so far off that their unit must be wrong; the row (from 0) is named.
+    are no rigid motion and for poses so far off that their unit must be wrong; the row (from 0) is named; UsageError
+    for an arm with joints that follow others, whose values cannot be chosen one by one.
     """
+    if arm.undriven:
+        raise UsageError(
+            f"joint {arm.joints[arm.undriven[0]].name} of {arm.name} has no drive and follows another",
+            consequence="No joint values are given for poses: nobody could send that joint where they want it",
+            cure="Give each joint that has a drive of its own driven: true and no coupled in the arm's file",
+        )
     T = real_array("the pose", poses.as_matrix() if isinstance(poses, RigidTransform) else poses)
     if T.ndim not in (2, 3) or T.shape[-2:] != (4, 4):
         raise UsageError(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +14,7 @@ from pydantic import Field
 
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, Joint, JointType, ToolPoint
+from armsight.kinematics.axes import in_short_rows
 from armsight.records import NamedCovariance
 from armsight.store.codec import (
     CovarianceModel,
@@ -39,15 +42,38 @@ class JointModel(structure(Joint)):  # type: ignore[misc]  # made of the record'
     std: dict[str, Finite] | None = None
 
 
+def _long(joints: Sequence[Joint]) -> dict[str, float]:
+    """Return the lengths that look like millimetres, by joint and key."""
+    lengths = {f"{joint.name}.{key}": getattr(joint, key) for joint in joints for key in ("a_m", "d_m")}
+    return {name: value for name, value in lengths.items() if looks_like_mm(value)}
+
+
+def _in_metres(arm: Arm) -> Arm:
+    """Return the arm; with beta on nearly parallel axes where d of a plain table runs away there.
+
+    A controller's own calibration has such d, of some hundred metres that cancel (universal_robot's calibration.conf).
+    Raises Inconsistent where lengths are millimetres.
+    """
+    long = _long(arm.joints)
+    if not long:
+        return arm
+    with contextlib.suppress(Inconsistent):
+        short = in_short_rows(arm)
+        if all(name.endswith(".d_m") for name in long) and not _long(short.joints):
+            told = (
+                f"{', '.join(long)} run to {max(map(abs, long.values())):.3g} m on axes that are nearly parallel: beta"
+            )
+            return replace(short, source="; ".join(part for part in (arm.source, f"{told} takes their place") if part))
+    listed = ", ".join(f"{name} {value:g}" for name, value in long.items())
+    raise Inconsistent(
+        f"lengths look like millimetres: {listed}",
+        consequence="Taken as metres the arm would be a thousand times its size",
+        cure="Write metres: " + ", ".join(f"{name.split('.')[-1]}: {1e-3 * value:.9g}" for name, value in long.items()),
+    )
+
+
 def _check_units(joint: Joint) -> None:
-    """Raise Inconsistent where angles in radians are degrees, or lengths in metres millimetres."""
-    lengths = [name for name, value in (("a_m", joint.a_m), ("d_m", joint.d_m)) if looks_like_mm(value)]
-    if lengths:
-        raise Inconsistent(
-            f"joint {joint.name}: {' and '.join(lengths)} look like millimetres",
-            consequence="Taken as metres the arm would be a thousand times its size",
-            cure="Write metres",
-        )
+    """Raise Inconsistent where angles in radians are degrees."""
     angles = {"alpha_rad": joint.alpha_rad, "theta_rad": joint.theta_rad, "beta_rad": joint.beta_rad}
     limits = [value for value in (joint.lower, joint.upper) if math.isfinite(value)]
     wrong = [name for name, value in angles.items() if looks_like_degrees(value)]
@@ -71,7 +97,10 @@ class ArmModel(Origin):
     name: str = "arm"
     convention: Literal["standard", "craig"]
     T_world_base: PoseModel | None = None
+    T_base_frame0: PoseModel | None = None
     T_flange_tool: PoseModel | None = None
+    base_link: str = ""
+    tool_link: str = ""
     joints: list[JointModel]
     source: str = ""
     covariance: CovarianceModel | None = None
@@ -84,12 +113,14 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
     model = validated(ArmModel, content, where)
     with named(where):
         poses = {
-            key: pose.pose() for key in ("T_world_base", "T_flange_tool") if (pose := getattr(model, key)) is not None
+            key: pose.pose()
+            for key in ("T_world_base", "T_base_frame0", "T_flange_tool")
+            if (pose := getattr(model, key)) is not None
         }
         joints = tuple(map(record_of, model.joints))
         for joint in joints:
             _check_units(joint)
-        return Arm(
+        arm = Arm(
             name=model.name,
             joints=joints,
             convention=model.convention,  # type: ignore[arg-type]  # the record turns the word into its enum
@@ -102,8 +133,11 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
             ),
             tool_points=tuple(map(record_of, model.tool_points)),
             down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
+            base_link=model.base_link,
+            tool_link=model.tool_link,
             **poses,
         )
+        return _in_metres(arm)
 
 
 def _covariance(model: ArmModel) -> NamedCovariance | None:
@@ -120,11 +154,14 @@ def _covariance(model: ArmModel) -> NamedCovariance | None:
 
 def arm_mapping(arm: Arm) -> dict[str, Any]:
     """Return the arm as arm.yaml's structure, without format, version, origin and what it does not tell."""
-    std = arm.covariance.std() if arm.covariance else {}
+    std, frame0 = arm.covariance.std() if arm.covariance else {}, arm.T_base_frame0.as_matrix()
     told = {
         "name": arm.name,
         "convention": arm.convention.value,
+        "base_link": arm.base_link or None,
+        "tool_link": arm.tool_link or None,
         "T_world_base": pose_mapping(arm.T_world_base),
+        "T_base_frame0": pose_mapping(arm.T_base_frame0) if (frame0 != np.eye(4)).any() else None,
         "T_flange_tool": pose_mapping(arm.T_flange_tool),
         "down_in_base": None if arm.down_in_base is None else arm.down_in_base.tolist(),
         "tool_points": [_tool_point_mapping(point) for point in arm.tool_points] or None,
@@ -149,6 +186,8 @@ def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Co
     for key in ("compliance", "mass_kg"):
         if not content[key]:
             del content[key]
+    if joint.driven:
+        del content["driven"]
     coupled = {c.by: c.share for c in couplings if c.joint == joint.name}
     return content | ({"coupled": coupled} if coupled else {}) | ({"std": own} if own else {})
 

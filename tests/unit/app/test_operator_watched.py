@@ -15,7 +15,6 @@ from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import World, write_world
-from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
 
@@ -46,7 +45,7 @@ def watched(folder, station, act, cell=None):
     """Return what was seen while the station did something."""
     seen, told = [], []
     clock = ManualClock(100.0)
-    watcher = watcher_of(folder, cell or read_cell(folder), read_arm(folder / "arm.yaml"), station, clock)
+    watcher = watcher_of(folder, cell or read_cell(folder), station, clock)
     assert watcher is not None
     waiting = threading.Semaphore(0)
 
@@ -121,9 +120,9 @@ def test_cameras_that_go_end_the_watching_with_the_reason(folder, how):
 
 
 def test_nothing_watches_without_cameras_rig_or_hand_eye(folder):
-    cell, arm, clock = read_cell(folder), read_arm(folder / "arm.yaml"), ManualClock()
+    cell, clock = read_cell(folder), ManualClock()
     aiming = SimpleNamespace(job=SimpleNamespace(rig=None))
-    assert watcher_of(folder, cell, arm, None, clock) is None
-    assert watcher_of(folder, cell, arm, aiming, clock) is None
+    assert watcher_of(folder, cell, None, clock) is None
+    assert watcher_of(folder, cell, aiming, clock) is None
     unplaced = cell.model_copy(update={"handeye": ""})
-    assert watcher_of(folder, unplaced, arm, SimpleNamespace(job=SimpleNamespace(rig="r")), clock) is None
+    assert watcher_of(folder, unplaced, SimpleNamespace(job=SimpleNamespace(rig="r")), clock) is None

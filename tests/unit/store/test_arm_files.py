@@ -14,7 +14,8 @@ from armsight.kinematics import Arm, fk, in_convention, moved, parameter_names, 
 from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
 from armsight.store.arm_file import arm_from_mapping, arm_mapping, read_arm, write_arm
-from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
+from armsight.store.urdf import arm_from_urdf, read_urdf
+from armsight.store.urdf_writer import urdf_text, write_urdf
 from refusals import refuses
 
 ALL = sorted(PRESETS)
@@ -148,9 +149,9 @@ def robot(*joints: dict[str, str], links: int = 4, head: str = "") -> str:
         (robot({}, {"type": "ball"}, {}), ("j1", "ball")),
         (robot({}, {"parent": "l0"}, links=3), ("branches", "l0", "j0, j1")),
         (robot({}, {"child": "l1"}, links=3), ("l1", "two joints")),
-        (robot({}, {}, links=4), "2 root links"),
+        (robot({}, {"parent": "l3", "child": "l2"}, links=4), ("2 root links", "l0, l3", "--base")),
         (robot({"parent": "l1", "child": "l0"}, {"parent": "l0", "child": "l1"}, links=2), "loop"),
-        (robot({"more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), ("j0", "length 2")),
+        (robot({"type": "prismatic", "more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), ("j0", "length 2")),
         (robot({"more": '<axis xyz="0 0 0"/>' + LIMIT}, links=2), "length 0"),
         (robot({"more": '<axis xyz="0 nan 1"/>' + LIMIT}, links=2), "3 finite"),
         (robot({"more": '<limit lower="1" upper="-1"/>'}, links=2), "swapped"),
@@ -171,7 +172,7 @@ def test_urdf_that_is_refused(text: str, words: str) -> None:
 
 
 def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
-    """Two frames on the flange, a camera on the forearm: the longest fixed chain behind the last joint counts."""
+    """Two frames on the flange, a camera on the forearm: of several behind the last joint the flange counts."""
     text = """
     <robot name="r"><link name="world"/><link name="base"/><link name="a"/><link name="cam"/><link name="b"/>
     <link name="flange"/><link name="tool"/><link name="side"/>
@@ -184,7 +185,10 @@ def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
     <joint name="f2" type="fixed"><parent link="flange"/><child link="tool"/><origin xyz="0 0 0.1"/></joint>
     <joint name="f3" type="fixed"><parent link="b"/><child link="side"/></joint></robot>
     """
-    arm = arm_from_urdf(text)
+    flange = arm_from_urdf(text)
+    assert (flange.base_link, flange.tool_link) == ("base", "flange")
+    np.testing.assert_allclose(fk(flange, [np.pi / 2, 0.25])[:3, 3], [0, 0.75, 1], atol=1e-15)
+    arm = arm_from_urdf(text, tip="tool")
     T = fk(arm, [np.pi / 2, 0.25])
     np.testing.assert_allclose(T[:3, 3], [0, 0.85, 1], atol=1e-15)
     np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-15)

@@ -10,6 +10,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import Drive, SimArm, SimJoint
@@ -148,7 +149,12 @@ def twin_arm(mapping: Mapping[str, Any] | None) -> SimArm:
                 **lengths,
             )
         )
-    return SimArm(joints=tuple(joints))
+    begin = mapping.get("T_base_frame0")
+    T_base_frame0 = np.eye(4)
+    if begin is not None:
+        T_base_frame0[:3, :3] = Rotation.from_quat(begin["quat_xyzw"]).as_matrix()
+        T_base_frame0[:3, 3] = begin["xyz_m"]
+    return SimArm(joints=tuple(joints), T_base_frame0=T_base_frame0)
 
 
 def small_arm() -> SimArm:

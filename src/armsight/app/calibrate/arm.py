@@ -36,7 +36,7 @@ from armsight.store.arm_points import read_arm_points
 from armsight.store.atomic import disk_errors
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells
-from armsight.store.urdf import delete_urdf, urdf_text
+from armsight.store.urdf_writer import delete_urdf, urdf_text
 from armsight.store.worlds import write_world
 
 Array = NDArray[np.float64]
@@ -162,7 +162,7 @@ def corrections(result: ArmCalibration) -> str:
     joints = result.nominal.joints
     names = [f"{j.name}.{'theta_rad' if j.type is JointType.REVOLUTE else 'd_m'}" for j in joints]
     sign = np.array([joint.sign for joint in joints])
-    to_readings = np.linalg.inv(result.arm.gearing) / sign  # (n, n): of changes of theta or d
+    to_readings = result.arm.gearing_back / sign  # (n, n): of changes of theta or d
     zeros = to_readings @ [result.change(name) for name in names]
     doubts = np.sqrt(np.diag(to_readings @ _zero_covariance(result, names) @ to_readings.T))
     rows = ["joint,zero_correction,unit,std,scale"]

@@ -18,7 +18,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
-from armsight.calibrate.identify.result import JointFound
+from armsight.calibrate.identify.result import JointFound, placed_by
 from armsight.drivers import is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, Joint
@@ -102,7 +102,7 @@ def solve_sweeps(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, world: World
     _check_paper(result)
     arm = result.arm
     if world is not None:  # found in the rig's axes
-        arm = replace(arm, T_world_base=world.T_parent_rig * arm.T_world_base)
+        arm = placed_by(world.T_parent_rig, arm, on_base=world.parent == "base")
     return Solved(result=result, arm=arm, nominal=nominal, left_out=left_out, n=n)
 
 

@@ -33,13 +33,17 @@ class Placement:
         A carried rig is where the arm is now; without an arm, or its joints, its position is not known.
         """
         if self.world is not None:
-            base = arm.T_world_base if self.world.parent == "base" and arm is not None else RigidTransform.identity()
-            return base * self.world.T_parent_rig
+            return self.world_parent(arm) * self.world.T_parent_rig
         if self.handeye is None or arm is None:
             return None
         if self.handeye.setup is Setup.EYE_TO_HAND:
             return arm.T_world_base * self.handeye.T_parent_camera
         return None if q is None else flange_pose(arm, q) * self.handeye.T_parent_camera
+
+    def world_parent(self, arm: Arm | None) -> RigidTransform:
+        """Return T_world_parent of the frame that world.yaml gives the rig in, and the station its poses."""
+        in_base = self.world is not None and self.world.parent == "base" and arm is not None
+        return arm.T_world_base if in_base and arm is not None else RigidTransform.identity()
 
     def on_robot(self, arm: Arm | None, consequence: str) -> tuple[Arm, RigidTransform]:
         """Return the arm with the target as its tool, and T_world_rig of standing cameras. Raises NotEnoughData."""

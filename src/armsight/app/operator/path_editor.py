@@ -29,7 +29,6 @@ from armsight.control.events import QueueSink
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows
 from armsight.control.play import PathSource
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
-from armsight.kinematics import Arm
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile
@@ -97,9 +96,7 @@ class StationWatcher:
         return moved_pose(pose, self._T_rig_parent, "rig")
 
 
-def watcher_of(
-    folder: Path, cell: CellFile, arm: Arm | None, station: Station | None, clock: Clock
-) -> StationWatcher | None:
+def watcher_of(folder: Path, cell: CellFile, station: Station | None, clock: Clock) -> StationWatcher | None:
     """Return what watches the cell's robot; None without cameras, or where their position on it is not known.
 
     Raises BadFile.
@@ -107,10 +104,11 @@ def watcher_of(
     if station is None or station.job.rig is None:
         return None
     placement = read_placement(folder, cell)
-    T_world_rig = placement.rig_pose(arm, None) if cell.world else RigidTransform.identity()
-    if placement.handeye is None or T_world_rig is None:
+    if placement.handeye is None:
         return None
-    return StationWatcher(station, placement.handeye, T_world_rig.inv(), clock)
+    # with world.yaml the station's poses are in its frame
+    T_parent_rig = RigidTransform.identity() if placement.world is None else placement.world.T_parent_rig
+    return StationWatcher(station, placement.handeye, T_parent_rig.inv(), clock)
 
 
 JOB_NAME = "play"
@@ -250,7 +248,7 @@ def play(
             background.ask,
             follow_override,
             background,
-            opened=Opened(moved, clock, watcher_of(asked.folder, asked.cell, session.arm, station, clock), path),
+            opened=Opened(moved, clock, watcher_of(asked.folder, asked.cell, station, clock), path),
             begun=begun,
             enabled=lambda: session.enabled(background.browser),
         )

@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from scipy.spatial.transform import RigidTransform
-
 from armsight.app.live.station import Shown, Station
 from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.robot_cell import RobotCell
@@ -73,7 +71,9 @@ class StationSupervisor:
         self._expectation = _expectation(folder, cell, robot)
         self.out = folder / time.strftime("supervised-%Y%m%d-%H%M%S")
         self._robot, self._station = robot, station
-        self._in_world = bool(cell.world)
+        # with world.yaml the station's poses are in its frame, of the world or of the arm's base
+        placement = read_placement(folder, cell, target=False)
+        self._T_world_shown = placement.world_parent(self._expectation.arm) if cell.world else None
         self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
         self._watch = Watch(limits)
         self._log = LiveLog(limits=limits)
@@ -179,8 +179,8 @@ class StationSupervisor:
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
             return None, pose.why or "the target is not seen whole"
         expectation = self._expectation
-        if self._in_world:  # the station's poses are there already
-            expectation = replace(expectation, T_parent_rig=RigidTransform.identity())
+        if self._T_world_shown is not None:
+            expectation = replace(expectation, T_parent_rig=self._T_world_shown)
         try:
             return expectation.compare(pose, self._history.at(pose.t_s)), ""
         except StaleData as error:

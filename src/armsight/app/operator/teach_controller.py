@@ -131,8 +131,8 @@ def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHist
         )
     if cell.cameras == "carried" and placement.handeye is not None:
         return CarriedRig(arm=arm, history=history, T_flange_rig=placement.handeye.T_parent_camera)
-    # a view is in the rig's axes, or already in world's where world.yaml is there
-    return StandingRig(T_world_rig=placed if not cell.world else RigidTransform.identity())
+    # a view is in the rig's axes, or, where world.yaml is there, already in those of its frame
+    return StandingRig(T_world_rig=placement.world_parent(arm) if cell.world else placed)
 
 
 def teach_controller(

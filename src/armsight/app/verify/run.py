@@ -53,12 +53,14 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
     _check_usage(job)
     other = None if job.compare is None else read_run(job.compare)
     file = read_measured(job.measured, job.table.of_camera)
-    if job.world is not None:
-        world = read_world(job.world)
+    world = None if job.world is None else read_world(job.world)
+    if world is not None:
         file = replace(file, measured=in_world(file.measured, world), repeats=shared_in_world(file.repeats, world))
     if job.arm is None and job.commanded is None:
         return _repeats_alone(job, file, None, other)
     expected = _expected(job, file)
+    if world is not None and world.parent == "base" and expected.arm is not None:
+        expected = replace(expected, arm=expected.arm.based())  # measured in base, and so expected there
     measured = file.measured if expected.turned else replace(file.measured, rotation=None)
     commands = expected.commanded
     if commands is not None and by_name(file, commands):

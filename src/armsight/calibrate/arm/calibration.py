@@ -34,11 +34,12 @@ from armsight.calibrate.arm.plausibility import (
 )
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
-from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
+from armsight.calibrate.arm.rotations import check_rotations, rotation_notes, turn_note
 from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import Arm
+from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
@@ -213,6 +214,8 @@ def _notes_on_rows(
 ) -> tuple[str, ...]:
     """Return the notes of a result on its rows."""
     return (
+        *links_told(model.arm),
+        *turn_note(model, points),
         *rotation_notes(model, points, fitted),
         *points.weight_notes(fitted.sigma_m),
         *_in_another_frame(model, judged.first, holdout),

@@ -44,7 +44,7 @@ def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Arra
         firsts = [np.stack([model.pose(like, k + 1).translation for k in range(n)])]
     tries = [mounts_by_turns(F, points.xyz_m, which, first) for first in firsts]
     base, at, _ = min(tries, key=lambda found: found[2])
-    turn = Rotation.identity()
+    turn = model.arm.T_flange_tool.rotation  # positions do not tell it, and what they do not tell stays nominal
     if points.rotation is not None:
         turn = Rotation.from_matrix(
             np.swapaxes(base.rotation.as_matrix() @ F[:, :3, :3], 1, 2) @ points.rotation

@@ -147,6 +147,13 @@ def _spread(R: Array) -> float:
     return float(np.median((turned.mean().inv() * turned).magnitude()) / MEDIAN_NORM)
 
 
+def turn_note(model: ArmModel, points: ArmPoints) -> tuple[str, ...]:
+    """Return where the tool's rotation is from, if not from the rows and not none."""
+    if points.rotation is not None or not model.arm.T_flange_tool.rotation.magnitude():
+        return ()
+    return ("Positions tell nothing of how the tool is turned on the flange: its rotation is the nominal arm's",)
+
+
 def rotation_notes(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> tuple[str, ...]:
     """Return what to know of how rotations were used."""
     if points.rotation is None:

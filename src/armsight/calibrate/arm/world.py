@@ -21,6 +21,7 @@ from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solv
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, fk
+from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd, RejectedRow
@@ -93,7 +94,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
         raise senseless(size, spread)
     out = np.setdiff1d(np.arange(len(points)), kept)
     _check_others(base, points.xyz_m, kept, out)
-    notes += (points.unweighed,) if points.unweighed else ()
+    notes += (*links_told(arm), *((points.unweighed,) if points.unweighed else ()))
     if points.covariance is None:
         T, covariance = _refine(T, points.take(kept), base[kept], 0.0)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,6 +172,19 @@ def arm_of(name: str, axes: Sequence[Axis], rows: Array, T_world_base: Array, to
         joints=joints,
         T_world_base=RigidTransform.from_matrix(T_world_base),
         T_flange_tool=RigidTransform.from_matrix(tool),
+    )
+
+
+def placed_by(T_parent_rig: RigidTransform, arm: Arm, *, on_base: bool) -> Arm:
+    """Return an arm that was found in a rig's axes in those of its parent: of the world, or on_base of the arm's base.
+
+    The base is then the one that the rig was calibrated to, and where the table's first frame lies in it was found.
+    """
+    T = T_parent_rig * arm.T_world_base
+    return (
+        replace(arm, T_world_base=RigidTransform.identity(), T_base_frame0=T)
+        if on_base
+        else replace(arm, T_world_base=T)
     )
 
 

@@ -125,16 +125,18 @@ def _check_boxes(arm: Arm, limits: Limits) -> None:
     What only these joints' ranges leave out is not looked for: an arm that stands outside is told so.
     """
     reach_m, margin_m, inside = arm.reach_m, limits.margin_m, limits.workspace
-    ball = np.array([np.full(3, -reach_m), np.full(3, reach_m)])  # around the base, which is the origin here
+    shoulder = np.asarray(arm.T_base_frame0.translation)
+    ball = shoulder + reach_m * np.array([[-1.0], [1.0]])  # around where the first joint stands, in base axes
     if inside is not None:
         kept = np.array([inside.lower_m + margin_m, inside.upper_m - margin_m])
         tool_m = float(np.linalg.norm(arm.T_flange_tool.translation))
         if not (kept[0] < kept[1]).all():
             _refuse_box(f"workspace {inside.name} is thinner than twice margin_m ({margin_m:g} m)")
-        if np.linalg.norm(np.clip(0.0, *kept)) > reach_m:
+        away_m = float(np.linalg.norm(np.clip(shoulder, *kept) - shoulder))
+        if away_m > reach_m:
             _refuse_box(
-                f"workspace {inside.name} begins {float(np.linalg.norm(np.clip(0.0, *kept))):.3g} m from the base, and "
-                f"{arm.name} reaches {reach_m:.3g} m"
+                f"workspace {inside.name} begins {away_m:.3g} m from the first joint, and {arm.name} reaches "
+                f"{reach_m:.3g} m"
             )
         if np.linalg.norm(kept[1] - kept[0]) < tool_m:
             _refuse_box(f"workspace {inside.name} is smaller than the {tool_m:.3g} m from flange to tool, both in it")

@@ -1,8 +1,8 @@
 """Compiled forward kinematics, Jacobian and parameter derivatives of a serial chain.
 
-chain (n + 2, 12): row 0 is T_world_base as its upper three rows, row n + 1 is T_flange_tool likewise; row i is joint i:
-prismatic (0 or 1), sign, theta, d, a, cos alpha, sin alpha, cos beta, sin beta, lower, upper, alpha. A joint's step is
-Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). All lengths in m, angles in rad.
+chain (n + 2, 12): row 0 is the first frame's pose in world as its upper three rows, row n + 1 is T_flange_tool
+likewise; row i is joint i: prismatic (0 or 1), sign, theta, d, a, cos alpha, sin alpha, cos beta, sin beta, lower,
+upper, alpha. A joint's step is Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). All lengths in m, angles in rad.
 
 One pose is computed in scalars. Many poses are computed BLOCK at a time with one value of each pose side by side in one
 buffer, so that the compiler uses vector instructions; one joint's constants are then read once per block.
@@ -119,7 +119,7 @@ def one_pose_jacobian(chain, q, T, J):
 
 @inner_fast_kernel
 def _start_block(chain, w):
-    """Set every pose of the block to T_world_base."""
+    """Set every pose of the block to the first frame's."""
     for c in range(4):
         for r in range(3):
             value = chain[0, 4 * r + c]

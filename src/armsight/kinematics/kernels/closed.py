@@ -62,7 +62,8 @@ class Solutions(NamedTuple):
 def wrist_pose(family, base, tool, T, W):
     """Fill W (12,) with the axes x, y, z and the origin of frame 6 before its own d, a, alpha, in base axes.
 
-    base, tool (12,): rows of the inverse of T_world_base, and of the inverse of all that comes after joint 6's turn.
+    base, tool (12,): rows of the inverse of frame 0's pose in world, and of the inverse of all that comes after joint
+    6's turn.
     """
     for c in range(4):
         for r in range(3):

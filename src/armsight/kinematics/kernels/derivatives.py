@@ -40,7 +40,7 @@ def _shift(ux, uy, uz, J, column):
 def parameter_columns(chain, q, T, J):
     """Fill T (4, 4) and J (6, 5 n + 12), the derivative (dt, dw) in world axes of the tool's pose.
 
-    Columns: a, alpha, d, theta, beta of each joint; then T_world_base by (dt, dw) in world axes; then T_flange_tool
+    Columns: a, alpha, d, theta, beta of each joint; then the first frame by (dt, dw) in world axes; then T_flange_tool
     by (dt, dw) in flange axes.
     """
     n = chain.shape[0] - 2

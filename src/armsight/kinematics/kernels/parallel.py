@@ -1,4 +1,4 @@
-"""The batched kernels on all cores. Kept apart: they take longer to compile, and only big batches need them."""
+"""The batched kernels on all cores. They stand apart: they take longer to compile, and only big batches need them."""
 
 from __future__ import annotations
 

@@ -18,6 +18,8 @@ LARGEST_LIMIT_RAD = 4.0 * math.pi
 """Two turns either way: no revolute joint but an endless one has a wider limit, and degrees are wider with any arm."""
 ENDLESS_RAD = 800.0
 """Beyond it a limit is that of an endless joint: in degrees it would be two turns and more."""
+WHOLE_TURN = 0.01
+"""Share of a turn by which a limit of many turns may miss a whole number of them: 50.3 for 16 pi."""
 LARGEST_M = 30.0
 """A position further away is one in millimetres: no arm, rig or tracker's target is so far off."""
 SMALLEST_MM = 3.0
@@ -39,9 +41,15 @@ def looks_like_degrees(values_rad: ArrayLike) -> bool:
 
 
 def limits_look_like_degrees(values_rad: ArrayLike) -> bool:
-    """Whether limits of revolute joints that are said to be radians are degrees; those that are not finite are none."""
+    """Whether limits of revolute joints that are said to be radians are degrees; those that are not finite are none.
+
+    A pair of as many whole turns either way is one of radians: 16 pi, also written as 50.3.
+    """
     array = np.abs(np.asarray(values_rad, float)).ravel()
     array = array[np.isfinite(array)]
+    turns = array / (2.0 * math.pi)
+    if len(array) == 2 and array[0] == array[1] and abs(turns[0] - round(turns[0])) < WHOLE_TURN:
+        return False
     return bool(((array > LARGEST_LIMIT_RAD) & (array <= ENDLESS_RAD)).any())
 
 
