@@ -20,6 +20,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher
 
+from armsight._kernel_cache import keep
+
 RULES: Any = {"nogil": True, "error_model": "numpy", "_nrt": True}
 EXACT: Any = {"fastmath": False}
 """These and _nrt are said and not left out: numba lets a function inherit the rules of the one that it is first
@@ -143,17 +145,21 @@ class _NoGarbageCollection(event.Listener):
 event.register("numba:compile", _NoGarbageCollection())  # called with the compiler's lock held
 
 
+def _kept(**options: Any) -> Callable[[Callable[..., Any]], CPUDispatcher]:
+    return lambda function: keep(njit(function, **RULES, **options))
+
+
 def _inner(**options: Any) -> Callable[[Callable[..., Any]], InnerKernel]:
     return lambda function: InnerKernel(function, {"nopython": True, **EXACT, **RULES, **options})
 
 
-kernel = njit(cache=True, **EXACT, **RULES)
+kernel = _kept(**EXACT)
 """For everything: results are the same on every machine with the same numba."""
 
-fast_kernel = njit(cache=True, fastmath=FUSED, **RULES)
+fast_kernel = _kept(fastmath=FUSED)
 """Products and sums may be fused: for the hottest paths, where the last digit does not matter."""
 
-sum_kernel = njit(cache=True, fastmath=REORDERED, **RULES)
+sum_kernel = _kept(fastmath=REORDERED)
 """Sums may also be reordered into vector lanes: for sums over pixels and residuals."""
 
 inner_kernel = _inner()
@@ -185,7 +191,7 @@ lean_sum_kernel = _inner(_nrt=False, fastmath=REORDERED)
 borrowing_kernel = _inner(forceinline=True, _nrt=False)
 """A lean_kernel put into its callers whole."""
 
-parallel_kernel = njit(cache=True, parallel=True, **EXACT, **RULES)
+parallel_kernel = _kept(parallel=True, **EXACT)
 """Runs on all cores, with prange."""
 
 __all__ = [

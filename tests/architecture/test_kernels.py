@@ -6,6 +6,7 @@ import ast
 import importlib
 import pkgutil
 import re
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -17,6 +18,8 @@ from numba.core.errors import TypingError
 
 import armsight
 import armsight_sim
+from armsight import _kernel_cache
+from armsight._kernel_cache import KernelCache
 from armsight._numba import InnerKernel, borrowing_kernel, fast_kernel, inner_kernel, kernel, lean_kernel
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,3 +153,44 @@ def test_a_plain_kernel_reckons_alike_whichever_kernel_is_compiled_first() -> No
     out = np.empty(1000)
     every_product_and_sum(a, b, c, out)
     np.testing.assert_array_equal(out, a * b + c)
+
+
+def printed(folder: Path) -> str:
+    """Return what a process prints that calls the planted kernel."""
+    command = [sys.executable, "-W", "error", "-c", "from planted.outer import outer; print(outer(1.0))"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_a_change_in_any_file_that_is_compiled_in_counts_in_the_next_process(tmp_path: Path) -> None:
+    """A kernel is kept by the text of all that it calls and by the constants of others that it uses."""
+    package = tmp_path / "planted"
+    package.mkdir()
+    texts = {
+        "__init__": "",
+        "constants": "SCALE = 3.0\n",
+        "inner": "from armsight._numba import inner_kernel\n\n\n@inner_kernel\ndef inner(x):\n    return x + 1.0\n",
+        "between": "from armsight._numba import inner_kernel\nfrom planted import constants\n"
+        "from planted.inner import inner\n\n\n@inner_kernel\ndef between(x):\n    return constants.SCALE * inner(x)\n",
+        "outer": "from armsight._numba import kernel\nfrom planted.between import between\n\n\n"
+        "@kernel\ndef outer(x):\n    return between(x)\n",
+    }
+    for name, text in texts.items():
+        (package / f"{name}.py").write_text(text)
+    assert printed(tmp_path) == "6.0"
+    kept = {path: path.read_bytes() for path in package.rglob("*.nbc")}
+    assert len(kept) == 1
+    assert printed(tmp_path) == "6.0"
+    assert {path: path.read_bytes() for path in package.rglob("*.nbc")} == kept  # it was not compiled again
+    (package / "inner.py").write_text(texts["inner"].replace("1.0", "2.0"))
+    assert printed(tmp_path) == "9.0"
+    (package / "constants.py").write_text("SCALE = 4.0\n")
+    assert printed(tmp_path) == "12.0"
+
+
+def test_where_nothing_can_be_written_kernels_are_compiled_without_keeping(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(KernelCache._impl_class, "_locator_classes", [])  # as where numba finds no folder to write to
+    _kernel_cache._warn_once.cache_clear()
+    with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR") as told:
+        unkept = [kernel(function) for function in (lambda x: x + 1.0, lambda x: x + 2.0)]
+    assert len(told) == 1
+    assert [function(1.0) for function in unkept] == [2.0, 3.0]
