@@ -16,7 +16,7 @@ from armsight.control.play.track import Track
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.kinematics import preset
 from armsight.records import TaughtPath
-from refusals import refuses
+from refusals import names_it, refuses
 
 UR10 = replace(preset("ur10"), T_flange_tool=RigidTransform.from_translation([0.0, 0.0, 0.15]))
 Q = np.array([0.0, -1.0, 1.5, -0.5, 1.5, 0.0])
@@ -116,7 +116,7 @@ def test_corners_that_are_not_told_are_seen() -> None:
 
 def test_a_turn_in_one_place_is_said_in_those_words() -> None:
     plan = plan_path(rows((10.0, 0.0), *[(0.0, 30.0)] * 12, (10.0, 0.0)), UR10, Limits(), Q, PlaySettings())
-    assert plan.turns == "the tool turns by 360 deg in one place at 0.010 m"
+    assert names_it(plan.turns, "360 deg", "one place", "0.010 m")
     assert plan.rounded_m < 1e-6 and not plan_path(TURNING, UR10, Limits(), Q).turns
     with refuses(NotEnoughData, "360 deg", "positions"):
         plan_path(rows(*[(0.0, 30.0)] * 12), UR10, Limits(), Q)

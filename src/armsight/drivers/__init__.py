@@ -6,7 +6,7 @@ from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import is_live, is_video, open_pairs, open_source, open_split
 from armsight.drivers.pace import Pace, Paced
-from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
+from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages, ended_early
 from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent
 from armsight.drivers.registry import CAMERAS, CELLS, METHODS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
@@ -52,6 +52,7 @@ __all__ = [
     "cameras_there",
     "check_forward",
     "cores",
+    "ended_early",
     "folder",
     "frame_period_s",
     "is_live",

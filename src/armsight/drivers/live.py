@@ -252,7 +252,7 @@ class LivePairs:
     """Frames of two live cameras paired by time stamp, no further than max_skew_s apart.
 
     The older of two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the
-    cameras' frames never meet.
+    cameras' frames never meet. short: the source that ended while the other went on for two frames and more.
     """
 
     def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
@@ -264,6 +264,7 @@ class LivePairs:
         self._largest_s = 0.0
         self._n_pairs = 0
         self._n_dropped = 0
+        self.short: FrameSource | None = None
 
     @property
     def name(self) -> str:
@@ -324,6 +325,8 @@ class LivePairs:
                 left = next(lefts, None)
             else:
                 right = next(rights, None)
+        if (left is None) != (right is None) and next(rights if left is None else lefts, None) is not None:
+            self.short = self._left if left is None else self._right
 
     def _count(self, skew_s: float) -> None:
         self._n_pairs += 1

@@ -70,11 +70,16 @@ class FilePairs:
                 count += 1
             if (left is None) != (right is None):
                 short, long = (self._left, self._right) if left is None else (self._right, self._left)
-                raise Inconsistent(
-                    f"{short.name} ends after {count} frames, {long.name} goes on",
-                    consequence=f"The {count} pairs until there were read, and none behind them",
-                    cure="Give two recordings of the same length",
-                )
+                raise ended_early(short, long, count)
+
+
+def ended_early(short: FrameSource, long: FrameSource, count: int) -> Inconsistent:
+    """Return the refusal of two sources of which one ended, after so many pairs, before the other."""
+    return Inconsistent(
+        f"{short.name} ends after {count} frames, {long.name} goes on",
+        consequence=f"The {count} pairs until there were read, and none behind them",
+        cure="Give two recordings of the same length",
+    )
 
 
 class ComplexImages(ABC):

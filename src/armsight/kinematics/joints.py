@@ -75,6 +75,7 @@ class Joint:
                 cure="Use one of: " + ", ".join(JointType),
             ) from None
         require_kind("the name of a joint", self.name, str)
+        require_kind(f"driven of joint {self.name}", self.driven, bool)
         for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
             value = getattr(self, key)
             if type(value) is float and math.isfinite(value):  # fits make arms by the thousand

@@ -437,6 +437,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "compliance": number(0.0, negative=-1e-3),
             "mass_kg": number(0.0, negative=-1.0),
             "com_m": array((0.0, 0.1, 0.2)),
+            "driven": Arg(good=True, wrong={"a text": "no", "a row": [True]}),
         },
     ),
     "Arm": (
@@ -449,6 +450,9 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "convention": choice("standard"),
             "T_world_base": record(RigidTransform.identity()),
             "T_flange_tool": record(RigidTransform.identity()),
+            "T_base_frame0": record(RigidTransform.identity()),
+            "base_link": text("base_link"),
+            "tool_link": text("tool0"),
             "source": text("sheet"),
             "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
             "couplings": Arg(good=(), wrong={"texts": ("j1", "j2"), "a number": 3}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,7 @@ def test_a_full_disk_ends_the_recording_with_a_word_and_a_code_of_its_own(
     monkeypatch.setattr(RecordingWriter, "joints", joints)
     with log:
         log.joints(JointReading(q=np.zeros(6), t_s=0.0, sequence=0, source="robot"))
-    assert names_it(log.failed, "serve.mcap", "No space left on device")
+    assert names_it(log.failed, "serve.mcap", os.strerror(errno.ENOSPC))
     with refuses(RecordingFailed, "serve.mcap", exit_code=5):
         require_recorded(log.failed)
     require_recorded("")

@@ -33,6 +33,7 @@ from armsight.drivers import (
     SplitImages,
     VideoFile,
     by_side,
+    ended_early,
     frame_period_s,
     is_video,
 )
@@ -114,10 +115,14 @@ class RecordedFrames:
 class RecordedPairs:
     """Pairs of one recording or bag, or of two of them or two videos, matched by time."""
 
-    def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
+    def __init__(
+        self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S, end_together: bool = False
+    ) -> None:
+        """end_together: one that ends before the other is refused there."""
         self._left = left
         self._right = right
         self._pairs = LivePairs(left, right, max_skew_s=max_skew_s)
+        self._end_together = end_together
 
     @property
     def name(self) -> str:
@@ -151,6 +156,9 @@ class RecordedPairs:
             raise _apart(error.cause) from error
         if self._pairs.skew is None and self._pairs.n_dropped:
             raise _apart(f"no frame of {self.name} has a partner of its time")
+        short, skew = self._pairs.short, self._pairs.skew
+        if self._end_together and short is not None and skew is not None:
+            raise ended_early(short, self._right if short is self._left else self._left, skew.n_pairs)
 
 
 def _apart(cause: str) -> Inconsistent:
@@ -266,7 +274,8 @@ def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, setting
     for asked in by_side(settings):
         asked.require_none(left)
     skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
-    return RecordedPairs(VideoFile(left, colour=colour), VideoFile(right, colour=colour), max_skew_s=skew_s)
+    sides = (VideoFile(left, colour=colour), VideoFile(right, colour=colour))
+    return RecordedPairs(*sides, max_skew_s=skew_s, end_together=True)
 
 
 def _require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
