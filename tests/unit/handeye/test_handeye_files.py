@@ -149,7 +149,7 @@ def test_bad_tables_end_with_3_and_say_where(tmp_path: Path) -> None:
         "column camera_target_qw is missing": [line.rsplit(",", 1)[0] for line in lines],
         "unknown column 'extra'": [lines[0] + ",extra", *(line + ",1" for line in lines[1:])],
         "line 5.*length 0.5": [*lines[:4], ",".join(half), *lines[5:]],
-        "line 5, column base_flange_x_m: 'nan'": [*lines[:4], ",".join(["nan", *cells[1:]]), *lines[5:]],
+        "line 5, column base_flange_x_m: 'one'": [*lines[:4], ",".join(["one", *cells[1:]]), *lines[5:]],
         "line 5: 13 cells": [*lines[:4], ",".join(cells[1:]), *lines[5:]],
         "3 pose pairs": lines[:4],
         "no row below": lines[:1],
