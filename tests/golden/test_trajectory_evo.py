@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.store import read_tum
@@ -17,7 +18,8 @@ TOLERANCE = 1e-9  # m and rad
 
 
 def tracks():
-    return (read_tum(DATA / f"{name}.tum").pose for name in ("reference", "estimate"))
+    files = (read_tum(DATA / f"{name}.tum") for name in ("reference", "estimate"))
+    return (RigidTransform.concatenate([pose.pose for pose in poses]) for poses in files)
 
 
 def same(error, key, suffix=""):

@@ -75,7 +75,20 @@ def fakes() -> Any:
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Iterator[Any]:
+def new_nicegui() -> Iterator[None]:
+    """NiceGUI keeps one application a process: a second server in the same one needs it as it was before the first."""
+    from nicegui import Client, core
+
+    routes = list(core.app.routes)
+    yield
+    core.app.middleware_stack = None
+    core.app.user_middleware.clear()
+    core.app.routes[:] = routes
+    Client.instances.clear()
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None) -> Iterator[Any]:
     """A console with a robot in memory behind its door, and its line for stops; tokens: drive of ann, watch of eve."""
     from armsight.app.operator.robot_cell import RobotCell
     from armsight.console.application import add_console
