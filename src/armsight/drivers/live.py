@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -45,6 +47,8 @@ MAX_SKEW_S = 1.0 / 60.0
 UNPAIRED_LIMIT = 60
 """Frames dropped one after the other for want of a partner before pairing is given up."""
 
+INTERVALS = 31
+"""Frames whose distances in time say how long a period of a camera is: a second of a webcam."""
 
 SETTLED = 30
 """Frames after which locked settings are looked at again: some cameras take to their automatics once frames flow."""
@@ -248,10 +252,27 @@ class OpenCvCamera(LiveCamera):
         return image
 
 
-class LivePairs:
-    """Frames of two live cameras paired by time stamp, no further than max_skew_s apart.
+class _Period:
+    """How far apart the frames of a camera come, by their own stamps and numbers; infinite before the second one."""
 
-    The older of two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the
+    def __init__(self) -> None:
+        self._last: Frame | None = None
+        self._each_s: deque[float] = deque(maxlen=INTERVALS)
+        self.s = math.inf
+
+    def see(self, frame: Frame | None) -> Frame | None:
+        """Take the next frame, and hand it on; frames that a slow reader missed are in its number."""
+        if frame is not None and self._last is not None and frame.sequence > self._last.sequence:
+            self._each_s.append((frame.t_s - self._last.t_s) / (frame.sequence - self._last.sequence))
+            self.s = float(np.median(self._each_s))
+        self._last = frame
+        return frame
+
+
+class LivePairs:
+    """Frames of two live cameras paired by time stamp, no further than max_skew_s and half a period of theirs apart.
+
+    Further apart, another frame is nearer: after one lost frame all later pairs would be of neighbours. The older of two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the
     cameras' frames never meet. short: the source that ended while the other went on for two frames and more.
     """
 
@@ -306,25 +327,32 @@ class LivePairs:
         self._stack.close()
 
     def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        lefts, rights = iter(self._left), iter(self._right)
-        left, right = next(lefts, None), next(rights, None)
+        lefts, rights, periods = iter(self._left), iter(self._right), (_Period(), _Period())
+
+        def next_left() -> Frame | None:
+            return periods[0].see(next(lefts, None))
+
+        def next_right() -> Frame | None:
+            return periods[1].see(next(rights, None))
+
+        left, right = next_left(), next_right()
         dropped = 0
         while left is not None and right is not None:
             skew_s = right.t_s - left.t_s
-            if abs(skew_s) <= self._max_skew_s:
+            if abs(skew_s) <= min(self._max_skew_s, 0.5 * periods[0].s, 0.5 * periods[1].s):
                 self._count(skew_s)
                 dropped = 0
                 yield left, right
-                left, right = next(lefts, None), next(rights, None)
+                left, right = next_left(), next_right()
                 continue
             dropped += 1
             self._n_dropped += 1
             if dropped >= UNPAIRED_LIMIT:
                 raise self._never_meet(skew_s)
             if skew_s > 0.0:
-                left = next(lefts, None)
+                left = next_left()
             else:
-                right = next(rights, None)
+                right = next_right()
         if (left is None) != (right is None) and next(rights if left is None else lefts, None) is not None:
             self.short = self._left if left is None else self._right
 

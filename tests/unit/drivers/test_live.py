@@ -107,6 +107,15 @@ def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:
     assert (skew.n_pairs, skew.n_dropped) == (4, 1)
 
 
+@pytest.mark.parametrize("lost", [0, 1, 40])
+def test_a_lost_frame_at_60_a_second_does_not_shift_all_later_pairs(lost: int) -> None:
+    times = [k / 60.0 for k in range(200)]
+    right = Scripted("right", [t_s + 0.001 for k, t_s in enumerate(times) if k != lost])
+    with LivePairs(Scripted("left", times), right) as pairs:
+        late = [one.t_s for one, two in pairs if two.t_s - one.t_s > 0.002]
+    assert len(late) <= 2 and all(t_s <= times[2] for t_s in late)  # until the period is known
+
+
 def test_cameras_that_never_meet_are_a_failure_and_not_a_pair() -> None:
     left = Scripted("left", [0.1 * i for i in range(100)])
     right = Scripted("right", [0.1 * i + 0.05 for i in range(100)])
