@@ -14,6 +14,7 @@ from armsight.kinematics import (
     preset,
 )
 from armsight.kinematics.axes import links_told
+from armsight.kinematics.rigid import nearest_rigid
 from armsight.records.output import Output, output
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.urdf import read_urdf
@@ -124,8 +125,11 @@ def convert_arm(source: str, out: Path, *, convention: str | None = None) -> Con
         if convention not in ("standard", "craig"):
             raise UsageError(f"the convention {convention!r} is not known", cure="Use standard or craig")
         model = in_convention(model, convention)
+    lost: tuple[str, ...] = ()
     if suffix in URDF_SUFFIXES:
-        write_urdf(out, model)
+        rigid = nearest_rigid(model) if model.compliant else None
+        write_urdf(out, model if rigid is None else rigid.arm)
+        lost = () if rigid is None else (rigid.lost,)
     elif suffix in YAML_SUFFIXES:
         file = arm_file(source)
         write_arm(out, model, inputs=[] if file is None else [file])
@@ -136,5 +140,5 @@ def convert_arm(source: str, out: Path, *, convention: str | None = None) -> Con
         file=str(out),
         joints=model.n,
         convention=model.convention.value,
-        notes=arm_notes(model),
+        notes=(*arm_notes(model), *lost),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.app.arm_files import NOTES, arm_notes, load_arm
 from armsight.app.sources.bags import joint_states
+from armsight.app.sources.joint_names import columns_of
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import (
@@ -23,6 +25,8 @@ from armsight.kinematics import (
     fk,
     fk_jacobian,
     ik,
+    parameter_jacobian,
+    parameter_names,
     pose,
     track_path,
 )
@@ -38,6 +42,9 @@ from armsight.store.tables import cells, number
 
 Array = NDArray[np.float64]
 
+
+ROWS_AT_ONCE = 4096
+"""Derivatives by all parameters take some 2 kB a row."""
 
 ROTATION_HELD = 1e-5
 """rad: tracks that turn the tool so near to the path's poses hold them."""
@@ -130,33 +137,40 @@ def read_values(arm: Arm, path: Path, format_: TableFormat = OURS) -> Motion:
 
 def _of_arm(arm: Arm, states: JointStates) -> Motion:
     """Return joint states in the order of the arm's joints, by name; drivers publish them in any order."""
-    wanted = tuple(joint.name for joint in arm.joints)
-    if not set(wanted) <= set(states.names):
-        raise Inconsistent(
-            f"the arm's joints are called {', '.join(wanted)}, the bag's {', '.join(states.names)}",
-            consequence="Nobody can tell which value belongs to which joint",
-            cure="Give the joints in arm.yaml the names that the robot's driver publishes",
-        )
-    columns = [states.names.index(name) for name in wanted]
+    columns = columns_of([joint.name for joint in arm.joints], states.names)
     return Motion(t_s=states.motion.t_s, q=states.motion.q[:, columns])
 
 
 def write_poses_of_joints(arm: str, joints: Path, out: Path, format_: TableFormat = OURS) -> FkOutput:
-    """Write poses.csv, T_world_tool at each row of joints.csv."""
+    """Write poses.csv, T_world_tool at each row of joints.csv, with the deviations that the arm's parameters leave."""
     model = load_arm(arm)
     motion = read_values(model, joints, format_)
     poses = pose(model, motion.q)
     write_poses(
         out,
         (
-            TargetPose(
-                t_s=float(t), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=np.zeros((6, 6))
-            )
-            for t, T in zip(motion.t_s, poses.as_matrix(), strict=True)
+            TargetPose(t_s=float(t), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=C)
+            for t, T, C in zip(motion.t_s, poses.as_matrix(), left_open(model, motion.q), strict=True)
         ),
     )
     beyond = int((~model.within_limits(motion.q)).sum())
     return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond, notes=arm_notes(model))
+
+
+def left_open(arm: Arm, q: Array) -> Iterator[Array]:
+    """Yield at each row of q (m, n) the covariance (6, 6) of T_world_tool that the arm's own parameters leave.
+
+    Of a calibrated arm's geometry; zeros where the arm's file tells none. Base and tool count as known.
+    """
+    names = parameter_names(arm)
+    known = () if arm.covariance is None else tuple(name for name in arm.covariance.names if name in names)
+    for first in range(0, len(q), ROWS_AT_ONCE):
+        rows = q[first : first + ROWS_AT_ONCE]
+        if arm.covariance is None or not known:
+            yield from np.zeros((len(rows), 6, 6))
+            continue
+        J = parameter_jacobian(arm, rows)[1][:, :, [names.index(name) for name in known]]
+        yield from J @ arm.covariance.block(known) @ np.swapaxes(J, 1, 2)
 
 
 def write_jacobians(

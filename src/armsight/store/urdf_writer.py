@@ -45,7 +45,7 @@ def urdf_text(arm: Arm) -> str:
         raise Inconsistent(
             f"the joints {', '.join(joint.name for joint in arm.joints if joint.compliance)} give way under the weight",
             consequence="URDF has no place for it",
-            cure="Keep this arm as arm.yaml",
+            cure="Write the nearest rigid arm: armsight convert arm FILE -o arm.urdf",
         )
     if arm.couplings:
         raise Inconsistent(

@@ -15,11 +15,12 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.app.arm_files import load_arm
+from armsight.app.kinematics import left_open
 from armsight.cli.commands import app
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close
-from armsight.kinematics import Coupling, fk, pose, preset
-from armsight.records import Motion, PoseStatus, TargetPose
+from armsight.kinematics import Coupling, fk, moved, pose, preset
+from armsight.records import Motion, NamedCovariance, PoseStatus, TargetPose
 from armsight.store import read_joints, read_poses, read_table, write_joints, write_poses
 from armsight.store.arm_file import write_arm
 from refusals import refuses
@@ -172,3 +173,18 @@ def test_what_is_refused(tmp_path: Path, joints: Path) -> None:
     run("convert", "arm", "ur10", "-o", tmp_path / "a.txt", code=2)
     run("convert", "arm", "ur10", "-o", tmp_path / "a.yaml", "--convention", "proximal", code=2)
     run("kinematics", "jacobian", "--arm", "ur10", "--joints", joints, "--axes", "eye", "-o", tmp_path / "J", code=2)
+
+
+def test_deviations_of_poses_are_those_that_the_arms_parameters_leave(tmp_path: Path) -> None:
+    """Against a thousand arms drawn from the covariance: correlated zeros of two joints, and a length."""
+    rng = np.random.default_rng(0)
+    C = np.diag([1e-4, 2e-4, 3e-4]) ** 2
+    C[0, 1] = C[1, 0] = -0.6e-4 * 2e-4
+    names = ("j2.theta_rad", "j3.theta_rad", "j3.a_m")
+    arm = replace(preset("ur10"), covariance=NamedCovariance(names=names, matrix=C))
+    q = np.array([[0.3, -1.2, 1.4, -0.5, 1.2, 0.4]])
+    found = next(iter(left_open(arm, q)))
+    drawn = rng.multivariate_normal(np.zeros(3), C, 1000)
+    places = [fk(moved(arm, dict(zip(names, row.tolist(), strict=True))), q[0])[:3, 3] for row in drawn]
+    np.testing.assert_allclose(np.sqrt(np.diag(found)[:3]), np.std(places, axis=0), rtol=0.1)
+    assert not next(iter(left_open(preset("ur10"), q))).any()

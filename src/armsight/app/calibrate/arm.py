@@ -27,6 +27,7 @@ from armsight.calibrate.arm import (
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
+from armsight.kinematics.rigid import nearest_rigid
 from armsight.optics import Rig
 from armsight.records.output import extended, output
 from armsight.report.arm_report import arm_report
@@ -55,7 +56,7 @@ class ArmOutput(ArmCalibration):
     expected_std: Annotated[dict[str, float] | None, Doc("Standard deviations to expect with those measured too.")] = (
         None
     )
-    urdf: Annotated[str | None, Doc("The URDF written; null for scales, sag and couplings, which it cannot hold.")]
+    urdf: Annotated[str | None, Doc("The URDF written; null for scales and couplings, which it cannot hold.")]
 
 
 def run_calibrate_arm(job: ArmJob) -> ArmOutput:
@@ -81,7 +82,7 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
     write_arm(job.out, result.arm, inputs=inputs)
     write_text(job.out.with_suffix(".corrections.csv"), corrections(result))
-    urdf = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
+    urdf, lost = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
     return extended(
@@ -90,6 +91,7 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
         proposals=None if proposal is None else nominal.readings(proposal.q).tolist(),
         expected_std=None if proposal is None else proposal.expected_std,
         urdf=None if urdf is None else str(urdf),
+        notes=(*result.notes, *lost),
     )
 
 
@@ -118,17 +120,19 @@ def _write_proposal(out: Path, nominal: Arm, proposal: Proposal | None) -> None:
     write_text(path, "\n".join([names, *(cells(row) for row in nominal.readings(proposal.q).tolist())]) + "\n")
 
 
-def _write_urdf(path: Path, arm: Arm) -> Path | None:
-    """Write the arm as a URDF; return its path, None where joint scales, sag or couplings have no place in one.
+def _write_urdf(path: Path, arm: Arm) -> tuple[Path | None, tuple[str, ...]]:
+    """Write the arm as a URDF, one that gives way as the nearest rigid one; return its path, and what is lost.
 
-    An earlier run's URDF is deleted then: it is of another arm than the arm.yaml beside it.
+    None where joint scales or couplings have no place in one. An earlier run's URDF is deleted then: it is of another
+    arm than the arm.yaml beside it.
     """
+    rigid = nearest_rigid(arm) if arm.compliant else None
     try:
-        write_text(path, urdf_text(arm))
+        write_text(path, urdf_text(arm if rigid is None else rigid.arm))
     except Inconsistent:
         delete_urdf(path)
-        return None
-    return path
+        return None, ()
+    return path, () if rigid is None else (f"{path.name}: {rigid.lost}",)
 
 
 def _measurements(arm: Arm, path: Path, format_: TableFormat) -> ArmPoints:

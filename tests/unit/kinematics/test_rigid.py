@@ -1,0 +1,38 @@
+"""The rigid arm nearest to one that gives way: nearer than the arm with its compliance left out, on the same base."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armsight.kinematics import fk, preset
+from armsight.kinematics.rigid import nearest_rigid
+from armsight.store.urdf import arm_from_urdf
+from armsight.store.urdf_writer import urdf_text
+
+
+def test_what_an_arm_gives_way_goes_into_its_zeros_as_far_as_it_can():
+    arm = preset("ur10")
+    soft = replace(arm, joints=tuple(replace(j, compliance=3e-5, mass_kg=4.0, com_m=(0.05, 0, 0)) for j in arm.joints))
+    q = np.random.default_rng(5).uniform(-np.pi, np.pi, (300, 6))
+    there = fk(soft, soft.sagged(q))[:, :3, 3]
+    left_out = np.linalg.norm(fk(arm, q)[:, :3, 3] - there, axis=1)
+    found = nearest_rigid(soft)
+    written = arm_from_urdf(urdf_text(found.arm))
+    off = np.linalg.norm(fk(written, q)[:, :3, 3] - there, axis=1)
+    assert written.T_world_base.as_matrix() == pytest.approx(arm.T_world_base.as_matrix())
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(found.rms_m, rel=0.15)  # told by other postures
+    assert np.sqrt(np.mean(off**2)) < np.sqrt(np.mean(left_out**2))
+    assert f"{1e3 * found.rms_m:.3g} mm" in found.lost
+
+
+def test_an_arm_whose_joint_gives_way_alike_everywhere_is_that_rigid_arm():
+    """A slide that hangs: its weight is the same in every posture, so that nothing is lost."""
+    from armsight.kinematics import Arm, Joint
+
+    joint = Joint(name="z", type="prismatic", lower=0.0, upper=1.0, mass_kg=10.0, compliance=1e-5)
+    found = nearest_rigid(Arm(name="lift", joints=(joint,)))
+    assert found.most_m < 1e-12
+    assert found.arm.joints[0].d_m == pytest.approx(-1e-5 * 10.0 * 9.80665)
