@@ -397,6 +397,28 @@ def millimetres(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
     return T
 
 
+def pictures_turned(deg: float, dark_s: float = 0.0) -> Callable[..., Array | None]:
+    """The pictures of both cameras are turned about their axis; for a while before there are none."""
+
+    def tell(lie: Lie, cell: Cell, k: int, t_s: float) -> Array | None:
+        if lie.since(t_s) < dark_s:
+            return None
+        T = cell.noisy(cell.clean[k], k)
+        D = np.eye(4)
+        D[:3, :3] = Rotation.from_euler("z", deg, degrees=True).as_matrix()
+        return D @ T
+
+    return tell
+
+
+def to_and_fro(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
+    """The last second of pictures is played backwards, forwards, and so on, their noise with them."""
+    last = round(1.0 / cell.frame_s)
+    phase = (k - lie.first) % (2 * last)
+    old = max(lie.first - min(phase, 2 * last - phase), 1)
+    return cell.noisy(cell.clean[old], old)
+
+
 LIES: dict[str, Kind] = {
     "frozen pose, exact": Kind(tell=frozen),
     "frozen pose, fresh noise": Kind(tell=frozen_noisy, hand="moving"),
@@ -425,6 +447,10 @@ LIES: dict[str, Kind] = {
     "rotation wrong by 4 deg": Kind(tell=rotation_wrong(4.0 * DEG)),
     "noise 20 times": Kind(tell=loud),
     "millimetres": Kind(tell=millimetres),
+    "pictures turned by 180 deg": Kind(tell=pictures_turned(180.0), mount=Mount.EYE_IN_HAND),
+    "dark, then turned by 180 deg": Kind(tell=pictures_turned(180.0, 0.7), mount=Mount.EYE_IN_HAND),
+    "dark, then turned by 90 deg": Kind(tell=pictures_turned(90.0, 0.7), mount=Mount.EYE_IN_HAND),
+    "played to and fro": Kind(tell=to_and_fro, mount=Mount.EYE_IN_HAND),
 }
 STARTS_S = (1.5, 4.0)
 AFTER_S = 4.0

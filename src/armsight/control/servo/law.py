@@ -8,6 +8,7 @@ vector.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -134,7 +135,10 @@ POSES = 5
 TELLING = 10.0
 """The camera's motion tells once it would move a resting target by so many standard deviations of its pose."""
 STANDS = 3
-"""So many poses in a row, equal to the last digit while the camera moved, are one picture: one may be sent twice."""
+"""So many poses in a row that came before, to the last digit, while the camera moved, are old pictures, one again and
+again or some to and fro: one may be sent twice."""
+SHOWN = 200
+"""Poses that are remembered: seven seconds of a webcam."""
 STANDS_M = 0.001
 """A camera that moved so far sees no equal poses: ten times what an arm shakes."""
 
@@ -146,7 +150,8 @@ class Reaction:
         self._chase_m = chase_m
         self._n = self._same = 0
         self._mean, self._scatter = np.zeros(6), 0.0
-        self._T_base_since = self._T_since = self._T_rig_target = np.eye(4)
+        self._T_base_since = self._T_since = np.eye(4)
+        self._shown: deque[bytes] = deque(maxlen=SHOWN)
         self.missing = False
 
     def see(self, T_base_rig: Array, T_rig_target: Array, sigma: Array) -> None:
@@ -154,7 +159,9 @@ class Reaction:
 
         Those of a rotation that was not seen are infinite.
         """
-        self._same = self._same + 1 if np.array_equal(self._T_rig_target, T_rig_target) else 0
+        shown = (T_rig_target + 0.0).tobytes()  # a zero is one, whatever its sign
+        self._same = self._same + 1 if shown in self._shown else 0
+        self._shown.append(shown)
         if self._n:
             off = np.concatenate(pose_difference(T_rig_target, self._T_since)) / sigma
             before = off - self._mean
@@ -165,7 +172,6 @@ class Reaction:
         if not self._n or self._scatter > freedom + LIKELY * np.sqrt(2.0 * freedom) + FEW:
             self._n, self._mean, self._scatter = 1, np.zeros(6), 0.0
             self._T_base_since, self._T_since = T_base_rig, T_rig_target
-        self._T_rig_target = T_rig_target
         rested = inverse(T_base_rig) @ self._T_base_since @ self._T_since
         deviation = np.concatenate(pose_difference(rested, self._T_since)) / sigma
         way_m = float(np.linalg.norm(T_base_rig[:3, 3] - self._T_base_since[:3, 3]))
