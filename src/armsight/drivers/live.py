@@ -272,8 +272,9 @@ class _Period:
 class LivePairs:
     """Frames of two live cameras paired by time stamp, no further than max_skew_s and half a period of theirs apart.
 
-    Further apart, another frame is nearer: after one lost frame all later pairs would be of neighbours. The older of two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the
-    cameras' frames never meet. short: the source that ended while the other went on for two frames and more.
+    Further apart, another frame is nearer: after one lost frame all later pairs would be of neighbours. The older of
+    two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the cameras' frames
+    never meet. short: the source that ended while the other went on for two frames and more.
     """
 
     def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:

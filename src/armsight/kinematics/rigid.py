@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.derivatives import PER_JOINT, moved, parameter_jacobian, parameter_names
+from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
 from armsight.kinematics.forward_kinematics import fk
+from armsight.kinematics.kernels.derivatives import PER_JOINT
 
 Array = NDArray[np.float64]
 

@@ -226,9 +226,7 @@ def test_a_quantity_may_carry_its_unit(unit: str, text: str, value: float) -> No
     assert Quantity(unit)(text) == pytest.approx(value)
 
 
-@pytest.mark.parametrize(
-    ("unit", "text"), [("m", "600"), ("m", "30deg"), ("rad or m", "90"), ("m", "nan")]
-)
+@pytest.mark.parametrize(("unit", "text"), [("m", "600"), ("m", "30deg"), ("rad or m", "90"), ("m", "nan")])
 def test_a_quantity_in_another_unit_is_refused(unit: str, text: str) -> None:
     with pytest.raises(typer.BadParameter):
         Quantity(unit)(text)
