@@ -41,7 +41,8 @@ class PairEffects:
     """A pair of cameras fitted to pairs of images that differ from each other.
 
     fit: the shared parameters, with residuals of the rigid rig; covariance: of the free ones. freed: the observations
-    without what each pair has of its own. kind: of EFFECTS. std: (q,) its standard deviations, px or rad.
+    without what each pair has of its own. kind: of EFFECTS. std: (q,) its standard deviations, px or rad. gain: by how
+    much twice the log likelihood of the residuals is larger with it.
     """
 
     fit: Fit
@@ -49,6 +50,7 @@ class PairEffects:
     freed: Observations
     kind: str
     std: Array
+    gain: float
 
     def advice(self, noise_px: float) -> str:
         """Return what is wrong with the pairs, and what to do. noise_px: of a point."""
@@ -89,7 +91,7 @@ def pair_effects(observations: Observations, fit: Fit) -> PairEffects | None:
     if found is None:
         return None
     # the ratios are those of the rigid rig's residuals, which hold the effects whole: they stay as the answer moves
-    _, kind, model, best = found
+    gain, kind, model, best = found
     at = replace(start, own=np.zeros((observations.n_views, len(EFFECTS[kind]))))
     for _ in range(ROUNDS):
         system = model.system(at)
@@ -103,6 +105,7 @@ def pair_effects(observations: Observations, fit: Fit) -> PairEffects | None:
         freed=freed,
         kind=kind,
         std=std,
+        gain=gain,
     )
 
 

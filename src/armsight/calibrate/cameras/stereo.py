@@ -144,9 +144,8 @@ def _believed(robust_fit: RobustFit, options: BoardOptions) -> tuple[Fit, NamedC
     """Return the fit and its covariance with what differs from pair to pair, and how far the board is off, in them; and
     advice on both."""
     used, fit, covariance = robust_fit.observations, robust_fit.fit, required(robust_fit)
-    effects = pair_effects(used, fit)
-    if effects is None:
-        shape = board_shape(used, fit, covariance)
+    shape, effects = board_shape(used, fit, covariance), pair_effects(used, fit)
+    if effects is None or effects.gain < shape.gain:  # what a board that is off leaves differs from pair to pair too
         return fit, of_one_lens(shape.covariance) if used.one_lens else shape.covariance, shape.advice
     # the board is asked for in what is left without the pairs' own part, and adds to what that leaves of doubt
     fixed = frozenset(fit.names) - frozenset(covariance.names)
