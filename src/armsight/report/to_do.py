@@ -43,10 +43,16 @@ def after_measuring(word: str, unchecked: bool = False, advice: str = "") -> str
     return MEASURE[word] + (unproved if word == "Complete" and unchecked else "")
 
 
-def after_verify(cause: str, kind: str | None, *, zero: bool, with_arm: bool) -> str:
-    """Return the next step after a verification; kind: what the joint named as the cause has wrong; zero: its zero."""
+def after_verify(cause: str, kind: str | None, *, zero: bool, with_arm: bool, hidden: bool = False) -> str:
+    """Return the next step after a verification; kind: what the joint named as the cause has wrong; zero: its zero;
+    hidden: base and tool, laid best, may hide more than is seen."""
     if not with_arm:
         return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
+    if hidden and cause in ("none", "measurement"):
+        return (
+            "Correct nothing on these rows. They do not show where the tool is, as base and tool were laid best: find "
+            "where the rig stands (`armsight calibrate robot-world`), and verify with --world."
+        )
     if cause in VERIFY:
         return VERIFY[cause]
     if zero:

@@ -82,7 +82,13 @@ def verify_report(
             level=LEVELS.get(cause, "bad"),
             word="No cause looked for" if arm is None else f"Cause: {cause}",
             sentence=in_degrees(summary.verdict),
-            to_do=after_verify(cause, summary.kind, zero=summary.kind == Kind.ZERO, with_arm=arm is not None),
+            to_do=after_verify(
+                cause,
+                summary.kind,
+                zero=summary.kind == Kind.ZERO,
+                with_arm=arm is not None,
+                hidden=_hidden(summary),
+            ),
         ),
         cards=_cards(summary),
     )
@@ -104,6 +110,12 @@ def verify_report(
         page.add("ISO 9283 by place", BY_PLACE, by_place)
     _add_background(page, summary, inputs)
     return page.html(created=created or datetime.now())
+
+
+def _hidden(summary: VerifyOutput) -> bool:
+    """Whether base and tool, laid best, may hide more than is left over."""
+    hidden = summary.alignment.hidden_m
+    return hidden is not None and summary.after is not None and hidden > summary.after.rms_m
 
 
 def _add_background(page: Page, summary: VerifyOutput, inputs: Sequence[tuple[str, str]]) -> None:
