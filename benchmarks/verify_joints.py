@@ -106,6 +106,7 @@ def measure(mode: str, arms: int) -> list[list[object]]:
                 [mode, f"{span:g}", "knocked" if knocked else "healthy", told, wrong, inside, worst,
                  f"{max(small):.2f}" if small else "-"]
             )  # fmt: skip
+            print(*lines[-1], sep=" | ", flush=True)
     return lines
 
 

@@ -102,12 +102,10 @@ class Evidence:
         """Return the fit with the zeros of these joints."""
         return fit_linear(self.linear, self.joints[:, :, which])
 
-    def std(self, which: NDArray[np.intp], region: NDArray[np.intp], *, geometry: bool = False) -> Array:
-        """Return the standard deviations of these joints' zeros that regions left out show; geometry: freed as well."""
-        added, prior = self.joints[:, :, which], None
-        if geometry:
-            added = np.concatenate([added, self.geometry], axis=2)
-            prior = np.concatenate([np.full(len(which), np.inf), self.tolerance])
+    def std(self, which: NDArray[np.intp], region: NDArray[np.intp]) -> Array:
+        """Return the standard deviations of these joints' zeros, beside the geometry, that regions left out show."""
+        added = np.concatenate([self.joints[:, :, which], self.geometry], axis=2)
+        prior = np.concatenate([np.full(len(which), np.inf), self.tolerance])
         return jackknife_std(self.linear, added, region, prior)[: len(which)]
 
     def with_geometry(self, *more: Array) -> Fitted:

@@ -25,11 +25,11 @@ Array = NDArray[np.float64]
 LENGTH_M, ANGLE_RAD = 1e-3, 1e-3
 """What nominal lengths are believed to, as in a cell from one recording, and axes and zeros of an arm that was
 mastered: a UR10 from its factory lies 0.5 mm and 0.5 mrad beside its table, a worn one twice as far."""
-SIZES = (0.02, 0.05, 0.12, 0.3, 0.7, 1.5, 3.0)
+SIZES = (0.03, 0.1, 0.3, 0.7, 1.5, 3.0)
 """Multiples of these that are weighed against each other, of lengths and of angles apart."""
 SIZE_MIDDLE, SIZE_SPREAD = 0.5, 1.2
 """Middle and spread (natural logarithm) of what the multiples are believed to be before any row is looked at."""
-SCALES = (0.5, 0.7, 1.0, 1.4, 2.0)
+SCALES = (0.7, 1.0, 1.4)
 """Multiples of the noise that are weighed against each other."""
 KNOCKS = (1e-3, 1e-2)
 """Standard deviations (rad, RMS over the rows; of a slide as shares of the arm's length) of what a fault is believed to
@@ -105,9 +105,9 @@ class GeometryPrior:
         X = X / size
         n = self.case.bare.n
         at = len(self.case.free) + np.arange(n)
-        own = [] if effect is None else list(fitted.p[len(fitted.p) - len(effect.names) :])
+        own = fitted.p[len(fitted.p) - (0 if effect is None else len(effect.names)) :]
         mean = np.zeros(X.shape[1])
-        mean[X.shape[1] - len(own) :] = -np.array(own)
+        mean[X.shape[1] - len(own) :] = -own
         grid = self._grid(found, effect, tuple(loose))
         log, theta, covariance = _solved(X, y, mean * size, grid.precision / size**2, grid.scale**2, self.inflation)
         log = log + grid.log_prior
@@ -124,20 +124,20 @@ class GeometryPrior:
         variance = np.einsum("ni,gij,nj->gn", wanted, covariance, wanted, optimize=True)
         middle = weight @ values
         std = np.sqrt(weight @ (variance + (values - middle) ** 2))
-        moves = np.concatenate([self.bare.joints, self.bare.geometry], axis=2)[:, :3]  # (m, 3, n + g)
-        arm = len(self.case.free) + np.arange(moves.shape[2])
-        moves = moves / size[arm]
-        mean_u = weight @ theta[:, arm]
-        spread = np.einsum("g,gij->ij", weight, covariance[:, arm[:, None], arm], optimize=True)
-        spread += (weight[:, None] * (theta[:, arm] - mean_u)).T @ (theta[:, arm] - mean_u)
-        squares = ((moves @ mean_u) ** 2).sum() + np.einsum("mik,kl,mil->", moves, spread, moves, optimize=True)
         return Account(
             log_evidence=evidence,
             zeros=(start + middle)[:n],
             std=std[:n],
             fault_std=std[n:],
-            off_m=float(np.sqrt(squares / len(moves))),
+            off_m=self._off_m(weight, theta / size, covariance / np.outer(size, size)),
         )
+
+    def _off_m(self, weight: Array, theta: Array, covariance: Array) -> float:
+        """Return how far zeros and links put the tool off (RMS, m), of values (g, K) with covariances, weighed (g,)."""
+        moves = np.concatenate([self.bare.joints, self.bare.geometry], axis=2)[:, :3]  # (m, 3, n + g)
+        arm = slice(len(self.case.free), len(self.case.free) + moves.shape[2])
+        second = np.einsum("g,gij->ij", weight, covariance[:, arm, arm]) + (weight * theta[:, arm].T) @ theta[:, arm]
+        return float(np.sqrt(np.einsum("mik,kl,mil->", moves, second, moves, optimize=True) / len(moves)))
 
     def _grid(self, found: Evidence, effect: Effect | None, loose: tuple[int, ...]) -> _Grid:
         """Return the precisions of all columns at each point of the grid."""
@@ -179,7 +179,7 @@ def _solved(X: Array, y: Array, mean: Array, precision: Array, scale2: Array, in
     squares = yy / scale2 + (precision * mean**2).sum(axis=1) - (right * theta).sum(axis=1)
     random = np.where(precision > 0.0, np.log(np.maximum(precision, 1e-300)), 0.0).sum(axis=1)
     log = -0.5 * (n * np.log(scale2) + np.linalg.slogdet(H)[1] - random + squares)
-    return log, theta, covariance
+    return np.asarray(log), np.asarray(theta), np.asarray(covariance)
 
 
 def _stacked(*columns: Array) -> Array:

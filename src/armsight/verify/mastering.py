@@ -292,9 +292,7 @@ def _one_joint(
     worth = best.evidence.linear.residual.size
     last, joint = case.bare.n - 1, best.joint or 0
     rivals = [*single, *(bent if joint != last else [])]  # a tool turned about the last axis is the last joint's zero
-    for other in rivals:
-        if other is best:
-            continue
+    for other in (one for one in rivals if one is not best):
         ratio = worth * np.log(max(other.own.squares, 1e-300) / max(best.own.squares, 1e-300))
         if ratio < RIVAL_LOG and other.enough:
             name = "the tool" if other.joint == -1 else f"joint {(other.joint or 0) + 1}"
