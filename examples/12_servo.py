@@ -13,7 +13,7 @@ with tempfile.TemporaryDirectory() as folder:
     armsight.write_simulation(name, cell, frames=1)  # rig, target and hand-eye calibration of this cell
     files = [cell / f"{kind}.yaml" for kind in ("rig", "target", "handeye")]
     done = armsight.servo(
-        f"sim:{name}", *files, confirm=True, hand="circle", hand_speed_m_s=0.02, seconds_s=3.0, out=out
+        f"sim:{name}", *files, confirm=True, hand="circle", hand_speed_m_s=0.02, seconds_s=5.0, out=out
     )
     with armsight.open_recording(out / "servo.mcap") as recording:  # set points, commands, readings, poses, events
         poses = [pose for pose in recording.poses() if pose.status == "ok"]

@@ -58,6 +58,54 @@ def test_a_slip_is_named_and_left_out() -> None:
     assert result.tip_m == pytest.approx(TIP, abs=0.6 * MM)
 
 
+def test_four_poses_are_believed_as_far_as_they_go() -> None:
+    z = []
+    for seed in range(150):
+        rng = np.random.default_rng([4, seed])
+        about, tilt = (
+            np.arange(4) * 2 * np.pi / 3 + rng.normal(0, 0.2, 4),
+            30 * DEG * np.r_[0, rng.uniform(0.8, 1.0, 3)],
+        )
+        R = Rotation.from_rotvec(np.c_[tilt * np.cos(about), tilt * np.sin(about), 0 * about])
+        R = R * Rotation.from_euler("z", rng.uniform(-0.5, 0.5, (4, 1)))
+        t = POINT - R.apply(TIP) + rng.normal(0, 0.2 * MM, (4, 3))
+        result = calibrate_tooltip(RigidTransform.from_components(t, R))
+        z.append((result.tip_m - TIP) / np.array(list(result.std().values())))
+    assert np.mean(np.abs(z) < 1.96) > 0.92  # 0.86 where the likeliest ratio of the noises is taken for the true one
+
+
+def test_repeated_readings_are_worth_their_places() -> None:
+    rng = np.random.default_rng(5)
+    places = pivot(rng, 8)
+    i = rng.permutation(np.repeat(np.arange(8), 6))
+    M = places[i].as_matrix()
+    M[:, :3, 3] += rng.normal(0, 2e-6, (48, 3))
+    M[7, 0, 3] += 5 * MM  # one reading that went wrong takes no place with it
+    once, often = calibrate_tooltip(places), calibrate_tooltip(RigidTransform.from_matrix(M))
+    assert [row for row, _ in often.rejected_rows] == [7]
+    assert (often.n_used, often.n_effective, once.n_effective) == (47, 8, None)
+    assert often.tip_m == pytest.approx(once.tip_m, abs=0.02 * MM)
+    assert list(often.std().values()) == pytest.approx(list(once.std().values()), rel=0.05)
+    assert often.loo_rms_m == pytest.approx(once.loo_rms_m, rel=0.1)
+    assert any("worth 8 poses" in note for note in often.notes)
+    three = RigidTransform.concatenate([places[k] for k in (0, 1, 2)] * 5)
+    with refuses(NotEnoughData, "3 places"):
+        calibrate_tooltip(three)
+
+
+def test_a_narrow_pivot_is_told_from_a_tip_that_moved() -> None:
+    rng = np.random.default_rng(6)
+    for tilt, kind in ((5.0, Degenerate), (25.0, None)):
+        poses = pivot(rng, 200, tilt_deg=tilt, noise=0.0)
+        noise = rng.normal(0, 1, (200, 3)) * [0.4 * MM, 0.4 * MM, 4 * MM]
+        M = RigidTransform.from_translation(noise).as_matrix() @ poses.as_matrix()
+        if kind is None:
+            assert calibrate_tooltip(RigidTransform.from_matrix(M)).tip_m == pytest.approx(TIP, abs=1.5 * MM)
+        else:
+            with refuses(kind, "turns by only", "scatter", "25 degrees"):
+                calibrate_tooltip(RigidTransform.from_matrix(M))
+
+
 def test_refusals() -> None:
     rng = np.random.default_rng(3)
     with pytest.raises(NotEnoughData, match="3 poses"):

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.correlation import regions, widened
+from armsight.calibrate.tooltip_places import FAR, MIN_POSES, place_numbers, places_of
 from armsight.calibrate.tooltip_result import TipCalibration
-from armsight.calibrate.tooltip_stream import PivotStream, checked_times, slopes
+from armsight.calibrate.tooltip_stream import PivotStream, TipFit, checked_times, slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
@@ -29,7 +30,6 @@ Array = NDArray[np.float64]
 
 NAMES = ("tip.x_m", "tip.y_m", "tip.z_m", "point.x_m", "point.y_m", "point.z_m")
 
-MIN_POSES = 4
 LEAST_TURN_RAD = 2.5 * DEG
 """Least root-mean-square turn about the second axis: below it noise is blown up more than 20 times."""
 
@@ -47,8 +47,11 @@ TIP_SETTLED = 1e-10
 
 NOISE_M = 0.1 * MM
 NOISES_RAD_M = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Noise of orientation over that of position, of which the likeliest is taken where poses bring no covariance; their
-common size is estimated."""
+"""Noise of orientation over that of position, weighed by their likelihood where poses bring no covariance; their common
+size is estimated. The likeliest alone holds 87 % inside 95 % with four poses, and 91 with five."""
+
+WELL_TILTED_RAD = 10.0 * DEG
+"""Root-mean-square turn about the second axis below which noise of the poses alone may hide the resting point."""
 
 GOOD_ENOUGH_M = 0.1 * MM
 NORMAL_95 = 1.959964
@@ -96,35 +99,61 @@ def calibrate_tooltip(
     times = None if t_s is None else checked_times(np.asarray(t_s, float), len(R))
     C = None if covariances is None else frozen_array("covariances", covariances, (len(R), 6, 6))
     _require_turning(_turns(R))
-    keep, (x, cov, e, V, scale2, dof) = _agreed(R, t, C, point)
-    turn = _turns(R[keep])
+    place = np.arange(len(R)) if times is not None else place_numbers(R)
+    places = places_of(R, t, C, place)
+    keep_places, (x, cov, e, V, _, _) = _agreed(*places.poses, point)
+    keep, used = places.fine & keep_places[place], places.poses[0][keep_places]
+    turn = _turns(used)
     _require_turning(turn)
-    _require_point(e[keep], t[keep], len(R))
+    _require_point(
+        e[keep_places], places.poses[1][keep_places], len(e), turn[1], float(np.sqrt(np.diag(cov)[:3].max()))
+    )
     check_metres(np.linalg.norm(x[:3]), TOOL_M, "the tip would be off the turned frame by")
-    left, correlation = _left_out(R, e, V * scale2, cov, keep), None
-    cov = cov * (float(t_ppf(0.975, dof)) / NORMAL_95) ** 2
+    prior = None if point is None else point.information()
     if times is not None:
-        stream = PivotStream(R=R, t=t, V=V, t_s=times, prior=None if point is None else point.information())
-        found = stream.fit(x, keep, _turned(R, keep))
-        x, cov, left, correlation = found.x, found.C, found.left_out_m, found.correlation
-        e = R @ x[:3] + t - x[3:]
+        found = PivotStream(R=R, t=t, V=V, t_s=times, prior=prior).fit(x, keep, _turned(R, keep))
     else:
-        cov = widened(cov, slopes(R[keep]), V[keep] * scale2, e[keep], regions(R[keep].reshape(-1, 9)))
+        found = _weighed(*places.poses, keep_places, point)
+    e = R @ found.x[:3] + t - found.x[3:]
     return TipCalibration(
-        tip_m=x[:3],
-        point_m=x[3:],
-        covariance=NamedCovariance(names=NAMES, matrix=cov),
+        tip_m=found.x[:3],
+        point_m=found.x[3:],
+        covariance=NamedCovariance(names=NAMES, matrix=found.C),
         residuals_m=e,
-        left_out_m=left,
+        left_out_m=found.left_out_m if times is not None else e + np.where(keep[:, None], found.left_out_m[place], 0.0),
         used=keep,
-        rejected_rows=tuple(
-            (int(i), f"the tip is {np.linalg.norm(e[i]) / MM:.3g} mm from the point where the others rest")
-            for i in np.flatnonzero(~keep)
-        ),
+        rejected_rows=_rejected(e, keep),
         rotation_excitation_rms_rad=turn,
         mean_tip_m=None if point is None else mean_tip(R[keep], t[keep], point.xyz_m),
-        correlation=correlation,
+        correlation=found.correlation,
+        n_places=None if times is not None else len(used),
     )
+
+
+def _rejected(e: Array, keep: NDArray[np.bool_]) -> tuple[tuple[int, str], ...]:
+    """Return the rows left out, from 0, and why, from residuals (n, 3)."""
+    off = (np.linalg.norm(e, axis=1) / MM).tolist()
+    return tuple(
+        (i, f"the tip is {off[i]:.3g} mm from the point where the others rest") for i in np.flatnonzero(~keep).tolist()
+    )
+
+
+def _weighed(R: Array, t: Array, C: Array | None, keep: NDArray[np.bool_], point: MeasuredPoint | None) -> TipFit:
+    """Return the tip of poses of one place each; left_out_m (n, 3) is by how much its residual grows without a pose."""
+    models = _models(R, t, C, keep, point)
+    steps, weight = np.array([fit[0] for _, _, fit in models]), np.array([weight for weight, _, _ in models])
+    x = np.asarray(weight @ steps)
+    # what is not known of the ratio of the noises widens the answer, and Student's factor what is not of their size
+    _, likeliest, e, V, scale2, dof = models[0][2]
+    student = (float(t_ppf(0.975, dof)) / NORMAL_95) ** 2
+    spread = steps - x
+    cov = student * np.einsum("k,kab->ab", weight, np.array([fit[1] for _, _, fit in models]))
+    cov = cov + (spread.T * weight) @ spread
+    part = regions(R[keep].reshape(-1, 9))
+    once = student * likeliest
+    cov = cov + widened(once, slopes(R[keep]), V[keep] * scale2, e[keep], part) - once
+    grown = np.where(keep[:, None], _left_out(R, e, V * scale2, likeliest, keep) - e, 0.0)
+    return TipFit(x=x, C=cov, left_out_m=grown, correlation=None)
 
 
 _Fit = tuple[Array, Array, Array, Array, float, int]
@@ -134,8 +163,7 @@ def _agreed(R: Array, t: Array, C: Array | None, point: MeasuredPoint | None) ->
     """Return which poses agree on a tip, and the fit to them; Inconsistent where too few do."""
     n = len(R)
     keep = _consensus(R, t)
-    if C is None:
-        C = _likeliest(R, t, keep, point)
+    C = _models(R, t, C, keep, point)[0][1]
     for _ in range(TIP_ROUNDS):
         fit = _fit(R, t, C, keep, point)
         _, cov, e, V, scale2, dof = fit
@@ -215,19 +243,23 @@ def _split(poses: RigidTransform | Sequence[RigidTransform]) -> tuple[Array, Arr
     return M[:, :3, :3], M[:, :3, 3]
 
 
-def _likeliest(R: Array, t: Array, keep: NDArray[np.bool_], point: MeasuredPoint | None) -> Array:
-    """Return the covariances (n, 6, 6) whose ratio of the noises the kept poses make likeliest (REML)."""
-    best, found = -np.inf, np.empty(0)
-    for ratio in NOISES_RAD_M:
-        C = np.tile(NOISE_M**2 * np.diag([1.0] * 3 + [ratio**2] * 3), (len(R), 1, 1))
-        _, cov, _, V, scale2, dof = _fit(R, t, C, keep, point)
+def _models(
+    R: Array, t: Array, C: Array | None, keep: NDArray[np.bool_], point: MeasuredPoint | None
+) -> list[tuple[float, Array, _Fit]]:
+    """Return (weight, covariances (n, 6, 6), fit) of each ratio of the noises, the likeliest first, by their restricted
+    likelihood for the kept poses; of covariances that are given, these alone."""
+    each = np.array([np.diag([1.0] * 3 + [ratio**2] * 3) for ratio in NOISES_RAD_M]) * NOISE_M**2
+    given = [np.tile(one, (len(R), 1, 1)) for one in each] if C is None else [C]
+    fits = [_fit(R, t, one, keep, point) for one in given]
+    likelihood = np.empty(len(fits))
+    for k, (_, cov, _, V, scale2, dof) in enumerate(fits):
         scale2 = max(scale2, 1e-300)
         # the restricted likelihood with the common factor at its best value, which leaves dof log scale2 of it
         logdet = np.linalg.slogdet(V[keep])[1].sum() - np.linalg.slogdet(cov / scale2)[1]
-        likelihood = -0.5 * (float(logdet) + dof * float(np.log(scale2)))
-        if likelihood > best:
-            best, found = likelihood, C
-    return found
+        likelihood[k] = -0.5 * (float(logdet) + dof * float(np.log(scale2)))
+    weight = np.exp(likelihood - likelihood.max())
+    weight = weight / weight.sum()
+    return [(float(weight[k]), given[k], fits[k]) for k in np.argsort(-weight, kind="stable").tolist()]
 
 
 def _fit(R: Array, t: Array, C: Array, keep: NDArray[np.bool_], point: MeasuredPoint | None) -> _Fit:
@@ -294,7 +326,7 @@ def _consensus(R: Array, t: Array) -> NDArray[np.bool_]:
     errors = np.linalg.norm(np.einsum("nia,sa->sni", J, x) + b, axis=2)  # (S, n)
     best = errors[int(np.argmin(np.median(errors, axis=1)))]
     keep = np.empty(n, bool)
-    keep[order] = best <= 8.0 * max(float(np.median(best)), 1e-12)
+    keep[order] = best <= FAR * max(float(np.median(best)), 1e-12)
     return keep
 
 
@@ -331,11 +363,20 @@ def _require_turning(turn: Array) -> None:
     )
 
 
-def _require_point(e: Array, t: Array, n: int) -> None:
-    """Raise Inconsistent where the residuals (k, 3) are as large as the motion of the frame (k, 3)."""
+def _require_point(e: Array, t: Array, n: int, turn_rad: float, std_m: float) -> None:
+    """Raise where the residuals (k, 3) are as large as the motion of the frame (k, 3): Degenerate where the tool turned
+    so little that noise of the poses is enough for it, else Inconsistent. std_m: largest of the tip."""
     rms, moved = (float(np.sqrt((v**2).sum(axis=1).mean())) for v in (e, t - t.mean(axis=0)))
-    if rms > LOOSE_M and rms > UNRELATED * moved:
-        raise _no_point(int((np.linalg.norm(e, axis=1) <= LOOSE_M).sum()), n)
+    if not (rms > LOOSE_M and rms > UNRELATED * moved):
+        return
+    if turn_rad < WELL_TILTED_RAD:
+        raise Degenerate(
+            f"the tool turns by only {turn_rad / DEG:.2g} degrees (RMS), and the poses scatter by {rms / MM:.2g} mm "
+            "about one point",
+            consequence=f"Its end would be known to {std_m / MM:.2g} mm at best; no tip is given",
+            cure="Tilt the tool by 25 degrees and more in at least two directions while its end stays on the point",
+        )
+    raise _no_point(int((np.linalg.norm(e, axis=1) <= LOOSE_M).sum()), n)
 
 
 def _no_point(agree: int, n: int) -> Inconsistent:

@@ -25,7 +25,7 @@ class TipCalibration(Output):
     tip_m, point_m: (3,); covariance of both by name, widened so that +- 1.96 std holds 95 %. residuals_m (n, 3):
     R tip + t - point of all poses; left_out_m (n, 3): the same by the other poses (by those further away in time, where
     they are of one recording), NaN where these do not tell. used (n,). rejected_rows: (row from 0, why). correlation:
-    of the errors in time, where times were given.
+    of the errors in time, where times were given. n_places: of the tool, at which the used poses were read, where not.
     """
 
     tip_m: Annotated[Vector, Doc("The tool's tip in the axes of the turned frame, target or flange, m.")]
@@ -40,6 +40,7 @@ class TipCalibration(Output):
     ]
     mean_tip_m: Annotated[Vector | None, Doc("The mean of Pachidis eq. (13), m; where the point was measured.")] = None
     correlation: Correlation | None = None
+    n_places: int | None = None
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -66,9 +67,11 @@ class TipCalibration(Output):
     def n_used(self) -> int:
         return int(self.used.sum())
 
-    @figure("Independent poses that they are worth; of poses with times only.", optional=True)
+    @figure("Independent poses that they are worth; of poses with times and of repeated readings.", optional=True)
     def n_effective(self) -> float | None:
-        return None if self.correlation is None else self.correlation.n_effective
+        if self.correlation is not None:
+            return self.correlation.n_effective
+        return None if self.n_places is None or self.n_places == self.n_used else float(self.n_places)
 
     @figure("After which a drift of the errors is forgotten, s; with times only.", optional=True)
     def correlation_time_s(self) -> float | None:
@@ -80,7 +83,13 @@ class TipCalibration(Output):
 
     @figure("What to know of the result, and to do.")
     def notes(self) -> tuple[str, ...]:
-        return (*(() if self.correlation is None else self.correlation.warnings(self.n_used)), *self.remarks)
+        told = () if self.correlation is None else self.correlation.warnings(self.n_used)
+        if self.n_places is not None and self.n_places < self.n_used:
+            told = (
+                f"The {self.n_used} poses are repeated readings at {self.n_places} places of the tool, which share the "
+                f"errors of their place: they are worth {self.n_places} poses.",
+            )
+        return (*told, *self.remarks)
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the tip by coordinate."""

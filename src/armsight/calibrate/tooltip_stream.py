@@ -20,8 +20,8 @@ LEAST_SHARE_TURN = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DriftingTip:
-    """A tip from poses of one recording, with the errors' drift in it.
+class TipFit:
+    """A tip; from poses of one recording with the errors' drift in it.
 
     x (6,): tip, point. C (6, 6): its covariance. left_out_m (n, 3): R tip + t - point of each pose by the poses further
     away in time, NaN where they do not tell it.
@@ -30,7 +30,7 @@ class DriftingTip:
     x: Array
     C: Array
     left_out_m: Array
-    correlation: Correlation
+    correlation: Correlation | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,7 +44,7 @@ class PivotStream:
     t_s: Array
     prior: tuple[Array, Array] | None = None
 
-    def fit(self, x: Array, keep: NDArray[np.bool_], turn: Array) -> DriftingTip:
+    def fit(self, x: Array, keep: NDArray[np.bool_], turn: Array) -> TipFit:
         """Return the fit to the kept poses, x (6,) near it; turn (n,): how far each is turned from the mean, rad."""
         found = self._averaged(x, keep)
         left = np.full((len(self.R), 3), np.nan)
@@ -53,7 +53,7 @@ class PivotStream:
             if others.sum() < FEWEST_KEPT or _rms(turn[others]) < LEAST_SHARE_TURN * _rms(turn[keep]):
                 continue
             left[inside] = self._residuals(x + self._averaged(x, others).step)[inside]
-        return DriftingTip(x=x + found.step, C=found.C, left_out_m=left, correlation=found.correlation)
+        return TipFit(x=x + found.step, C=found.C, left_out_m=left, correlation=found.correlation)
 
     def _averaged(self, x: Array, keep: NDArray[np.bool_]) -> Averaged:
         """Return the fit of a step from x, residuals made of one size by the square roots of V."""

@@ -62,7 +62,10 @@ NOISIEST = 1e-4
 """Readings at rest that differ by more, in rad or m, hide the probe. 17 bits of a turn are half of that."""
 
 GAIN_STD = 0.015
-"""The plateau lasts until noise leaves so much of a gain."""
+"""The plateau, and the rest before it, last until noise leaves so much of a gain."""
+
+MOST_RESTING = 48
+"""Readings at rest that are kept: a mean of so few is the larger part of a noisy gain's deviation."""
 
 BACK_S = 0.6
 """Time for the arm to come to rest behind the probe: twelve times a lag of LAG_S."""
@@ -175,7 +178,7 @@ class Proof:
         self._cycle_s, self._lags = cycle_s, lags
         self._force = 0.0
         self._still = max(2, math.ceil(STILL_S / cycle_s))
-        self._window: deque[Array] = deque(maxlen=max(6, 2 * self._still))
+        self._window: deque[Array] = deque(maxlen=MOST_RESTING)
         self.state = ProofState.NEEDED
 
     @property
@@ -225,11 +228,13 @@ class Proof:
     def _calm(self) -> bool:
         """Plan the probe where the axes stand still; tell whether they do."""
         rows = np.array(self._window)[:, self._moved]
-        spread = np.ptp(rows, axis=0)
-        if len(rows) < self._window.maxlen or spread.max() > NOISIEST:  # type: ignore[operator]
-            return False
-        self._rest, self._noise = rows.mean(axis=0), np.maximum(spread, FINEST)
+        least = max(6, 2 * self._still)
+        spread = np.ptp(rows[-least:], axis=0)
         noise = float((spread / 3.0 / self._size).max())
+        wanted = int(np.clip(_resting(noise), least, MOST_RESTING))
+        if len(rows) < wanted or np.ptp(rows[-wanted:], axis=0).max() > NOISIEST:
+            return False
+        self._rest, self._noise = rows[-wanted:].mean(axis=0), np.maximum(spread, FINEST)
         self._shares = _shares(self._cycle_s, noise, lags=self._lags)
         return True
 
@@ -306,13 +311,21 @@ class Proof:
         return cause
 
 
+def _resting(noise: float) -> int:
+    """Return how many readings at rest, of which a mean is taken, leave GAIN_STD of a gain.
+
+    The mean is taken off all of some twice as many readings as the probe is at its full amplitude for.
+    """
+    return math.ceil((2.0 * noise / GAIN_STD) ** 2)
+
+
 def _shares(cycle_s: float, noise: float, *, lags: bool) -> Array:
     """Return the shares of the amplitude that go out, one a cycle; noise: of a reading, as a share of the smallest."""
     rate = min(MOST_RATE, (math.sqrt(1.0 + 4.0 * ADDED_SHARE * LAG_S / cycle_s) - 1.0) / (2.0 * LAG_S))
     n = max(LEAST_CYCLES, math.ceil(-math.log(FIRST_SHARE) / (rate * cycle_s)) if lags else 0)
     ramp = FIRST_SHARE ** (1.0 - np.arange(n) / n)
     # a mean of m readings of noise s, less one of as many, is known to s sqrt(2 / m)
-    plateau = min(max(PLATEAU_S / cycle_s, 2.0 * (noise / GAIN_STD) ** 2), 1.0 / cycle_s)
+    plateau = min(max(PLATEAU_S / cycle_s, 0.5 * _resting(noise)), 1.0 / cycle_s)
     back = max(2, round(RETURN_S / cycle_s))
     fall = 0.5 + 0.5 * np.cos(math.pi * np.arange(1, back + 1) / back)
     return np.concatenate([ramp, np.ones(max(1, math.ceil(plateau))), fall])

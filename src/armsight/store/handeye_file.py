@@ -297,8 +297,9 @@ def write_tip(path: Path, result: TipCalibration, *, inputs: Sequence[Path] = ()
     }
     if result.loo_rms_m is not None:
         content["loo_rms_m"] = result.loo_rms_m
+    if result.n_effective is not None:
+        content["n_effective"] = result.n_effective
     if result.correlation is not None:
-        content["n_effective"] = result.correlation.n_effective
         content["correlation_time_s"] = result.correlation.time_s
     write_document(path, TIP_FORMAT, content, inputs)
 

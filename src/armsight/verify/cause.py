@@ -33,8 +33,8 @@ ODDS = 1000.0
 """Odds, times the number of effects tried, by which a joint's fault is to be likelier than a geometry within what arms
 are made to: of 225 healthy arms none is then told a joint (benchmarks/verify_joints.py)."""
 REGIONAL = 300
-"""Poses from which on the zeros of regions left out say what is wrong beside the geometry: joint 2 of a UR10 differs by 2.0
-deviations between two series then, and by 3.2 without. Of fewer the regions themselves are too uncertain."""
+"""Poses from which on the zeros of regions left out say what is wrong beside the geometry: joint 2 of a UR10 differs by
+2.0 deviations between two series then, and by 3.2 without. Of fewer the regions themselves are too uncertain."""
 LEAVES = 1.25
 """A fault that is no zero is one joint's where the geometry takes no more off the variance that it leaves: gears of all
 joints run out of true, and that of a UR10's second one is seen first, wherever lengths are off too."""

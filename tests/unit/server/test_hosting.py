@@ -136,6 +136,21 @@ def test_a_web_server_that_stands_still_holds_the_arm_though_the_line_enables_it
         assert loop.host.status().enabled is not rule
 
 
+def test_a_stand_still_that_is_shorter_than_the_age_of_an_enable_ends_it_too():
+    with running() as loop:
+        loop.host.grant(0, "key")
+        held_by_the_line(loop, 0.1)
+        loop.host.post(JointGoal(q=np.array([2.0, 0.3])))
+        held_by_the_line(loop, 0.4)
+        held_by_the_line(loop, 0.05, web=False)  # its turns are 0.1 s apart
+        assert loop.host.status().guard == "running"
+        held_by_the_line(loop, 0.5)
+        assert loop.host.status().guard == "disabled"
+        loop.host.beat(enable=False)
+        held_by_the_line(loop, 0.1)
+        assert loop.host.status().guard != "disabled", "what was given anew counts"
+
+
 @pytest.mark.parametrize("silent_s", [0.02, 0.3])
 def test_an_enable_that_lapsed_counts_again_once_it_was_let_go_of(silent_s):
     with running() as loop:

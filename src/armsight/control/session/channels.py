@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.clock import StandStill
 from armsight.errors import ArmsightError, StaleData, UsageError, rebuilt
 
 Array = NDArray[np.float64]
@@ -185,19 +186,27 @@ SERVERS = ("the web server", "the line for stops")
 
 
 class Turns:
-    """When each of the processes that serve a robot last had its turn; one that has not begun yet is not missed."""
+    """When each of the processes that serve a robot last had its turn; one that has not begun yet is not missed.
+
+    One that stood still for less than the loop waits for finds so itself, at its next turn.
+    """
 
     def __init__(self) -> None:
-        self._memory: Any = RawArray("d", len(SERVERS))
+        self._memory: Any = RawArray("d", 2 * len(SERVERS))
+        self._still = tuple(StandStill(TURN_S) for _ in SERVERS)
 
     def turn(self, who: Serves, t_s: float) -> None:
         """Note a turn at t_s, on the loop's clock."""
+        if self._still[who].turn(t_s):
+            self._memory[len(SERVERS) + who] = t_s
         self._memory[who] = t_s
 
-    def missed(self, now_s: float, longest_s: float) -> str:
-        """Return which of them had no turn for longer than longest_s, in words; empty where all had."""
-        late = (name for name, t_s in zip(SERVERS, self._memory, strict=True) if t_s and now_s - t_s > longest_s)
-        return next(late, "")
+    def missed(self, now_s: float, longest_s: float, since_s: float) -> str:
+        """Return which had no turn for longer than longest_s, or stood still until after since_s; empty where none."""
+        n = len(SERVERS)
+        late = (t_s and now_s - t_s > longest_s for t_s in self._memory[:n])
+        stood = (t_s > since_s for t_s in self._memory[n:])
+        return next((name for name, *why in zip(SERVERS, late, stood, strict=True) if any(why)), "")
 
 
 def granted(grant: Newest) -> Grant:

@@ -148,7 +148,7 @@ class OrderSource:
         self._client = ClientSource(SETPOINT_S)
         self._goal: JointGoal | None = None
         self._asked = False
-        self._beat_s = -math.inf
+        self._beat_s = self._since_s = -math.inf
         self._lease, self._number = 0, 0
         self._enable = False
         self._off = 0
@@ -198,7 +198,7 @@ class OrderSource:
         return self._enable
 
     def _why_lapsed(self, now_s: float) -> str:
-        if missed := self._turns.missed(now_s, self._enable_age_s):
+        if missed := self._turns.missed(now_s, self._enable_age_s, self._since_s):
             return f"{missed} stood still"
         if now_s - self._beat_s > self._enable_age_s:
             return f"no enable came for more than {self._enable_age_s / MS:.0f} ms"
@@ -241,6 +241,7 @@ class OrderSource:
         if not enable:
             self._let_go()
         elif not self.lapsed and self._clock.now_s() - sent_s <= self._enable_age_s:
+            self._since_s = self._since_s if self._enable else sent_s
             self._enable, self._beat_s = True, max(sent_s, self._beat_s)
 
     def _let_go(self) -> None:

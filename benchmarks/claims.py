@@ -1,0 +1,97 @@
+"""Do claimed deviations hold? Errors that are not independent, and few rows, against simulated truth.
+
+    python benchmarks/claims.py [tip] [stereo] [arm] [handeye] [--seeds 25]
+
+Of every kind: how many of the true values lie within 1.96 claimed deviations, the root mean square of error over claim,
+and the claimed deviation itself (RMS), to be compared with that of another commit where rows are independent.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import bench
+from armsight.calibrate.tooltip import calibrate_tooltip
+from armsight.errors import DataRefused
+from armsight.units import DEG, MM
+
+Claims = tuple[np.ndarray, np.ndarray]
+"""Errors and claimed deviations of one run, in one unit."""
+
+
+def judged(name: str, seeds: int, run: Callable[[int], Claims], unit: float = MM) -> list[object]:
+    """Return a row of the table: what share holds, how large the errors are, how large the claims."""
+    found: list[Claims] = []
+    refused: Counter[str] = Counter()
+    for seed in range(seeds):
+        try:
+            found.append(run(seed))
+        except DataRefused as refusal:
+            refused[str(refusal)[:60]] += 1
+    told = "; ".join(f"{count} x {text}" for text, count in refused.items())
+    if not found:
+        return [name, "-", "-", "-", "-", told]
+    error, std = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    z = error / std
+    inside = 100.0 * float(np.mean(np.abs(z) < 1.96))
+    return [name, inside, float(np.sqrt(np.mean(z**2))), *(rms(v) / unit for v in (error, std)), told]
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# A tool's tip: few poses, and several readings at each.
+
+TIP_M, POST_M = np.array([0.0, 0.005, 0.145]), np.array([0.6, 0.1, 0.3])
+
+
+def pivoted(seed: int, places: int, readings: int, sigma: tuple[float, float], own: float = 0.1) -> Claims:
+    """Return the tip's error and claim. sigma: of a place, m and rad; own: share of it that each reading has anew."""
+    rng = np.random.default_rng([places, readings, seed])
+    about, tilt = rng.uniform(0, 2 * np.pi, places), 30 * DEG * np.sqrt(rng.random(places))
+    if places <= 4:  # as robots' manuals have it: upright, and tilted to three sides
+        about = np.arange(places) * 2 * np.pi / 3 + rng.normal(0, 0.2, places)
+        tilt = 30 * DEG * np.r_[0.0, rng.uniform(0.8, 1.0, places - 1)]
+    R = Rotation.from_rotvec(np.c_[tilt * np.cos(about), tilt * np.sin(about), 0 * about])
+    R = R * Rotation.from_euler("x", 160, degrees=True) * Rotation.from_euler("z", rng.uniform(-0.5, 0.5, (places, 1)))
+    shared = [rng.normal(0, s, (places, 3)) for s in sigma]
+    i = np.repeat(np.arange(places), readings)
+    dt, dw = (s[i] + rng.normal(0, own * size, (len(i), 3)) for s, size in zip(shared, sigma, strict=True))
+    t = POST_M - R[i].apply(TIP_M) + dt
+    result = calibrate_tooltip(RigidTransform.from_components(t, Rotation.from_rotvec(dw) * R[i]))
+    return result.tip_m - TIP_M, np.array(list(result.std().values()))
+
+
+def tips(seeds: int) -> list[list[object]]:
+    """Return the rows of the tip, 12 times as many runs as seeds: each takes milliseconds."""
+    rows = []
+    for places, readings in ((4, 1), (5, 1), (8, 1), (12, 1), (40, 1), (4, 10), (5, 10), (8, 5), (20, 5)):
+        for sigma in ((0.2 * MM, 0.5e-3), (0.05 * MM, 3e-3)):
+            name = f"tip, {places} poses x {readings}, {sigma[0] / MM:g} mm, {1e3 * sigma[1]:g} mrad"
+            rows.append(judged(name, 12 * seeds, partial(pivoted, places=places, readings=readings, sigma=sigma)))
+    return rows
+
+
+KINDS: dict[str, Callable[[int], list[list[object]]]] = {"tip": tips}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], help="what to judge; all without")
+    parser.add_argument("--seeds", type=int, default=25)
+    given = parser.parse_args()
+    print(bench.machine())
+    columns = ["what", "within 95 %, %", "error / claim", "error, mm", "claimed, mm", "refused"]
+    for kind in given.kinds or KINDS:
+        bench.table(f"Claims: {kind}, {given.seeds} seeds", columns, KINDS[kind](given.seeds))
+
+
+if __name__ == "__main__":
+    main()
