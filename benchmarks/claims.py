@@ -11,14 +11,18 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
+from armsight.calibrate.cameras import BoardOptions, calibrate_stereo
 from armsight.calibrate.tooltip import calibrate_tooltip
 from armsight.errors import DataRefused
+from armsight.optics import Camera, parallel_rig
+from armsight.records import BoardView, TargetKind, board_target
 from armsight.units import DEG, MM
 
 Claims = tuple[np.ndarray, np.ndarray]
@@ -79,7 +83,62 @@ def tips(seeds: int) -> list[list[object]]:
     return rows
 
 
-KINDS: dict[str, Callable[[int], list[list[object]]]] = {"tip": tips}
+# A pair of cameras whose views each have something in common that no rigid rig has.
+
+BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+RIG = parallel_rig(Camera.pinhole(1280, 720, 1100.0, 1100.0, 640.0, 360.0), 0.1)
+SIGMA_PX = 0.05
+
+
+def paired(seed: int, shift_px: tuple[float, float], turn_rad: float, n_views: int = 15) -> Claims:
+    """Return errors and claims of the right camera's pose: mm, and mrad, which both are about one to a pixel."""
+    rng, views = np.random.default_rng(seed), ([], [])
+    while len(views[0]) < n_views:
+        turn = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3))
+        middle = rng.uniform([-0.15, -0.1, 0.4], [0.25, 0.1, 0.7])
+        T = RigidTransform.from_components(middle - turn.apply(BOARD.xyz_m.mean(0)), turn)
+        T_left_right = RIG.T_rig_right * RigidTransform.from_rotation(
+            Rotation.from_rotvec(rng.normal(0, max(turn_rad, 1e-12), 3))
+        )
+        rig = replace(RIG, T_rig_right=T_left_right)
+        seen = rig.project(T.apply(BOARD.xyz_m))
+        if not all((uv > 0).all() and (uv < [1280, 720]).all() for uv in seen):
+            continue
+        common = rng.normal(0, 1, 2) * shift_px
+        for side in (0, 1):
+            uv = seen[side] + rng.normal(0, SIGMA_PX, (54, 2)) + common * side
+            views[side].append(
+                BoardView(
+                    uv_px=uv,
+                    index=np.arange(54),
+                    sigma_px=SIGMA_PX,
+                    width=1280,
+                    height=720,
+                    source=f"{len(views[side])}",
+                )
+            )
+    done = calibrate_stereo(*views, BOARD, BoardOptions(folds=0))
+    T = done.rig.T_rig_right
+    names = ("tx_m", "ty_m", "tz_m", "rx_rad", "ry_rad", "rz_rad")
+    off = np.r_[T.translation - RIG.T_rig_right.translation, T.rotation.as_rotvec()]
+    return off, np.array([done.std["right." + name] for name in names])
+
+
+def pairs(seeds: int) -> list[list[object]]:
+    """Return the rows of pairs of cameras."""
+    cases = [((0.0, shift), 0.0) for shift in (0.0, 0.05, 0.1, 0.2, 0.4)]
+    cases += [((0.1, 0.1), 0.0), ((0.0, 0.0), 0.2e-3)]
+    return [
+        judged(
+            f"stereo, {across:g} and {down:g} px, {1e3 * turn:g} mrad a view",
+            seeds,
+            partial(paired, shift_px=(across, down), turn_rad=turn),
+        )
+        for (across, down), turn in cases
+    ]
+
+
+KINDS: dict[str, Callable[[int], list[list[object]]]] = {"tip": tips, "stereo": pairs}
 
 
 def main() -> None:

@@ -79,6 +79,8 @@ def stereo(face: CommandUI, job: requests.calibrate_cameras.StereoJob) -> None:
 
     done = calibrate_stereo(replace(job, workers=workers(job.workers)), face.progress("calibrating"))
     stereo_tables(face, done, job.out)
+    for line in done.advice:
+        face.say(f"- {line}")
     face.result(done)
 
 

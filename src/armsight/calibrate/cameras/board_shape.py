@@ -41,13 +41,15 @@ class BoardShape:
     """How far a printed board is off, and how sure the cameras are with that in it.
 
     covariance: of the free parameters, with the board's share. std_m: of each coordinate of its points, 0 where none
-    shows. noise_px: RMS 2-D residual that the detector leaves, beside rms_px with the board in it.
+    shows. noise_px: RMS 2-D residual that the detector leaves, beside rms_px with the board in it. gain: by how much
+    twice the log likelihood of the residuals is larger with it.
     """
 
     covariance: NamedCovariance
     std_m: float = 0.0
     noise_px: float = 0.0
     rms_px: float = 0.0
+    gain: float = 0.0
 
     @property
     def advice(self) -> list[str]:
@@ -97,6 +99,7 @@ def board_shape(observations: Observations, fit: Fit, covariance: NamedCovarianc
         std_m=float(np.sqrt(noise2 * ratio)),
         noise_px=float(np.sqrt(2.0 * noise2 / np.mean(observations.weight[seen] ** 2))),
         rms_px=float(np.sqrt(px2.mean())),
+        gain=2.0 * likelihood,
     )
 
 

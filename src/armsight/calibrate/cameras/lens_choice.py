@@ -77,9 +77,15 @@ def refuse_other_lens(given: Observations, fit: RobustFit, options: BoardOptions
     residual = np.linalg.norm(residuals_px(used, fit.fit)[:, c], axis=2)[used.weight[:, c] > 0.0]
     # points left out are no merit: what is kept must be better by their share
     own = float(np.median(residual)) / kept
-    other = other_lens(given.camera(c), options)
+    other = lens_alone(given.camera(c), options, OTHER[options.lens])
     if other is None or not other.median_px < BETTER * own:
         return []
+    if given.n_cameras == 2:
+        # on equal footing, of this camera alone: what makes the pairs disagree speaks for no other lens
+        alone = lens_alone(given.camera(c), options, options.lens)
+        own = own if alone is None else min(own, alone.median_px)
+        if not other.median_px < BETTER * own:
+            return []
     asked = other.lens.value if given.n_cameras == 1 else _of_pair(pair, c)
     seen = (
         f"{name}: a {other.lens.value} lens leaves {other.median_px:.2f} px of the board's points (median), "
@@ -103,9 +109,8 @@ def _of_pair(lenses: tuple[LensKind, LensKind], c: int) -> str:
     return f"{swapped[c].value}, or {both} where the other camera is a {swapped[1 - c].value}"
 
 
-def other_lens(one: Observations, options: BoardOptions) -> Fitted | None:
-    """Return what the other kind of lens leaves of one camera's points, None where it cannot be fitted."""
-    lens = OTHER[options.lens]
+def lens_alone(one: Observations, options: BoardOptions, lens: LensKind) -> Fitted | None:
+    """Return what a kind of lens leaves of one camera's points, None where it cannot be fitted."""
     seen = replace(one, lenses=(lens,))
     plain = BoardOptions(lens=lens, max_iterations=options.max_iterations, automatic_k3=False)
     try:
@@ -128,8 +133,11 @@ def with_hint(error: DataRefused, one: Observations, options: BoardOptions) -> D
 
     Of boards that are not tilted, or in the middle of the image only, any lens fits.
     """
-    other = other_lens(one, options)
+    other = lens_alone(one, options, OTHER[options.lens])
     if other is None or not (other.median_px < GOOD_PX and other.tilt_deg > DOUBTFUL_TILT_DEG):
+        return error
+    own = lens_alone(one, options, options.lens)
+    if own is not None and not other.median_px < BETTER * own.median_px:
         return error
     if other.lens is LensKind.FISHEYE and other.reach < WIDE:
         return error

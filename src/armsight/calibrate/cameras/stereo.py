@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,14 @@ from armsight.calibrate.cameras.monocular import (
 )
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
+from armsight.calibrate.cameras.pair_effects import pair_effects
 from armsight.calibrate.cameras.pairing import Paired, baseline_std, of_one_lens, pair_views, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
 from armsight.calibrate.cameras.result import StereoCalibration
 from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
+from armsight.fitting import Fit
 from armsight.optics import SIDES, LensKind
-from armsight.records import BoardView, Progress, Target
+from armsight.records import BoardView, NamedCovariance, Progress, Target
 from armsight.records.result_parts import RejectedFile
 
 Array = NDArray[np.float64]
@@ -109,11 +112,11 @@ def judged(
     robust_fit: RobustFit, options: BoardOptions, *, n_pairs: int, rejected: list[tuple[str, str]], advice: list[str]
 ) -> StereoCalibration:
     """Return the result with its errors, on the pairs of the fit and on left-out ones."""
-    used, state = robust_fit.observations, bundle_of(robust_fit.fit, 2)
-    _refuse_swapped(state.side_pose)
-    residual, seen = residuals_px(used, robust_fit.fit), used.weight > 0.0
-    shape = board_shape(used, robust_fit.fit, required(robust_fit))
-    covariance = of_one_lens(shape.covariance) if used.one_lens else shape.covariance
+    used = robust_fit.observations
+    _refuse_swapped(bundle_of(robust_fit.fit, 2).side_pose)
+    fit, covariance, told = _believed(robust_fit, options)
+    state = bundle_of(fit, 2)
+    residual, seen = residuals_px(used, fit), used.weight > 0.0
     overall = rms(residual, seen)
     rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall, lenses=used.lenses)
     out = left_out(robust_fit, options)
@@ -132,9 +135,26 @@ def judged(
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
-        T_left_board=poses_of_boards(used, robust_fit.fit),
-        advice=(*advice, *shape.advice, *caveats(covariance, robust_fit), *robust_fit.notes),
+        T_left_board=poses_of_boards(used, fit),
+        advice=(*advice, *told, *caveats(covariance, robust_fit), *robust_fit.notes),
     )
+
+
+def _believed(robust_fit: RobustFit, options: BoardOptions) -> tuple[Fit, NamedCovariance, list[str]]:
+    """Return the fit and its covariance with what differs from pair to pair, and how far the board is off, in them; and
+    advice on both."""
+    used, fit, covariance = robust_fit.observations, robust_fit.fit, required(robust_fit)
+    shape, effects = board_shape(used, fit, covariance), pair_effects(used, fit)
+    if effects is None or effects.gain < shape.gain:  # what a board that is off leaves differs from pair to pair too
+        return fit, of_one_lens(shape.covariance) if used.one_lens else shape.covariance, shape.advice
+    # the board is asked for in what is left without the pairs' own part, and adds to what that leaves of doubt
+    fixed = frozenset(fit.names) - frozenset(covariance.names)
+    rigid = adjust(effects.freed, bundle_of(effects.fit, 2), fixed, max_iterations=options.max_iterations)
+    shape = board_shape(effects.freed, rigid, required(replace(robust_fit, fit=rigid)))
+    plain = required(replace(robust_fit, fit=rigid)).matrix
+    matrix = effects.covariance.matrix + shape.covariance.matrix - plain
+    noise_px = rms(residuals_px(effects.freed, rigid), used.weight > 0.0)
+    return effects.fit, replace(effects.covariance, matrix=matrix), [effects.advice(noise_px), *shape.advice]
 
 
 def _paired(

@@ -1,0 +1,27 @@
+"""Strangers' pairs of cameras: one that creeps while the pictures are taken."""
+
+import numpy as np
+import pytest
+
+from armsight.app.calibrate.cameras import calibrate_stereo
+from armsight.app.requests.calibrate_cameras import StereoJob
+from armsight.errors import Inconsistent
+from refusals import names_it, refuses
+from reports import case
+
+
+def job(tmp_path, **more):
+    folder = case("cameras-07")
+    given = {"left": str(folder / "left"), "right": str(folder / "right"), "board": "checkerboard:9x6:0.02"}
+    return StereoJob(**given, out=tmp_path / "rig.yaml", **more)
+
+
+def test_a_mount_that_creeps_is_named_and_the_rig_is_right(tmp_path):
+    done = calibrate_stereo(job(tmp_path))
+    assert 1e3 * np.asarray(done.rig.T_rig_right.translation) == pytest.approx([120.0, 1.0, 4.0], abs=0.05)
+    assert [line for line in done.advice if names_it(line, "rigid", "turns")]
+
+
+def test_the_other_lens_is_refused_with_the_one_that_works(tmp_path):
+    with refuses(Inconsistent, "pinhole", "Use --lens pinhole"):  # as the test above does
+        calibrate_stereo(job(tmp_path, lens="fisheye"))
