@@ -328,6 +328,24 @@ def test_a_wrong_model_shows_in_the_deviations_of_what_is_fitted_with_it() -> No
         assert jackknife_std(exact, added, region)[0] < 1e-6
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_zeros_of_small_workspaces_hold_what_lengths_and_axes_may_be(known: bool) -> None:
+    off, causes = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(100 + seed)
+        q = MIDDLE + rng.uniform(-0.25, 0.25, (30, 6))
+        table = TABLE + rng.normal(0.0, [5e-4, 5e-4, 5e-4, 5e-4], (6, 4))
+        how = Align.NONE if known else Align.BOTH
+        cause = verify(arm(known), Reported(q=q), seen(table, q, rng), how).cause
+        assert cause is not None
+        causes.append(cause.cause)
+        off += [(v.offset - table[i, 3]) / v.std for i, v in enumerate(cause.joints) if v.offset is not None and v.std]
+        if not known:  # the tool is off by a millimetre, and what is left over is a tenth of it
+            assert cause.arm_off_m is not None and 5e-4 < cause.arm_off_m < 1e-2
+    assert set(causes) <= {"model", "measurement", "undecided"}  # several joints, 16 deviations wrong
+    assert len(off) >= 12 and np.sqrt(np.mean(np.square(off))) < 1.5 and np.abs(off).max() < 4.0
+
+
 @pytest.mark.skipif(not DATA.is_dir(), reason="the real measurements are not beside the project")
 def test_series_of_one_real_arm_agree_and_no_joint_is_blamed_for_its_model() -> None:
     file = read_measured(DATA / "configurations.csv")

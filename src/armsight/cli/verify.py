@@ -235,7 +235,7 @@ def _after_crash(face: CommandUI, asked: Asked[requests.verify.MasteringJob], fo
     for joint in done.joints:
         shown = [figure(None if v is None else v / DEG) for v in (joint.offset_rad, joint.std_rad)]
         rows.append([f"{joint.index} {joint.name}", *shown, joint.why])
-    face.table("Zeros, each taken alone", ["joint", "deg", "+-", ""], rows)
+    face.table("Zeros", ["joint", "deg", "+-", ""], rows)
     for left in done.rejected:
         face.say(f"  left out: row {left.row}: {left.why}")
     for text in done.doubts:

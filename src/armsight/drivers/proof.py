@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +104,11 @@ class Probe:
     names: tuple[str, ...]
     parts: tuple[slice, ...] = (slice(None),)
 
+    @property
+    def of_flange(self) -> Probe:
+        """The same way of the flange alone."""
+        return Probe(amplitude=self.amplitude[:6], names=FLANGE_AXES)
+
 
 def joint_probe(lower: Array, upper: Array) -> Probe:
     """Return the probe of joints that are lower and upper (n,) in rad from their ranges' ends; it stays within them."""
@@ -124,7 +129,7 @@ def flange_and_joint_probe(lower: Array, upper: Array, moved: Callable[[Array], 
     """Return the probe of joints, as joint_probe, behind a flange's way and turn (6,); both are watched.
 
     moved: returns way and turn (6,) for joints moved by (n,). The joints' signs are those by which the flange's least
-    moved axis moves most.
+    moved axis moves most, and no two axes of it alike, so that exchanged ones are seen.
     """
     joints, flange = joint_probe(lower, upper), flange_probe()
     n, sizes = len(lower), np.abs(joints.amplitude)
@@ -133,13 +138,22 @@ def flange_and_joint_probe(lower: Array, upper: Array, moved: Callable[[Array], 
     inside = ((signs * sizes <= upper) & (signs * sizes >= lower)).all(axis=1)
     signs = signs[inside] if inside.any() else np.sign(joints.amplitude)[None]
     ways = signs @ by_joint  # (m, 6)
-    best = int((np.abs(ways) / np.abs(flange.amplitude)).min(axis=1).argmax())
+    shares = np.abs(ways) / np.abs(flange.amplitude)
+    best = int(np.minimum(shares.min(axis=1), _unlike(ways)).argmax())
     way = np.where(np.abs(ways[best]) >= LEAST_SHARE * np.abs(flange.amplitude), ways[best], 0.0)
     return Probe(
         amplitude=np.concatenate([way, signs[best] * sizes]),
         names=flange.names + joints.names,
         parts=(slice(0, 6), slice(6, 6 + n)),
     )
+
+
+def _unlike(ways: Array) -> Array:
+    """Return by which share of the larger one the two most alike of a flange's ways, or turns, differ (m,)."""
+    pairs = [(i, j) for i, j in combinations(range(6), 2) if i // 3 == j // 3]
+    return np.array(
+        [np.abs(ways[:, i] - ways[:, j]) / np.maximum(np.abs(ways[:, i]), np.abs(ways[:, j])) for i, j in pairs]
+    ).min(axis=0)
 
 
 class Standing:
@@ -231,11 +245,13 @@ class Proof:
         least = max(6, 2 * self._still)
         spread = np.ptp(rows[-least:], axis=0)
         noise = float((spread / 3.0 / self._size).max())
-        wanted = int(np.clip(_resting(noise), least, MOST_RESTING))
+        shares = _shares(self._cycle_s, noise, lags=self._lags)
+        # the mean of those at rest is taken off every reading of the probe, to its slowest drive's end
+        each = (len(shares) + 3.0 * LAG_S / self._cycle_s) / float(shares.sum())
+        wanted = int(np.clip(math.ceil((each * noise / GAIN_STD) ** 2), least, MOST_RESTING))
         if len(rows) < wanted or np.ptp(rows[-wanted:], axis=0).max() > NOISIEST:
             return False
-        self._rest, self._noise = rows[-wanted:].mean(axis=0), np.maximum(spread, FINEST)
-        self._shares = _shares(self._cycle_s, noise, lags=self._lags)
+        self._rest, self._noise, self._shares = rows[-wanted:].mean(axis=0), np.maximum(spread, FINEST), shares
         return True
 
     def _note(self, y: Array, cycles: int, *, taken: bool) -> None:
@@ -287,36 +303,31 @@ class Proof:
         return self._ended(self._judged(rows.mean(axis=0), back=back))
 
     def _judged(self, end: Array, *, back: bool) -> str:
-        """Return the cause that the first part of the axes gives, from where they stand at last, end (m,)."""
-        sent, read = self._areas
+        """Return the cause by that part of the axes in which fewest are wrong, from where they stand, end (m,)."""
         end = np.zeros_like(end) if back else end
-        for part in self._probe.parts:
-            inside = np.isin(self._moved, np.arange(len(self._probe.names))[part])
-            seen = Evidence(
-                names=tuple(self._probe.names[i] for i in self._moved[inside]),
-                sent=sent[inside],
-                read=read[inside],
-                end=end[inside],
-                added=self._added * self._probe.amplitude[self._moved][inside],
-                noise=self._noise[inside],
-                beyond=bool(self._beyond[inside].any()),
-                peak=self._peak,
-            )
-            if cause := cause_of(seen):
-                return cause
-        return ""
+        seen = [self._evidence(part, end) for part in self._probe.parts]
+        found = [(one.n_wrong, cause) for one in seen if (cause := cause_of(one))]
+        return min(found, key=lambda one: one[0])[1] if found else ""
+
+    def _evidence(self, part: slice, end: Array) -> Evidence:
+        sent, read = self._areas
+        inside = np.isin(self._moved, np.arange(len(self._probe.names))[part])
+        return Evidence(
+            names=tuple(self._probe.names[i] for i in self._moved[inside]),
+            sent=sent[inside],
+            read=read[inside],
+            end=end[inside],
+            added=self._added * self._probe.amplitude[self._moved][inside],
+            noise=self._noise[inside],
+            beyond=bool(self._beyond[inside].any()),
+            early=bool(self._beyond.any()),
+            peak=self._peak,
+            cycles=self._cycles,
+        )
 
     def _ended(self, cause: str) -> str:
         self.state = ProofState.NEEDED if cause else ProofState.PASSED
         return cause
-
-
-def _resting(noise: float) -> int:
-    """Return how many readings at rest, of which a mean is taken, leave GAIN_STD of a gain.
-
-    The mean is taken off all of some twice as many readings as the probe is at its full amplitude for.
-    """
-    return math.ceil((2.0 * noise / GAIN_STD) ** 2)
 
 
 def _shares(cycle_s: float, noise: float, *, lags: bool) -> Array:
@@ -325,7 +336,7 @@ def _shares(cycle_s: float, noise: float, *, lags: bool) -> Array:
     n = max(LEAST_CYCLES, math.ceil(-math.log(FIRST_SHARE) / (rate * cycle_s)) if lags else 0)
     ramp = FIRST_SHARE ** (1.0 - np.arange(n) / n)
     # a mean of m readings of noise s, less one of as many, is known to s sqrt(2 / m)
-    plateau = min(max(PLATEAU_S / cycle_s, 0.5 * _resting(noise)), 1.0 / cycle_s)
+    plateau = min(max(PLATEAU_S / cycle_s, 2.0 * (noise / GAIN_STD) ** 2), 1.0 / cycle_s)
     back = max(2, round(RETURN_S / cycle_s))
     fall = 0.5 + 0.5 * np.cos(math.pi * np.arange(1, back + 1) / back)
     return np.concatenate([ramp, np.ones(max(1, math.ceil(plateau))), fall])

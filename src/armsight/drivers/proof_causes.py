@@ -15,8 +15,10 @@ Array = NDArray[np.float64]
 TOLERANCE = 0.06
 """Share by which an axis may move more or less than sent. A scale of 1.1 is found, in 20 of 20 trials of each link."""
 
-TURN_TOLERANCE = 0.12
-"""... of a flange's turn alone, which is read by the encoders of several joints: their steps at rest are up to 0.09."""
+HALF_STEP = 5e-6
+"""Half a step of a common encoder, in rad (m at the flange): by so much may all readings of a probe be off alike, and
+those of a flange's turn, which several encoders make, by twice as much. One axis alone may be off by this too, all of
+them together may not: their median is held to TOLERANCE."""
 
 ALIKE = 0.15
 EARLY = 0.4
@@ -33,7 +35,8 @@ class Evidence:
 
     sent, read: areas under what was sent and what was read, times a cycle. end: where the axes stand at last, from
     where they stood; zeros where they came back. added: sum of all that was sent. noise: of a reading. beyond: the
-    probe was ended because an axis went too far. peak: the largest way of any axis, as a share of its amplitude.
+    probe was ended because an axis of these went too far; early: or another one. peak: the largest way of any axis, as
+    a share of its amplitude. cycles: that it took.
     """
 
     names: tuple[str, ...]
@@ -43,12 +46,20 @@ class Evidence:
     added: Array
     noise: Array
     beyond: bool
+    early: bool
     peak: float
+    cycles: int
 
     @property
     def tolerance(self) -> Array:
         """Share by which each axis (n,) may move more or less than sent."""
-        return np.array([TURN_TOLERANCE if "R" in name else TOLERANCE for name in self.names])
+        steps = np.array([2.0 if "R" in name else 1.0 for name in self.names]) * HALF_STEP
+        return TOLERANCE + np.minimum(steps * self.cycles / np.abs(self.sent), 0.5 * ALIKE)
+
+    @property
+    def n_wrong(self) -> int:
+        """How many axes do not move as sent."""
+        return int((np.abs(self.read / self.sent - 1.0) > (ALIKE if self.early else self.tolerance)).sum())
 
 
 def cause_of(seen: Evidence) -> str:
@@ -66,7 +77,7 @@ def cause_of(seen: Evidence) -> str:
         )
     if (np.abs(gain) < STILL_SHARE).all():
         return "no axis moves: its controller takes the answers, but motion is not enabled or corrections are not used"
-    found = _scaled(gain, EARLY if seen.beyond else ALIKE) or _exchanged(seen) or _single(seen, gain)
+    found = _scaled(gain, EARLY if seen.early else ALIKE) or _exchanged(seen) or _single(seen, gain)
     return found or f"its axes do not move as sent: {_listed(seen, gain)}{_by_pose(seen.names)}"
 
 
@@ -99,14 +110,24 @@ def _scaled(gain: Array, alike: float) -> str:
 
 def _exchanged(seen: Evidence) -> str:
     """Return the cause where the axes move in another order."""
-    n = len(seen.names)
-    for i, j in combinations(range(n), 2):
+    n, alike = len(seen.names), EARLY if seen.early else TOLERANCE
+
+    def off(order: NDArray[np.int64]) -> float:
+        foretold = seen.sent[order]
+        return float((np.abs(seen.read - foretold) / np.maximum(np.abs(foretold), np.abs(seen.sent))).max())
+
+    def swapped(pair: tuple[int, int]) -> NDArray[np.int64]:
         order = np.arange(n)
-        order[[i, j]] = j, i
-        if _fits(seen.read, seen.sent[order], seen.sent):
-            return f"{seen.names[i]} and {seen.names[j]} are exchanged"
+        order[list(pair)] = pair[::-1]
+        return order
+
+    pairs = list(combinations(range(n), 2))
+    i, j = min(pairs, key=lambda pair: off(swapped(pair)))
+    second = float(np.sort(np.abs(seen.read / seen.sent - 1.0))[-2])  # what is left where one axis alone is wrong
+    if off(swapped((i, j))) <= alike and off(swapped((i, j))) < second:
+        return f"{seen.names[i]} and {seen.names[j]} are exchanged"
     nearest = np.abs(seen.read[:, None] - seen.sent[None, :]).argmin(axis=1)
-    if len(set(nearest.tolist())) == n and _fits(seen.read, seen.sent[nearest], seen.sent):
+    if not seen.early and len(set(nearest.tolist())) == n and off(nearest) <= alike:
         moved = ", ".join(
             f"{seen.names[k]} moves as {seen.names[nearest[k]]}" for k in np.flatnonzero(nearest != range(n))
         )
@@ -114,13 +135,9 @@ def _exchanged(seen: Evidence) -> str:
     return ""
 
 
-def _fits(read: Array, foretold: Array, sent: Array) -> bool:
-    return bool((np.abs(read - foretold) <= TOLERANCE * np.maximum(np.abs(foretold), np.abs(sent))).all())
-
-
 def _single(seen: Evidence, gain: Array) -> str:
     """Return the cause where one axis alone, or few, move as they should not."""
-    names, wrong = seen.names, np.flatnonzero(np.abs(gain - 1.0) > seen.tolerance)
+    names, wrong = seen.names, np.flatnonzero(np.abs(gain - 1.0) > (EARLY if seen.early else seen.tolerance))
     if len(wrong) == 0 or len(wrong) > max(1, len(gain) // 2):
         return ""
     words = []

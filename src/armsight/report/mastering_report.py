@@ -11,9 +11,7 @@ from armsight.units import DEG, MM
 from armsight.verify.results import MasteringOutput
 
 LEVELS = {"none": "good", "undecided": "warn"}
-ALONE = (
-    "Each zero as it would be if it alone had moved; of one that has not moved, what the others' error leaves in it."
-)
+ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
 
 
 def mastering_report(
@@ -42,7 +40,7 @@ def mastering_report(
         scale, unit = (MM, "mm") if joint.index in slides else (DEG, "°")
         shown = ("–", "–") if value is None else with_deviation(value / scale, None if std is None else std / scale)
         rows.append([f"{joint.index} {joint.name}", *shown, unit, joint.why])
-    page.add("Joints", ALONE, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
+    page.add("Joints", ZEROS, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
     if summary.doubts:
         page.add("What to know", "", bullets(summary.doubts))
     if summary.rejected:

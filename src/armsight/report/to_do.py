@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from armsight.verify import Kind
+from armsight.verify.results import VerifyOutput
+
 VERIFY: Mapping[str, str] = {
     "none": "Nothing: the tool is where it should be.",
     "measurement": "Correct nothing in the arm: only a better measurement would show more.",
@@ -43,15 +46,21 @@ def after_measuring(word: str, unchecked: bool = False, advice: str = "") -> str
     return MEASURE[word] + (unproved if word == "Complete" and unchecked else "")
 
 
-def after_verify(cause: str, kind: str | None, *, zero: bool, with_arm: bool) -> str:
-    """Return the next step after a verification; kind: what the joint named as the cause has wrong; zero: its zero."""
+def after_verify(summary: VerifyOutput, *, with_arm: bool) -> str:
+    """Return the next step after a verification."""
+    cause, hidden = summary.cause, summary.alignment.hidden_m
     if not with_arm:
         return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
+    if cause in ("none", "measurement") and hidden and summary.after is not None and hidden > summary.after.rms_m:
+        return (
+            "Correct nothing on these rows. They do not show where the tool is, as base and tool were laid best: find "
+            "where the rig stands (`armsight calibrate robot-world`), and verify with --world."
+        )
     if cause in VERIFY:
         return VERIFY[cause]
-    if zero:
+    if summary.kind == Kind.ZERO:
         return f"Correct the zero of {cause} (`armsight calibrate arm` on these rows does), then verify on others."
-    return f"Have the drive of {cause} looked at: a corrected zero does not mend {kind}."
+    return f"Have the drive of {cause} looked at: a corrected zero does not mend {summary.kind}."
 
 
 def after_mastering(cause: str, *, all_judged: bool) -> str:

@@ -29,7 +29,7 @@ from armsight.report.html import (
 from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
 from armsight.report.to_do import after_verify
 from armsight.units import DEG, MM, MS
-from armsight.verify import Kind, Verification
+from armsight.verify import Verification
 from armsight.verify.results import IsoFigure, VerifyOutput
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def verify_report(
             level=LEVELS.get(cause, "bad"),
             word="No cause looked for" if arm is None else f"Cause: {cause}",
             sentence=in_degrees(summary.verdict),
-            to_do=after_verify(cause, summary.kind, zero=summary.kind == Kind.ZERO, with_arm=arm is not None),
+            to_do=after_verify(summary, with_arm=arm is not None),
         ),
         cards=_cards(summary),
     )

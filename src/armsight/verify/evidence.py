@@ -55,12 +55,14 @@ class Case:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
     """Whitened residuals (m, rows) at a fit, and columns (m, rows, ...): of base and tool with the fitted effect, of
-    each joint (m, rows, n), of the geometry without zeros (m, rows, g) with its tolerances (g,)."""
+    each joint (m, rows, n), of the geometry without zeros (m, rows, g) with its tolerances (g,) and which of it are
+    lengths (g,)."""
 
     linear: Linear
     joints: Array
     geometry: Array
     tolerance: Array
+    lengths: NDArray[np.bool_]
 
     @classmethod
     def at(cls, case: Case, fitted: ModelFit, effect: Effect | None, noise: Noise) -> Evidence:
@@ -72,7 +74,7 @@ class Evidence:
         q = case.q.copy()
         if effect is not None:
             q[:, effect.joint] += effect.basis @ fitted.p[model.n_mounts :]
-        joints, geometry, tolerance = _columns(case, q, Mounts.of(fitted.p, len(case.measured.labels)))
+        joints, geometry, tolerance, lengths = _columns(case, q, Mounts.of(fitted.p, len(case.measured.labels)))
         r = noise.whiten(residual)
         linear = Linear(residual=r, fixed=noise.whiten(J[:, :, index]), block=case.block, inflation=inflation(r))
         return cls(
@@ -80,6 +82,7 @@ class Evidence:
             joints=noise.whiten(joints[:, : model.rows]),
             geometry=noise.whiten(geometry[:, : model.rows]),
             tolerance=tolerance,
+            lengths=lengths,
         )
 
     @property
@@ -99,12 +102,10 @@ class Evidence:
         """Return the fit with the zeros of these joints."""
         return fit_linear(self.linear, self.joints[:, :, which])
 
-    def std(self, which: NDArray[np.intp], region: NDArray[np.intp], *, geometry: bool = False) -> Array:
-        """Return the standard deviations of these joints' zeros that regions left out show; geometry: freed as well."""
-        added, prior = self.joints[:, :, which], None
-        if geometry:
-            added = np.concatenate([added, self.geometry], axis=2)
-            prior = np.concatenate([np.full(len(which), np.inf), self.tolerance])
+    def std(self, which: NDArray[np.intp], region: NDArray[np.intp]) -> Array:
+        """Return the standard deviations of these joints' zeros, beside the geometry, that regions left out show."""
+        added = np.concatenate([self.joints[:, :, which], self.geometry], axis=2)
+        prior = np.concatenate([np.full(len(which), np.inf), self.tolerance])
         return jackknife_std(self.linear, added, region, prior)[: len(which)]
 
     def with_geometry(self, *more: Array) -> Fitted:
@@ -114,8 +115,9 @@ class Evidence:
         return fit_linear(self.linear, added, np.concatenate([free, self.tolerance]))
 
 
-def _columns(case: Case, q: Array, mounts: Mounts) -> tuple[Array, Array, Array]:
-    """Return how the tool's pose follows each joint (m, 6, n) and the geometry (m, 6, g), and the tolerances (g,)."""
+def _columns(case: Case, q: Array, mounts: Mounts) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Return how the tool's pose follows each joint (m, 6, n) and the geometry (m, 6, g), the tolerances (g,), and
+    which of it are lengths (g,)."""
     bare, measured = case.bare, case.measured
     names = parameter_names(bare)
     model = ArmModel(arm=bare, labels=measured.labels, turned=measured.rotation is not None)
@@ -132,7 +134,8 @@ def _columns(case: Case, q: Array, mounts: Mounts) -> tuple[Array, Array, Array]
         _, J = parameter_jacobian(replace(bare, T_world_base=mounts.base, T_flange_tool=tool), q[rows])
         joints[rows], geometry[rows] = J[:, :, drive] * sign, J[:, :, index]
     tolerance = Tolerance()
-    return joints, geometry, np.array([tolerance.of(name) for name in chosen])
+    lengths = np.array([name.endswith("_m") for name in chosen])
+    return joints, geometry, np.array([tolerance.of(name) for name in chosen]), lengths
 
 
 # Linear models of whitened residuals, compared on rows left out: what each gains, and whether by more than chance.

@@ -20,6 +20,7 @@ from armsight.verify.cause import CHANCE, RIVAL_LOG, JointVerdict, judge
 from armsight.verify.deciding import best_poses
 from armsight.verify.effects import Effect, Kind
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
+from armsight.verify.geometry_prior import GeometryPrior
 from armsight.verify.model import ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected
@@ -54,8 +55,8 @@ class Proposal:
 class Mastering:
     """What a crash did. cause: none, joint N, tool, several or undecided. joint: from 0, with offset and std of
     its zero (rad or m, to be added to readings). T_tool: where the tool is now in its old axes, where it is the cause.
-    before, after (m, 6): errors of position in m and rotation in rad without and with the cause. joints: each zero
-    taken alone. kept (m,): positions of the rows used."""
+    before, after (m, 6): errors of position in m and rotation in rad without and with the cause. joints: the zeros
+    that are believed. kept (m,): positions of the rows used."""
 
     cause: str
     sentence: str
@@ -177,18 +178,35 @@ def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
     nothing = _explanation(case, plain, None, able)
     single = [_explanation(case, _with_zero(case, plain.p, i), i, able) for i in able.tolist()]
     bent = [] if "tool" in how.parts else [_explanation(case, _with_tool(case, plain.p), -1, able)]
-    joints = _each(judged, single)
     mastering = Mastering(
         cause="none",
         sentence="No joint's zero has moved, and the tool has not, as far as these poses tell.",
-        joints=joints,
+        joints=_believed(case, judged, plain),
         before=plain.residual,
         after=plain.residual,
         kept=np.arange(len(case.q)),
         rejected=(),
-        doubts=_caveats(joints, how),
+        doubts=_caveats(judged, how),
     )
     return _decided(mastering, case, arm, nothing, single, bent)
+
+
+def _believed(
+    case: Case,
+    judged: tuple[JointVerdict, ...],
+    plain: ModelFit,
+    fault: tuple[ModelFit, Effect | None] | None = None,
+    *,
+    any_: bool = False,
+) -> tuple[JointVerdict, ...]:
+    """Return the verdicts with the joints' zeros as one explanation has them, links as they may be made counted with;
+    any_: any joint may be off by as much as a fault."""
+    able = [i for i, verdict in enumerate(judged) if verdict.judged]
+    account = GeometryPrior.of(case, plain).account(*(fault or (plain, None)), able if any_ else ())
+    return tuple(
+        replace(verdict, offset=float(zero), std=float(std)) if verdict.judged else verdict
+        for verdict, zero, std in zip(judged, account.zeros, account.std, strict=True)
+    )
 
 
 def _with_zero(case: Case, p: Array, joint: int) -> ModelFit:
@@ -227,27 +245,6 @@ def _evidence(case: Case, fitted: ModelFit, effect: Effect | None) -> Evidence:
     return replace(evidence, linear=replace(evidence.linear, inflation=1.0))  # single poses do not hang together
 
 
-def _each(judged: tuple[JointVerdict, ...], single: list[_Explanation]) -> tuple[JointVerdict, ...]:
-    """Return the verdicts with each joint's zero, taken alone."""
-    out = list(judged)
-    for one in single:
-        if one.joint is not None:
-            std = one.fitted.noise.measurement
-            offset, doubt = float(one.fitted.p[-1]), _zero_std(one)
-            out[one.joint] = JointVerdict(judged=True, offset=offset, std=doubt if std.size else None)
-    return tuple(out)
-
-
-def _zero_std(one: _Explanation) -> float:
-    """Return the standard deviation of a zero, by what its fit leaves where that is more than the measurement says."""
-    linear = one.evidence.linear
-    X = linear.fixed.reshape(linear.residual.size, -1)
-    inverse = np.linalg.pinv(X.T @ X)
-    scale = one.everything.squares / max(linear.residual.size - one.everything.rank, 1)
-    known = one.fitted.noise.measurement.any()
-    return float(np.sqrt(inverse[-1, -1] * (max(scale, 1.0) if known else scale)))
-
-
 def _decided(
     mastering: Mastering,
     case: Case,
@@ -265,36 +262,45 @@ def _decided(
         return mastering
     best = min(single, key=lambda one: one.own.squares)
     if best.enough:
-        return _one_joint(mastering, case, best, single, bent)
+        return _one_joint(mastering, case, nothing.fitted, best, single, bent)
     if bent and bent[0].enough:
         T = arm.T_flange_tool.inv() * bent[0].fitted.mounts(case.measured.labels).tools[0]
         far, turn = np.linalg.norm(T.translation) / MM, T.rotation.magnitude() / DEG
         sentence = f"Not a joint: the tool sits {far:.3g} mm and {turn:.3g} deg from where it sat before."
-        return replace(mastering, cause="tool", sentence=sentence, after=bent[0].fitted.residual, T_tool=T)
+        joints = _believed(replace(case, free=_tool_free(case)), mastering.joints, bent[0].fitted)
+        return replace(
+            mastering, cause="tool", sentence=sentence, joints=joints, after=bent[0].fitted.residual, T_tool=T
+        )
     sentence = (
         "Something has moved, but neither one joint's zero nor the tool alone explains it: several joints, the base, "
         "or the arm's model. Measure more poses and run `armsight verify`, or `armsight calibrate arm` (`armsight join "
         "--as points` makes its table of measurements and joints in two files)."
     )
-    return replace(mastering, cause="several", sentence=sentence)
+    joints = _believed(case, mastering.joints, nothing.fitted, any_=True)
+    return replace(mastering, cause="several", sentence=sentence, joints=joints)
 
 
 def _one_joint(
-    mastering: Mastering, case: Case, best: _Explanation, single: list[_Explanation], bent: list[_Explanation]
+    mastering: Mastering,
+    case: Case,
+    plain: ModelFit,
+    best: _Explanation,
+    single: list[_Explanation],
+    bent: list[_Explanation],
 ) -> Mastering:
     """Return the verdict for one joint; undecided where another explanation does about as well."""
     worth = best.evidence.linear.residual.size
     last, joint = case.bare.n - 1, best.joint or 0
     rivals = [*single, *(bent if joint != last else [])]  # a tool turned about the last axis is the last joint's zero
-    for other in rivals:
-        if other is best:
-            continue
+    for other in (one for one in rivals if one is not best):
         ratio = worth * np.log(max(other.own.squares, 1e-300) / max(best.own.squares, 1e-300))
         if ratio < RIVAL_LOG and other.enough:
             name = "the tool" if other.joint == -1 else f"joint {(other.joint or 0) + 1}"
             sentence = f"Joint {joint + 1} and {name} explain the errors alike at these poses; neither is named."
-            return replace(mastering, cause="undecided", sentence=sentence)
-    offset, std = float(best.fitted.p[-1]), _zero_std(best)
+            joints = _believed(case, mastering.joints, plain, any_=True)
+            return replace(mastering, cause="undecided", sentence=sentence, joints=joints)
+    joints = _believed(case, mastering.joints, plain, (best.fitted, _zero(case, joint)))
+    offset, std = joints[joint].offset or 0.0, joints[joint].std or 0.0
     factor, unit = (DEG, "deg") if case.bare.revolute[joint] else (MM, "mm")
     doubts = list(mastering.doubts)
     if joint == last:
@@ -307,6 +313,7 @@ def _one_joint(
         cause=f"joint {joint + 1}",
         sentence=f"Joint {joint + 1} ({name}): its zero has moved, {offset / factor:.4f} +- {std / factor:.2g} {unit} "
         "is to be added to its readings.",
+        joints=joints,
         joint=joint,
         offset=offset,
         std=std,

@@ -97,7 +97,7 @@ class MasteringJoint(Output):
     name: Annotated[str, Doc("Its name in the arm's file.")]
     judged: Annotated[bool, Doc("Whether these poses can tell its zero.")]
     why: Annotated[str, Doc("Why it is not judged; empty where it is.")]
-    offset_rad: Annotated[float | None, Doc("Error of its zero, taken alone: to be added to readings.")]
+    offset_rad: Annotated[float | None, Doc("Error of its zero as the cause has it: to be added to readings.")]
     std_rad: Annotated[float | None, Doc("Standard deviation of that.")]
 
 
@@ -114,7 +114,7 @@ class MasteringOutput(Output):
     tool_moved: Annotated[
         RigidTransform | None, Doc("Where the tool is now, in its old axes; where it is the cause.")
     ] = None
-    joints: Annotated[list[MasteringJoint], Doc("The joints' zeros, each taken alone.")]
+    joints: Annotated[list[MasteringJoint], Doc("The joints' zeros as they are believed, with the cause that is told.")]
     rejected: Annotated[list[RejectedRow], Doc("Rows left out, and why.")]
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
@@ -144,6 +144,13 @@ class VerifyAlignment(Output):
     ]
     std: Annotated[dict[str, float | None], Doc("Standard deviations, unit in the name; null: not determined.")]
     undetermined: Annotated[list[str], Doc("What these rows leave open of base, tool and the joints' zeros.")]
+    hidden_m: Annotated[
+        float | None,
+        Doc(
+            "What base and tool, laid best, may have taken up of the arm's own errors of place, RMS, m; null where "
+            "nothing was laid or no cause was looked for."
+        ),
+    ] = None
 
 
 @output

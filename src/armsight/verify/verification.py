@@ -235,7 +235,14 @@ def _caveats(paired: Paired, joints: JointErrors | None, cause: Cause | None, ho
             notes.append(f"joint {i} is not judged: {verdict.why}")
     if how is not Align.NONE and paired.q is not None:
         free = " and ".join(how.parts)
-        notes.append(f"{free} were laid where they fit best: errors that they can take up are not seen")
+        off = None if cause is None else cause.arm_off_m
+        may = (
+            ""
+            if off is None
+            else f"; an arm as arms are made that fits these rows may be off by {off / MM:.2g} mm (RMS) here, of which "
+            "only what is left over shows: with --world all of it does"
+        )
+        notes.append(f"{free} were laid where they fit best: errors that they can take up are not seen{may}")
     if how is not Align.NONE and _flat(paired.measured.xyz_m):
         notes.append("the places lie in one plane: whether the measuring frame is left-handed cannot be seen")
     return tuple(notes)

@@ -108,7 +108,14 @@ def _alignment(result: Verification, arm: Arm | None) -> VerifyAlignment:
         T_flange_tool=result.mounts.tools[0],
         std={name: value if np.isfinite(value) else None for name, value in result.std.items()},
         undetermined=[*result.undetermined, *zeros],
+        hidden_m=hidden_m(result),
     )
+
+
+def hidden_m(result: Verification) -> float | None:
+    """Return what base and tool, laid best, may have taken up of the arm's own errors of place (RMS, m)."""
+    off = None if result.cause is None or not result.how.parts else result.cause.arm_off_m
+    return None if off is None else float(np.sqrt(max(off**2 - _pose_error(result.task).rms_m ** 2, 0.0)))
 
 
 def _pose_error(residual: Array) -> PoseError:
@@ -180,7 +187,11 @@ def _verdict(result: Verification) -> str:
     turn = "" if error.rms_rad is None else f" and {figure_of(error.rms_rad / DEG, 'deg')}"
     laid = f" with {' and '.join(result.how.parts)} laid best" if result.how.parts else ""
     off = f"{figure_of(error.rms_m / MM, 'mm')}{turn} (RMS)"
-    text = f"The tool is {off} from where it should be{laid}, {len(result.task)} rows."
+    hidden = hidden_m(result)
+    taken = (
+        "" if hidden is None else f"; that may hide {figure_of(hidden / MM, 'mm', digits=2)} of the arm's own errors"
+    )
+    text = f"The tool is {off} from where it should be{laid}, {len(result.task)} rows{taken}."
     if result.cause is None:
         return f"{text} Without an arm's model no cause is looked for."
     return f"{text} {result.cause.sentence}"
