@@ -162,8 +162,7 @@ def _result(
 ) -> ArmCalibration:
     first, proved = judged.first, judged.proved(points)
     best, held = _held(model, holdout, first, proved)
-    gain = best is not first
-    cross, left = _left_out_errors(judged.left, held, gain=gain)
+    cross, left = _left_out_errors(judged.left, held, gain=best is not first)
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     reached = [item.sentence for item in at_limit]
     before_m, after_m = _size(model, first, judged.given), _size(model, best, judged.given)
@@ -172,7 +171,7 @@ def _result(
         arm=_arm(model, fitted),
         model=model,
         fitted=fitted,
-        gain=gain,
+        gain=best is not first,
         level=best.name,
         before=Errors.of(before_m),
         after=Errors.of(after_m),
