@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
 from armsight.calibrate.handeye.advice import advise
@@ -27,9 +28,13 @@ from armsight.calibrate.handeye.pairs import (
 from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
+from armsight.fitting.groups import repeats
 from armsight.fitting.quantiles import f_isf, t_sf
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM
+
+SAME_PLACE = 1e-3
+"""Poses of the robot at one place differ by no more (rad, m): what it comes back to is a tenth of it."""
 
 FALSE_ALARM = 1e-5
 """Chance that any pair of a good set is called an outlier, or its scale wrong: one set in a hundred thousand."""
@@ -61,7 +66,7 @@ def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = Non
     Raises Degenerate for too little turning, Inconsistent for wrong units, inverted or wrongly paired poses and
     poses without agreement, NotConverged. Zhuang, Roth, Sudhakar 1994 (Pachidis 2005 section 4), by maximum likelihood.
     """
-    return _calibrate(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
+    return _of_places(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
 
 
 def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEye:
@@ -69,7 +74,7 @@ def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = Non
 
     Raises as calibrate_eye_in_hand.
     """
-    return _calibrate(pairs, Setup.EYE_TO_HAND, options or HandEyeOptions())
+    return _of_places(pairs, Setup.EYE_TO_HAND, options or HandEyeOptions())
 
 
 def expected_deviation(
@@ -83,6 +88,26 @@ def expected_deviation(
     variances = np.array([sigma_m**2, sigma_rad**2, 0.0])
     solution = solve_pairs(pairs.arrays(setup), setup, variances=variances)
     return dict(zip(NAMES, np.sqrt(np.diag(solution.C)).tolist(), strict=True))
+
+
+def _of_places(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:
+    """Return the calibration; of several pairs at one pose of the robot it is believed as of one of them each.
+
+    They share the robot's error there, which no number of them averages out.
+    """
+    found = _calibrate(pairs, setup, options)
+    first = places_of(pairs.T_base_flange)
+    if pairs.t_s is not None or len(first) == len(pairs):
+        return found
+    once = _calibrate(pairs.take(first), setup, options)
+    return advise(replace(found, covariance=once.covariance, dof=once.dof), options.target_pitch_m)
+
+
+def places_of(T_base_flange: RigidTransform) -> NDArray[np.intp]:
+    """Return the first pair (G,) at each pose of the robot."""
+    R, t = T_base_flange.rotation.as_matrix().reshape(-1, 9), T_base_flange.translation
+    of = repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
+    return np.unique(of, return_index=True)[1]
 
 
 def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye.advice import advise
-from armsight.calibrate.handeye.calibrate import HandEyeOptions, calibrate_eye_in_hand, calibrate_eye_to_hand
+from armsight.calibrate.handeye.calibrate import (
+    HandEyeOptions,
+    calibrate_eye_in_hand,
+    calibrate_eye_to_hand,
+    places_of,
+)
 from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, ViewPoses, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.known_noise import Restricted
@@ -68,6 +73,12 @@ def calibrate_from_views(
         by_poses = advise(by_poses, board.pitch_m or None)
         return ImageHandEye(result=by_poses, camera=camera, from_poses=by_poses)
     refined, moved = _adjusted(by_poses, images, comparison)
+    first = places_of(pairs.T_base_flange)
+    if len(first) < len(pairs):  # images at one pose of the robot share its error there, as pairs do
+        once = calibrate_from_views(
+            [views[i] for i in first], [T_base_flange[i] for i in first], camera, board, setup, free_camera=free_camera
+        )
+        refined = replace(refined, covariance=once.result.covariance, dof=once.result.dof)
     return ImageHandEye(result=advise(refined, board.pitch_m or None), camera=moved, from_poses=by_poses)
 
 
