@@ -187,10 +187,10 @@ class UdpLink(Link):
         self.twin_cycle_s, drive = world.drive(self.cycle_s)
         if kind == "egm":
             self.twin = EgmController(there, arm=small_arm(), drive=drive, home=world.home, clock=clock)
-            self.robot = EgmRobot("49000", settings=settings, clock=clock)
+            self.robot = EgmRobot("49000", settings={"arm": Model(), **settings}, clock=clock)
         else:
             self.twin = RsiController(there, arm=small_arm(), drive=drive, home=world.home)
-            self.robot = RsiRobot("49000", settings=settings, clock=clock)
+            self.robot = RsiRobot("49000", settings={"arm": Model(), **settings}, clock=clock)
         self.twin.wrong = world.wrong
         self.twin.close()
         self.far = self.twin._socket = TwinSocket(there)

@@ -28,17 +28,29 @@ def untimed() -> ArmCalibration:
     return calibrate_arm(NOMINAL, replace(stream(SEED).points, t_s=None), scale=False)
 
 
+@pytest.fixture(scope="module")
+def mixed() -> ArmCalibration:
+    points = stream(SEED).points
+    order = np.random.default_rng(1).permutation(len(points))
+    return calibrate_arm(NOMINAL, replace(points, t_s=None).take(order), scale=False)
+
+
 def errors_over_claims(found: ArmCalibration) -> np.ndarray:
     true, std = stream(SEED).true, found.std()
     return np.array([(found.change(name) - true[name]) / std[name] for name in JUDGED])
 
 
-def test_a_drift_is_no_geometry_and_widens_what_is_claimed(timed: ArmCalibration, untimed: ArmCalibration) -> None:
+def test_a_drift_is_no_geometry_and_widens_what_is_claimed(
+    timed: ArmCalibration, untimed: ArmCalibration, mixed: ArmCalibration
+) -> None:
     assert timed.gain and timed.level == "joint zeros"
     assert np.abs(errors_over_claims(timed)).max() < 2.5
-    assert np.abs(errors_over_claims(untimed)).max() > 3.0  # what the times are for
+    assert np.abs(errors_over_claims(mixed)).max() > 3.0  # what the times, or the order, are for
     assert timed.correlation is not None and timed.correlation.n_effective < 0.1 * len(timed.error_m)
-    assert untimed.correlation is None and not any("stream" in note for note in untimed.notes)
+    assert mixed.correlation is None and not any("stream" in note for note in mixed.notes)
+    assert untimed.n_effective == pytest.approx(timed.n_effective, rel=0.1)  # rows that follow one motion are in order
+    assert untimed.std() == pytest.approx(timed.std(), rel=0.1)
+    assert untimed.correlation_time_s is None and any("rows are worth" in note for note in untimed.notes)
 
 
 def test_it_is_said_in_the_output(timed: ArmCalibration) -> None:
@@ -49,11 +61,11 @@ def test_it_is_said_in_the_output(timed: ArmCalibration) -> None:
     assert names is not None and names.std()["j2.theta_rad"] == pytest.approx(told.deviations["j2.theta_rad"])
 
 
-def test_blocks_of_time_are_left_out_with_what_is_near(timed: ArmCalibration, untimed: ArmCalibration) -> None:
+def test_blocks_of_time_are_left_out_with_what_is_near(timed: ArmCalibration, mixed: ArmCalibration) -> None:
     made = stream(SEED)
     whole = 3**0.5 * made.sigma_m  # of a place, all three coordinates
     assert 0.7 * whole < timed.cross_after.rms_m < 1.8 * whole
-    assert untimed.cross_after.rms_m < timed.cross_after.rms_m
+    assert mixed.cross_after.rms_m < timed.cross_after.rms_m
     block = np.repeat(np.arange(len(made.points) // 50 + 1), 50)[: len(made.points)]
     points = replace(made.points, block=block, gap_s=1.0)
     assert points.group.max() == block[-1]

@@ -40,12 +40,14 @@ class Correlation:
     """How the errors of a recording hang together in time.
 
     time_s: after which a drift is forgotten (to 1/e). share: of the errors' variance that drifts. n_effective: how many
-    independent poses they are worth; all three are means over the models, weighed by their likelihood.
+    independent poses they are worth; all three are means over the models, weighed by their likelihood. counted: whether
+    times are in rows, of which nobody knows when they were taken.
     """
 
     time_s: float
     share: float
     n_effective: float
+    counted: bool = False
 
     def neighbours(self, spacing_s: float) -> float:
         """Return how far errors so far apart in time are alike, from 0 to 1."""

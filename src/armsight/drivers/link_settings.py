@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform
 
 from armsight.drivers.goals import JointLimits
 from armsight.errors import UsageError
@@ -16,13 +17,27 @@ from armsight.errors import UsageError
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
+@runtime_checkable
+class ArmOnLink(Protocol):
+    """The arm's geometry, given by who opens the robot: the link itself speaks of poses of the flange."""
+
+    def fk(self, q: NDArray[np.float64]) -> RigidTransform:
+        """Return T_base_flange of joint values q (6,) in rad or m."""
+        ...
+
+    def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return joint values (6,) of a pose, on the branch of near (6,). Raises DataRefused out of reach."""
+        ...
+
+
 class LinkSettings(BaseModel):
     """Settings that every link has.
 
-    open_s: how long to wait for the controller. max_speed_rad_s, lower_rad, upper_rad: of each joint.
+    open_s: how long to wait for the controller. max_speed_rad_s, lower_rad, upper_rad: of each joint. arm: its
+    geometry, of use where poses are sent.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
     link: ClassVar[str]
     """What a person calls the link."""
@@ -31,6 +46,7 @@ class LinkSettings(BaseModel):
     max_speed_rad_s: Positive = math.pi / 3
     lower_rad: list[float] | None = None
     upper_rad: list[float] | None = None
+    arm: ArmOnLink | None = None
 
     @classmethod
     def checked(cls, values: Mapping[str, Any] | None) -> Self:

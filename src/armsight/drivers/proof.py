@@ -104,6 +104,11 @@ class Probe:
     names: tuple[str, ...]
     parts: tuple[slice, ...] = (slice(None),)
 
+    @property
+    def of_flange(self) -> Probe:
+        """The same way of the flange alone."""
+        return Probe(amplitude=self.amplitude[:6], names=FLANGE_AXES)
+
 
 def joint_probe(lower: Array, upper: Array) -> Probe:
     """Return the probe of joints that are lower and upper (n,) in rad from their ranges' ends; it stays within them."""

@@ -54,7 +54,7 @@ class Evidence:
     def tolerance(self) -> Array:
         """Share by which each axis (n,) may move more or less than sent."""
         steps = np.array([2.0 if "R" in name else 1.0 for name in self.names]) * HALF_STEP
-        return np.minimum(TOLERANCE + steps * self.cycles / np.abs(self.sent), ALIKE)
+        return TOLERANCE + np.minimum(steps * self.cycles / np.abs(self.sent), 0.5 * ALIKE)
 
     @property
     def n_wrong(self) -> int:

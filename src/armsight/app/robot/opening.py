@@ -43,7 +43,7 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
     return cast(Robot, maker(name, settings=dict(settings or {}), clock=clock))
 
 
-NEEDS_ARM, TAKES_TAGS = "alter", "rsi"
+TAKES_ARM, TAKES_TAGS = ("alter", "egm", "rsi"), "rsi"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,7 +82,8 @@ def driver_settings(
 ) -> dict[str, Any]:
     """Return the settings of the driver that DRIVER:DEVICE names: those given, and what it needs beside them.
 
-    arm: alter sends poses and needs it for joints. rsi_config: the RSI Ethernet XML file with the tags of
+    arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint.
+    rsi_config: the RSI Ethernet XML file with the tags of
     the user's own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself
     says that, and what it knows.
     """
@@ -100,7 +101,7 @@ def driver_settings(
             consequence="The robot is not opened",
             cure="Give it with --arm",
         )
-    if driver == NEEDS_ARM and arm is not None:
+    if driver in TAKES_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
     if rsi_config is not None:
         if driver != TAKES_TAGS:

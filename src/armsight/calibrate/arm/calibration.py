@@ -35,6 +35,7 @@ from armsight.calibrate.arm.plausibility import (
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes, turn_note
+from armsight.calibrate.arm.rows import in_order, of_places
 from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
@@ -76,13 +77,15 @@ def calibrate_arm(
         check_points(nominal, holdout)
         _check_labels(model, holdout)
         check_apart(points, holdout)
+        holdout = in_order(of_places(holdout))
+    given, points = points, in_order(of_places(points))
     levels = _levels(model, points, tolerance, scale=scale)
-    errors = [_size(model, x, points) for x in levels]
-    check_fit(model, points, min(errors, key=exceeded))
+    errors = [_size(model, x, given) for x in levels]
+    check_fit(model, given, min(errors, key=exceeded))
     points, levels, correlation = _in_time(model, points, levels)
     holdout = None if holdout is None else in_blocks(holdout, correlation)
     left = cross_validate(model, points, levels, tolerance, scale=scale)
-    judged = _Judged(levels=levels, chosen=best_level(levels, points.group), left=left)
+    judged = _Judged(given=given, levels=levels, chosen=best_level(levels, points.group), left=left)
     other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
     if other is not None:
         kept = _result(model, points, holdout, replace(judged, chosen=levels[0]), tolerance)
@@ -92,8 +95,10 @@ def calibrate_arm(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Judged:
-    """All kinds of model, the one chosen with all rows, and the errors at rows left out."""
+    """All kinds of model, the one chosen with all rows, and the errors at rows left out; given: the rows as they came,
+    of which what was fitted to is one a place."""
 
+    given: ArmPoints
     levels: Sequence[Level]
     chosen: Level
     left: LeftOut
@@ -157,17 +162,16 @@ def _result(
 ) -> ArmCalibration:
     first, proved = judged.first, judged.proved(points)
     best, held = _held(model, holdout, first, proved)
-    gain = best is not first
-    cross, left = _left_out_errors(judged.left, held, gain=gain)
+    cross, left = _left_out_errors(judged.left, held, gain=best is not first)
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     reached = [item.sentence for item in at_limit]
-    before_m, after_m = _size(model, first, points), _size(model, best, points)
+    before_m, after_m = _size(model, first, judged.given), _size(model, best, judged.given)
     fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
     return ArmCalibration(
         arm=_arm(model, fitted),
         model=model,
         fitted=fitted,
-        gain=gain,
+        gain=best is not first,
         level=best.name,
         before=Errors.of(before_m),
         after=Errors.of(after_m),
@@ -180,7 +184,7 @@ def _result(
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=fitted.fit.covariance,
-        outlier_rows=_gross(model, points, best.fitted, after_m),
+        outlier_rows=_gross(model, judged.given, best.fitted, after_m),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
@@ -190,6 +194,7 @@ def _result(
         before_m=before_m,
         position_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
+        n_places=len(points),
         other_arm=None,
     )
 
@@ -214,6 +219,7 @@ def _notes_on_rows(
 ) -> tuple[str, ...]:
     """Return the notes of a result on its rows."""
     return (
+        *_of_places(judged.given, points),
         *links_told(model.arm),
         *turn_note(model, points),
         *rotation_notes(model, points, fitted),
@@ -305,12 +311,24 @@ def _unjudged(points: ArmPoints, judged: NDArray[np.bool_]) -> list[str]:
     ]
 
 
+def _of_places(given: ArmPoints, points: ArmPoints) -> list[str]:
+    """Return a note of rows that repeat others."""
+    if len(points) == len(given):
+        return []
+    return [
+        f"The {len(given)} rows are repeated readings at {len(points)} places, which share what the arm has wrong "
+        f"there: they are averaged, and worth {len(points)} rows"
+    ]
+
+
 def _in_stream(points: ArmPoints, correlation: Correlation | None) -> list[str]:
     """Return a note of rows that are samples of a stream."""
     if correlation is None:
         return []
+    # without times the order of the rows is all that is known of when they were taken
+    told, unit = (" in their order", "rows") if points.counted else ("", "s")
     return [
-        f"The rows are samples of a stream, whose errors are alike for some {correlation.time_s:.2g} s: the "
+        f"The rows are samples of a stream{told}, whose errors are alike for some {correlation.time_s:.2g} {unit}: the "
         f"{len(points)} rows are worth {correlation.n_effective:.0f} independent ones. Deviations are claimed "
         f"accordingly, and left out are blocks of time ({int(points.group.max()) + 1} in all), not rows"
     ]

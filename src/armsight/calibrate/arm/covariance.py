@@ -58,7 +58,7 @@ def believed(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> tuple[ArmFit
     drift = None if points.block is None else drift_of(model, points, fitted)
     if drift is None:
         return fitted, None
-    return widened(model, points, fitted, drift), drift.correlation
+    return widened(model, points, fitted, drift), replace(drift.correlation, counted=points.counted)
 
 
 def widened(model: ArmModel, points: ArmPoints, fitted: ArmFit, drift: Averaged) -> ArmFit:

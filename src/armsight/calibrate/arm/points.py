@@ -40,8 +40,9 @@ class ArmPoints:
     point: (m,) names which of the tool's points a row is of. t_s: (m,) times, where the rows are of one recording.
     row: (m,) which row of its table each is, from 0, where some of the table were left out.
     block: (m,) of time that each row is of, where the errors of neighbours were found alike, and gap_s: how far in time
-    rows must be apart to be independent. covariance (m, 3, 3): of the positions, by which rows are weighed; None where
-    it is not known. unweighed: why covariances that were given are not used, or not as they are; "" for nothing to say.
+    rows must be apart to be independent. counted: whether t_s is no time but counts the rows. covariance (m, 3, 3): of
+    the positions, by which rows are weighed; None where it is not known. unweighed: why covariances that were given
+    are not used, or not as they are; "" for nothing to say.
     """
 
     q: Array
@@ -54,6 +55,7 @@ class ArmPoints:
     gap_s: float = 0.0
     covariance: Array | None = None
     unweighed: str = ""
+    counted: bool = False
 
     def __post_init__(self) -> None:
         m = len(self.xyz_m)
@@ -120,6 +122,7 @@ class ArmPoints:
             gap_s=self.gap_s,
             covariance=None if self.covariance is None else self.covariance[rows],
             unweighed=self.unweighed,
+            counted=self.counted,
         )
 
     def whiten(self, vectors: Array, sigma_m: float) -> Array:

@@ -74,8 +74,8 @@ class ArmCalibration(Output):
     without them; left_before, left_after: on the holdout where one was given (held), else the same. model, fitted:
     names and values of the parameters (changes to the nominal arm), noise. outlier_rows: (row from 0, error in m).
     before_m, error_m: (m,) before and after, by row. position_noise_m: of one coordinate of the middle row.
-    correlation: of the errors in time, of samples of a stream; folds are blocks of time then, and covariance is widened
-    for it.
+    n_places: that the rows are readings of. correlation: of the errors in time, of samples of a stream; folds are
+    blocks of time then, and covariance is widened for it.
     """
 
     arm: Arm
@@ -108,6 +108,7 @@ class ArmCalibration(Output):
         Doc("Where the nominal arm is another one than was measured: why; nothing is corrected then. Else null."),
     ]
     correlation: Correlation | None = None
+    n_places: int | None = None
     verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @property
@@ -119,13 +120,15 @@ class ArmCalibration(Output):
     def n(self) -> int:
         return len(self.error_m)
 
-    @figure("Independent rows that they are worth; of samples of a stream only.", optional=True)
+    @figure("Independent rows that they are worth; of samples of a stream and of repeated readings.", optional=True)
     def n_effective(self) -> float | None:
-        return None if self.correlation is None else self.correlation.n_effective
+        if self.correlation is not None:
+            return self.correlation.n_effective
+        return None if self.n_places is None or self.n_places == self.n else float(self.n_places)
 
     @figure("After which a drift of the errors is forgotten, s; of a stream only.", optional=True)
     def correlation_time_s(self) -> float | None:
-        return None if self.correlation is None else self.correlation.time_s
+        return None if self.correlation is None or self.correlation.counted else self.correlation.time_s
 
     @figure("Errors on rows left out by nested cross-validation, refitted fully.")
     def crossval(self) -> BeforeAfter:

@@ -14,10 +14,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, FrameSplitter, StateFrame, answer
-from armsight.drivers.alter.settings import AlterSettings, ArmOnLink
+from armsight.drivers.alter.settings import AlterSettings
 from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
+from armsight.drivers.link_settings import ArmOnLink
 from armsight.drivers.pace import LinkTimes
 from armsight.drivers.proof import Probe, Proof, ProofState, flange_and_joint_probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent

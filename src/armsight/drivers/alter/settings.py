@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Annotated, ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, model_validator
-from scipy.spatial.transform import RigidTransform
+from pydantic import Field, model_validator
 
 from armsight.drivers.alter.frames import ANSWER_BYTES, STATE_BYTES
 from armsight.drivers.link_settings import LinkSettings, Positive
@@ -17,29 +14,14 @@ BITS_A_BYTE = 10
 """Start bit, eight bits, stop bit."""
 
 
-@runtime_checkable
-class ArmOnLink(Protocol):
-    """The arm's geometry, given by who opens the robot: the link itself speaks of poses of the flange."""
-
-    def fk(self, q: NDArray[np.float64]) -> RigidTransform:
-        """Return T_base_flange of joint values q (6,) in rad or m."""
-        ...
-
-    def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return joint values (6,) of a pose, on the branch of near (6,). Raises DataRefused out of reach."""
-        ...
-
-
 class AlterSettings(LinkSettings):
     """Settings of a link of real-time path control.
 
     baud, cycle_s: the controller's. cumulative: an answer's way adds to those before; otherwise it is the whole way
-    from where path control began. axes: world or tool, those the way is told in. arm: its geometry; without one the
-    robot takes poses alone. max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of
+    from where path control began. axes: world or tool, those the way is told in. Without arm the robot takes poses
+    alone. max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of
     the flange.
     """
-
-    model_config = ConfigDict(arbitrary_types_allowed=True)
 
     link: ClassVar[str] = "the serial link"
 
@@ -47,7 +29,6 @@ class AlterSettings(LinkSettings):
     cycle_s: Positive = 0.028
     cumulative: bool = True
     axes: Literal["world", "tool"] = "world"
-    arm: ArmOnLink | None = None
     lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     speed_m_s: Positive = 0.1
