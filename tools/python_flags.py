@@ -71,6 +71,7 @@ ANYWHERE: Mapping[str, str] = {
     "--json": "results are objects: `to_dict()` gives what this prints",
     "--cell": "`history.add(result, cell)` of what is returned",
     "--history": "`history.add(history)`",
+    "--check": "the exit code of a command; the result says what it is of",
     "--overwrite": "the folder `out` is written to as it is",
     **{flag: f"`camera_settings=CameraSettings({name}=...)`" for flag, name in CAMERA.items()},
     **{flag: f"`table=TableFormat({name}=...)`, here or in `read_table`" for flag, name in TABLE.items()},

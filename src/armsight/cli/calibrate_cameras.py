@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MRAD = 1e-3
 
 
-@command(calibrate, filed="calibrate camera")
+@command(calibrate, filed="calibrate camera", judged=True)
 def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     """Find one camera's focal lengths, centre and distortion from images of a printed board, and its noise.
 
@@ -72,7 +72,7 @@ def _require_board(job: requests.calibrate_cameras.CameraJob) -> None:
         raise UsageError("--side is of a rig.yaml, and a board's images make a camera.yaml", cure="Leave --side away")
 
 
-@command(calibrate, filed="calibrate stereo")
+@command(calibrate, filed="calibrate stereo", judged=True)
 def stereo(face: CommandUI, job: requests.calibrate_cameras.StereoJob) -> None:
     """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
     from armsight.app.calibrate.cameras import calibrate_stereo

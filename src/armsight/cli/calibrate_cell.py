@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 WRITTEN = ("rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html")
 
 
-@command(calibrate, keeps=WRITTEN, own="cell.json", filed="calibrate cell")
+@command(calibrate, keeps=WRITTEN, own="cell.json", filed="calibrate cell", judged=True)
 def cell(face: CommandUI, job: requests.calibrate_cell.CellJob) -> None:
     """Calibrate cameras, clocks, base, target and arm at once, from one recording of the moving arm.
 

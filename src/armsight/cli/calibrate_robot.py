@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.tooltip_result import TipCalibration
 
 
-@command(calibrate, filed="calibrate handeye")
+@command(calibrate, filed="calibrate handeye", judged=True)
 def handeye(face: CommandUI, job: requests.calibrate_robot.HandEyeJob) -> None:
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
     from armsight.app.calibrate.handeye import calibrate_handeye
@@ -110,7 +110,7 @@ def handeye_tables(face: CommandUI, done: HandEye, out: Path) -> None:
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
-@command(calibrate, filed="calibrate arm")
+@command(calibrate, filed="calibrate arm", judged=True)
 def arm(face: CommandUI, job: requests.calibrate_robot.ArmJob, tip: Tip = None, base: Base = None) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
     from armsight.app.arm_files import arm_source

@@ -24,7 +24,7 @@ from typer.models import CommandInfo
 
 from armsight._files import real_path
 from armsight.app.requests.history import PLACE
-from armsight.cli.command_ui import CommandUI
+from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags
 from armsight.errors import ArmsightError, Cancelled, UsageError
 
@@ -60,6 +60,7 @@ CELL = Annotated[
 HISTORY_PLACE = Annotated[
     str | None, typer.Option("--history", metavar="FILE_OR_URL", rich_help_panel=HISTORY, help=PLACE)
 ]
+CHECK = Annotated[bool, typer.Option("--check", help="End with exit code 3 where the verdict is not good.")]
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
 
 
@@ -77,7 +78,8 @@ class Command:
     json: it has a result that programs read. keeps: the results that it writes into its folder `out`. own: a result
     whose presence says that the folder is this command's own, which it may replace unasked. in_place: its result takes
     the place of an input. streamed: it writes one table and nothing else, which may go to the standard output (-o -).
-    panels: of the help, in their order. filed: the name under which its result may be filed in a history.
+    panels: of the help, in their order. filed: the name under which its result may be filed in a history. judged: its
+    result has a verdict.
     """
 
     function: Callable[..., None]
@@ -88,6 +90,7 @@ class Command:
     streamed: bool = False
     panels: tuple[str, ...] = ()
     filed: str = ""
+    judged: bool = False
 
     @functools.cached_property
     def flags(self) -> CommandFlags:
@@ -98,6 +101,7 @@ class Command:
         """Return typer's parameters."""
         added = {"json": JSON} if self.json else {}
         added |= {"overwrite": OVERWRITE} if self.keeps else {}
+        added |= {"check": CHECK} if self.judged else {}
         every = self.flags.parameters() + [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
             for name, kind in added.items()
@@ -114,7 +118,7 @@ class Command:
 
     def run(self, face: Face = CommandUI, /, **given: Any) -> None:
         """Run the function; a run that fails leaves the results that were there, one that was stopped what it has."""
-        as_json = given.pop("json", False)
+        as_json, check = given.pop("json", False), given.pop("check", False)
         overwrite = given.pop("overwrite", False) if self.keeps else False
         with contextlib.ExitStack() as held:
             if self.filed:
@@ -124,17 +128,21 @@ class Command:
                 with face(as_json=as_json):
                     held.enter_context(self._outputs(given, as_json))
             if not self.keeps or given["out"] is None:  # None: it writes only where it is told to
-                self._work(face, given, as_json)
+                self._work(face, given, as_json, check)
                 return
             with face(as_json=as_json):
                 out = given["out"]
                 refuse_inputs(out, self.keeps, given)
                 overwrite = overwrite or (self.own is not None and (out / self.own).exists())
-                _replacing(out, self.keeps, overwrite, lambda: self._work(face, given, as_json))
+                _replacing(out, self.keeps, overwrite, lambda: self._work(face, given, as_json, check))
 
-    def _work(self, ui: Face, given: Mapping[str, Any], as_json: bool) -> None:
-        with ui(as_json=as_json) as face, _filed(face, given.get("filing")):
-            self.function(face, **self.flags.arguments(given, face.say))
+    def _work(self, ui: Face, given: Mapping[str, Any], as_json: bool, check: bool) -> None:
+        with ui(as_json=as_json) as face:
+            with _filed(face, given.get("filing")):
+                self.function(face, **self.flags.arguments(given, face.say))
+            verdict = verdict_of(face.given)
+            if check and verdict is not None and verdict.level != "good":
+                raise ResultsDoubted  # filed as what it is: the result holds, and is no good news
 
     def _filing(self, given: dict[str, Any]) -> Filing | None:
         """Return what files the result where a cell is named. Raises UsageError, before any work is done."""

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from armsight.records.output import Output
+    from armsight.records.verdict import Verdict
 
 UNFORESEEN = 1
 PRIVATE = 0o600
@@ -53,6 +54,12 @@ def own_command() -> str:
     if found is not None and own.samefile(found):
         return "armsight"
     return str(own.relative_to(Path.cwd())) if own.is_relative_to(Path.cwd()) else str(own)
+
+
+def verdict_of(result: Output | None) -> Verdict | None:
+    """Return what a result comes to; None of those that give no verdict."""
+    found: Verdict | None = getattr(result, "verdict_", None)
+    return found
 
 
 class CommandUI:
@@ -102,6 +109,8 @@ class CommandUI:
         """Give the command's result; printed only with --json."""
         self._end_bar()
         self.given = result
+        if (verdict := verdict_of(result)) is not None:
+            self.say(f"Verdict: {verdict.level}. {verdict.headline}. {' '.join(verdict.next)}")
         if self._as_json:
             _print_json(result.to_json())
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 DESIGNED = ("design.json", "map.csv", "report.html", "runs")
 
 
-@command(app, keeps=DESIGNED, panels=(RIG, CALIBRATION, ARM))
+@command(app, keeps=DESIGNED, panels=(RIG, CALIBRATION, ARM), judged=True)
 def design(face: CommandUI, job: DesignJob) -> None:
     """Tell what a planned rig will measure over a volume, what the deviations come from, and what to change.
 

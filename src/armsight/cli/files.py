@@ -83,7 +83,7 @@ def report(
     face.say(f"Printed: {print_report(report, out)}")
 
 
-@command(app, keeps=("compare.json", "report.html"))
+@command(app, keeps=("compare.json", "report.html"), judged=True)
 def compare(face: CommandUI, job: requests.files.CompareJob) -> None:
     """Tell whether two results of one kind agree within their uncertainty, and what the difference comes to."""
     from armsight.app.compare.run import compare as run

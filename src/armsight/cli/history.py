@@ -131,7 +131,7 @@ def export(face: CommandUI, job: requests.history.ExportRunsJob) -> None:
     face.result(done)
 
 
-@command(history, keeps=REPORTS, own="trend.json")
+@command(history, keeps=REPORTS, own="trend.json", judged=True)
 def trend(face: CommandUI, job: requests.history.TrendJob) -> None:
     """Say whether a joint zero, hand-eye, baseline or tool tip has drifted: what, since when, by how much.
 

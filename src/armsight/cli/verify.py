@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from armsight.verify.supervision import Compared, Level
 
 
-@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS, PLANT), filed="verify")
+@command(app, keeps=VERIFIED, panels=(TABLES, LIVE, MASTERING, CAMERAS, PLANT), filed="verify", judged=True)
 def verify(
     face: CommandUI,
     *,

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from armsight.fields import Doc
 from armsight.records.output import Output, output
+from armsight.records.verdict import Verdict
 
 
 @output
@@ -137,3 +138,4 @@ class DesignOutput(Output):
     advice: Annotated[tuple[str, ...], Doc("What to do, and what to know.")]
     assumptions: Annotated[tuple[str, ...], Doc("What was taken for granted.")]
     report: Annotated[str, Doc("The report.")]
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None

@@ -30,7 +30,7 @@ def arm_report(
     page = Page(
         title=f"Calibration of {result.nominal.name}",
         subtitle=f"{len(points)} measurements, {result.level}",
-        verdict=_verdict(result),
+        verdict=arm_verdict(result),
         cards=_cards(result),
     )
     if result.notes:
@@ -57,7 +57,8 @@ def arm_report(
     return page.html(created=created or datetime.now())
 
 
-def _verdict(result: ArmCalibration) -> Verdict:
+def arm_verdict(result: ArmCalibration) -> Verdict:
+    """Return what the page says first."""
     sentence = in_degrees(result.verdict)
     if result.other_arm is not None:
         to_do = "Correct nothing. Compare the arm's file with the arm's data sheet, then calibrate again."

@@ -32,7 +32,7 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
     page = Page(
         title=run.title,
         subtitle=run.subtitle or f"{run.n_used} of {run.n_images} {_noun(run)} of the {run.thing} {run.board}",
-        verdict=_verdict(run),
+        verdict=calibration_verdict(run),
         cards=_cards(run),
     )
     _add_parameters(page, run)
@@ -85,7 +85,8 @@ def _doubts(run: CalibrationRun) -> list[str]:
     return out
 
 
-def _verdict(run: CalibrationRun) -> Verdict:
+def calibration_verdict(run: CalibrationRun) -> Verdict:
+    """Return what the page says first."""
     sentence = f"{run.n_used} of {run.n_images} {_noun(run)} fit to {figure_of(run.rms_px, 'px')} RMS"
     if run.holdout_rms_px is not None:
         sentence += f", {_noun(run)} left out of the fit to {figure_of(run.holdout_rms_px, 'px')}"

@@ -59,7 +59,7 @@ def cell_report(
     page = Page(
         title=f"Calibration of a cell with {nominal.name}",
         subtitle=f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots",
-        verdict=_verdict(done),
+        verdict=cell_verdict(done),
         cards=_cards(done),
     )
     if done.notes or done.advice:
@@ -116,7 +116,8 @@ def _add_parameters(page: Page, done: CellCalibration, inputs: Sequence[tuple[st
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
-def _verdict(done: CellCalibration) -> Verdict:
+def cell_verdict(done: CellCalibration) -> Verdict:
+    """Return what the page says first."""
     word, _, sentence = done.verdict.partition(": ")
     known = f"{sentence[:1].upper()}{sentence[1:]} (one standard deviation, base axes, as both cameras measure it)."
     if word == "good" and abs(done.scale.ratio - 1.0) > NOTED_SCALE * done.scale.std:

@@ -63,13 +63,18 @@ class CompareRun:
     course: Course | None = None
 
 
+def compare_verdict(agree: bool | None, sentence: str) -> Verdict:
+    """Return what the page says first."""
+    level, word, to_do = LEVELS[agree]
+    return Verdict(level=level, word=word, sentence=sentence, to_do=to_do)
+
+
 def compare_report(run: CompareRun, *, created: datetime | None = None) -> str:
     """Return the page as HTML text that needs no other file."""
-    level, word, to_do = LEVELS[run.agree]
     page = Page(
         title=f"Comparison of {KINDS[run.kind]}",
         subtitle=f"A is {run.a}, B is {run.b}",
-        verdict=Verdict(level=level, word=word, sentence=run.verdict, to_do=to_do),
+        verdict=compare_verdict(run.agree, run.verdict),
         cards=[Card(name=name, value=value) for name, value in run.effects[:CARDS]],
     )
     if run.effects:

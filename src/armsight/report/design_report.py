@@ -51,7 +51,7 @@ def design_report(run: DesignRun, *, created: datetime) -> str:
         title="What a rig will measure",
         subtitle=f"baseline {figure_of(done.baseline_m / MM)} mm, focal length {figure_of(done.focal_px)} px; "
         f"the volume is in the axes of the {done.frame}",
-        verdict=_verdict(done),
+        verdict=design_verdict(done),
         cards=_cards(done),
     )
     if done.advice:
@@ -91,7 +91,8 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _verdict(done: DesignOutput) -> Verdict:
+def design_verdict(done: DesignOutput) -> Verdict:
+    """Return what the page says first."""
     disagrees = done.simulation is not None and not done.simulation.agrees
     if disagrees:
         level, word, to_do = "bad", "Not confirmed", "Do not rely on these figures: the simulation says otherwise."

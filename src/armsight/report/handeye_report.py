@@ -52,7 +52,7 @@ def handeye_report(
     page = Page(
         title="Hand-eye calibration",
         subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
-        verdict=_verdict(result),
+        verdict=handeye_verdict(result),
         cards=_cards(result),
     )
     if result.advice:
@@ -93,7 +93,8 @@ def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
-def _verdict(result: HandEye) -> Verdict:
+def handeye_verdict(result: HandEye) -> Verdict:
+    """Return what the page says first."""
     to_do = result.concerns[0] if result.concerns else "Use it; calibrate again when camera or target has moved."
     level, word = "good", "Good"
     if result.scale is not None and result.scale.wrong:

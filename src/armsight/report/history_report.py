@@ -79,15 +79,20 @@ class TrendPage:
     figures: Sequence[Charted]
 
 
+def trend_verdict(changed: bool, few: bool, to_do: Sequence[str], sentence: str) -> Verdict:
+    """Return what the page says first; to_do: of each figure, "" where there is nothing to do."""
+    level, word = ("bad", "Drift") if changed else ("warn", "Too few runs") if few else ("good", "Steady")
+    first = next((one for one in to_do if one), ASK_MORE if few else KEEP_ON)
+    return Verdict(level=level, word=word, sentence=in_degrees(sentence), to_do=first)
+
+
 def trend_report(run: TrendPage, *, created: datetime | None = None) -> str:
     """Return the page as HTML text that needs no other file."""
-    level, word = ("bad", "Drift") if run.changed else ("warn", "Too few runs") if run.few else ("good", "Steady")
-    to_do = next((one.to_do for one in run.figures if one.to_do), ASK_MORE if run.few else KEEP_ON)
     changed = sum(one.start is not None for one in run.figures)
     page = Page(
         title=f"History of {run.cell}",
         subtitle=f"{run.n_runs} runs, {_dates(run)}",
-        verdict=Verdict(level=level, word=word, sentence=in_degrees(run.verdict), to_do=to_do),
+        verdict=trend_verdict(run.changed, run.few, [one.to_do for one in run.figures], run.verdict),
         cards=[
             Card(name="figures judged", value=str(len(run.figures))),
             Card(name="of these changed", value=str(changed)),

@@ -15,6 +15,7 @@ from datetime import datetime
 from importlib import resources
 
 from armsight._version import __version__
+from armsight.records.verdict import Verdict as TheVerdict
 from armsight.report.figures import Figure, Plot, json_text
 from armsight.report.space import fitted_scene
 from armsight.units import NOTHING
@@ -147,6 +148,12 @@ class Verdict:
     word: str
     sentence: str
     to_do: str
+
+    @property
+    def told(self) -> TheVerdict:
+        """The same words as programs get them."""
+        level = "care" if self.level == "warn" else self.level
+        return TheVerdict(level=level, headline=self.word, reasons=[self.sentence], next=[self.to_do])
 
 
 @dataclass(slots=True, kw_only=True)

@@ -11,16 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
-from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, in_degrees, table
-from armsight.report.to_do import after_watching
+from armsight.report.html import Card, Page, add_recordings, bullets, figure_of, table
+from armsight.report.verdicts import live_verdict
 from armsight.units import DEG, MM
 from armsight.verify.results import VerifyLiveOutput
 
 Array = NDArray[np.float64]
 
-WATCHED = 0.95
-"""Share of the pairs that are compared, below which a run without alarm is not called good without a word."""
-LEVELS = {"good": "good", "warn": "warn", "stop": "bad", "unknown": "bad"}
 COURSE = (
     "Length of the error of place and angle of the error of rotation; dotted: three standard deviations of what "
     "measurement and expectation may be off along it. Gaps: nothing could be compared."
@@ -54,20 +51,10 @@ def live_report(
     created: datetime | None = None,
 ) -> str:
     """Return the page as HTML text that needs no other file. summary: what verify.json holds."""
-    gaps = summary.level == "good" and summary.n_compared < WATCHED * summary.n
     page = Page(
         title="Supervision of a running arm",
         subtitle=f"{summary.n} pairs of frames, {summary.n_compared} compared",
-        verdict=Verdict(
-            level="warn" if gaps else LEVELS[summary.level],
-            word="good, with gaps" if gaps else summary.level,
-            sentence=in_degrees(summary.verdict),
-            to_do=after_watching(
-                summary.level,
-                levels_set=any(value is not None for value in summary.levels.to_dict().values()),
-                gaps=summary.n_compared < summary.n,
-            ),
-        ),
+        verdict=live_verdict(summary),
         cards=_cards(summary),
     )
     if summary.alarms:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import datetime
 
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
-from armsight.report.to_do import after_mastering
+from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
+from armsight.report.verdicts import mastering_verdict
 from armsight.units import DEG, MM
 from armsight.verify.results import MasteringOutput
 
-LEVELS = {"none": "good", "undecided": "warn"}
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
 
 
@@ -19,16 +18,10 @@ def mastering_report(
 ) -> str:
     """Return the page as HTML text that needs no other file. summary: what verify.json holds; slides: the indices,
     from 1, of joints that slide."""
-    cause = summary.cause
     page = Page(
         title=f"After a crash: {name}",
         subtitle=f"{summary.n} poses compared, {len(summary.rejected)} left out",
-        verdict=Verdict(
-            level=LEVELS.get(cause, "bad"),
-            word=f"Cause: {cause}",
-            sentence=in_degrees(summary.verdict),
-            to_do=after_mastering(cause, all_judged=all(joint.judged for joint in summary.joints)),
-        ),
+        verdict=mastering_verdict(summary),
         cards=[
             Card(name="error of place", value=figure_of(summary.rms_before_m / MM, "mm"), note="RMS, as measured"),
             Card(name="without the cause", value=figure_of(summary.rms_after_m / MM, "mm"), note="RMS"),

@@ -29,6 +29,18 @@ MORE = 'Measure again with what is asked for under "Withheld" below.'
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
+def repeats_verdict(summary: VerifyOutput) -> Verdict:
+    """Return what the page says first."""
+    iso = summary.iso9283
+    given = any(item.value is not None for item in iso.values())
+    return Verdict(
+        level="good" if given else "warn",
+        word="Repeatability" if given else "No figure can be given",
+        sentence=_headline(iso, summary.verdict),
+        to_do=HOLD if given else MORE,
+    )
+
+
 def repeats_report(
     measured: Measured,
     repeats: Repeats,
@@ -40,16 +52,10 @@ def repeats_report(
     """Return the page as HTML text that needs no other file. summary: what verify.json holds; other: the folder and
     the summary of a run to stand beside this one."""
     iso = summary.iso9283
-    given = sum(item.value is not None for item in iso.values())
     page = Page(
         title="Repeatability",
         subtitle=f"{summary.n} rows, {len(summary.rejected)} left out",
-        verdict=Verdict(
-            level="good" if given else "warn",
-            word="Repeatability" if given else "No figure can be given",
-            sentence=_headline(iso, summary.verdict),
-            to_do=HOLD if given else MORE,
-        ),
+        verdict=repeats_verdict(summary),
         cards=_cards(iso),
     )
     page.add("ISO 9283", ISO_TOLD, iso_table(iso))

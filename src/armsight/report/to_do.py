@@ -46,12 +46,18 @@ def after_measuring(word: str, unchecked: bool = False, advice: str = "") -> str
     return MEASURE[word] + (unproved if word == "Complete" and unchecked else "")
 
 
+def hides(summary: VerifyOutput) -> bool:
+    """Whether base and tool, laid best, may hide more of the arm's own errors than is left over."""
+    hidden, after = summary.alignment.hidden_m, summary.after
+    return hidden is not None and after is not None and hidden > after.rms_m
+
+
 def after_verify(summary: VerifyOutput, *, with_arm: bool) -> str:
     """Return the next step after a verification."""
-    cause, hidden = summary.cause, summary.alignment.hidden_m
+    cause = summary.cause
     if not with_arm:
         return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
-    if cause in ("none", "measurement") and hidden and summary.after is not None and hidden > summary.after.rms_m:
+    if cause in ("none", "measurement") and hides(summary):
         return (
             "Correct nothing on these rows. They do not show where the tool is, as base and tool were laid best: find "
             "where the rig stands (`armsight calibrate robot-world`), and verify with --world."

@@ -17,24 +17,21 @@ from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis,
 from armsight.report.html import (
     Card,
     Page,
-    Verdict,
     bullets,
     figure_of,
-    in_degrees,
     pair_of,
     table,
     text,
     with_deviation,
 )
 from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
-from armsight.report.to_do import after_verify
+from armsight.report.verdicts import verify_verdict
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
 from armsight.verify.results import IsoFigure, VerifyOutput
 
 Array = NDArray[np.float64]
 
-LEVELS = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
 PRINT = """@page{{size:A4;margin:12mm}}
 @media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:{zoom}}}.verdict{{font-size:15px}}
 .cards{{grid-template-columns:repeat(6,1fr)}}th,td{{padding:3px 8px}}section{{margin:6px 0;padding:8px 0}}}}"""
@@ -74,16 +71,10 @@ def verify_report(
     created: datetime | None = None,
 ) -> str:
     """Return the page as HTML text that needs no other file. summary: what verify.json holds."""
-    cause = summary.cause
     page = Page(
         title="Verification" if arm is None else f"Verification of {arm.name}",
         subtitle=f"{summary.n} rows compared, {len(summary.rejected)} left out",
-        verdict=Verdict(
-            level=LEVELS.get(cause, "bad"),
-            word="No cause looked for" if arm is None else f"Cause: {cause}",
-            sentence=in_degrees(summary.verdict),
-            to_do=after_verify(summary, with_arm=arm is not None),
-        ),
+        verdict=verify_verdict(summary),
         cards=_cards(summary),
     )
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))

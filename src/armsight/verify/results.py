@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
+from armsight.records.verdict import Verdict
 from armsight.verify.records import Figures
 from armsight.verify.supervision import Limits
 from armsight.verify.verification import Configurations
@@ -66,6 +67,7 @@ class VerifyLiveOutput(Output):
     recording: Annotated[str | None, Doc("The recording; null where none was made.")]
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
 
 @output
@@ -118,6 +120,7 @@ class MasteringOutput(Output):
     rejected: Annotated[list[RejectedRow], Doc("Rows left out, and why.")]
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
 
 @output
@@ -251,3 +254,4 @@ class VerifyOutput(Output):
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
     compared: Annotated[ComparedRun | None, Doc("The other run; with --compare.")] = None
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None

@@ -128,7 +128,9 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
             right=str(boards.folder / "right"),
         )
     )
-    assert verdict.good
+    judged = again.verdict_  # few boards leave corners of the images bare: page, report and terminal say so alike
+    assert judged is not None and judged.level == "care" and not verdict.good
+    assert verdict.words == " ".join(judged.reasons + judged.next)
     assert dict(verdict.rows)["baseline"] == f"{1e3 * again.baseline_m:.2f} mm"
     assert verdict.file.exists()
     assert verdict.report is not None

@@ -15,6 +15,7 @@ from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
 from armsight.app.requests.calibrate_robot import HandEyeJob
+from armsight.app.verdicts import of_handeye, with_verdict
 from armsight.calibrate.handeye import (
     HandEye,
     RejectedPair,
@@ -62,7 +63,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     write_handeye(job.out, solved.result, inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
-    return replace(solved.result, camera_file=camera_file, proposals=proposed)
+    return with_verdict(replace(solved.result, camera_file=camera_file, proposals=proposed), of_handeye)
 
 
 def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:

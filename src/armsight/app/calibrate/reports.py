@@ -20,15 +20,9 @@ from armsight.store import write_text
 Array = NDArray[np.float64]
 
 
-def write_camera_report(
-    path: Path,
-    done: CameraCalibration,
-    *,
-    board: str,
-    boards: BoardViews | None = None,
-) -> None:
-    """Write the report of one camera's calibration."""
-    run = CalibrationRun(
+def camera_run(done: CameraCalibration, board: str, boards: BoardViews | None = None) -> CalibrationRun:
+    """Return one camera's calibration as its report shows it."""
+    return CalibrationRun(
         title="Calibration of a camera",
         board=board,
         cameras=[_fit("camera", done.camera, done.uv_px, done.residual_px, done.sources, done.view_rms_px)],
@@ -41,7 +35,11 @@ def write_camera_report(
         advice=done.advice,
         boards=boards,
     )
-    write_text(path, calibration_report(run))
+
+
+def write_camera_report(path: Path, done: CameraCalibration, *, board: str, boards: BoardViews | None = None) -> None:
+    """Write the report of one camera's calibration."""
+    write_text(path, calibration_report(camera_run(done, board, boards)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,13 +58,13 @@ class RigData:
     boards: BoardViews | None = None
 
 
-def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> None:
-    """Write the report of a rig's calibration."""
+def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
+    """Return a rig's calibration as its report shows it."""
     rig = done.rig
     parameters = [Parameter(name="baseline", value=rig.baseline_m * 1e3, std=done.baseline_std_m * 1e3, unit="mm")]
     for side in SIDES:
         parameters += _parameters(f"{side}.", rig.camera(side), rig.covariance)
-    run = CalibrationRun(
+    return CalibrationRun(
         title=data.title,
         board=data.board,
         thing=data.thing,
@@ -96,7 +94,11 @@ def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> N
         advice=done.advice,
         boards=data.boards,
     )
-    write_text(path, calibration_report(run))
+
+
+def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> None:
+    """Write the report of a rig's calibration."""
+    write_text(path, calibration_report(stereo_run(done, data)))
 
 
 def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:

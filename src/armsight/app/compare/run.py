@@ -18,10 +18,12 @@ from armsight.app.compare.calibrations import (
 from armsight.app.compare.parameters import Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
 from armsight.app.requests.files import CompareJob
+from armsight.app.verdicts import of_comparison, with_verdict
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import Difference
+from armsight.records.verdict import Verdict
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
@@ -75,6 +77,7 @@ class CompareOutput(Output):
     ] = None
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str | None, Doc("The report; with -o.")] = None
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
 
 def compare(job: CompareJob) -> CompareOutput:
@@ -107,6 +110,7 @@ def compare(job: CompareJob) -> CompareOutput:
         notes=list(found.notes),
         report=None if job.out is None else str(job.out / REPORT),
     )
+    done = with_verdict(done, of_comparison)
     if job.out is not None:
         job.out.mkdir(parents=True, exist_ok=True)
         write_json(job.out / SUMMARY, done.to_dict())

@@ -170,18 +170,20 @@ class BoardCalibration:
             rig = calibrate_stereo(pair, progress)
             rows = [("RMS", f"{rig.rms_px:.3f} px"), ("baseline", f"{1e3 * rig.baseline_m:.2f} mm")]
             rows += [("± baseline", f"{1e3 * rig.std['baseline_m']:.3f} mm (1 σ)")]
-            left_out, advice = rig.holdout_rms_px, rig.advice
+            left_out, advice, judged = rig.holdout_rms_px, rig.advice, rig.verdict_
         else:
             job = CameraJob(board=self.board, out=self.out, source=folders[0])
             camera = calibrate_camera(job, progress)
             rows = [("RMS", f"{camera.rms_px:.3f} px"), ("focal length", f"{camera.fx_px:.1f} px")]
             rows += [("± focal length", f"{camera.std['fx_px']:.2f} px (1 σ)")]
-            left_out, advice = camera.holdout_rms_px, camera.advice
+            left_out, advice, judged = camera.holdout_rms_px, camera.advice, camera.verdict_
         rows += [("RMS of boards left out", "–" if left_out is None else f"{left_out:.3f} px")]
-        good = left_out is not None and left_out < GOOD_RMS_PX
+        good = left_out is not None and left_out < GOOD_RMS_PX and judged is not None and judged.level == "good"
         words = ". ".join(one[:1].upper() + one[1:] for one in advice) or (
             "The boards agree with each other." if good else "The boards do not agree."
         )
+        if judged is not None and judged.level != "good":  # as the report says it
+            words = " ".join(judged.reasons + judged.next)
         return Verdict(good=good, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
 
     def _clear(self) -> None:

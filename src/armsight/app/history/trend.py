@@ -21,10 +21,12 @@ from armsight.app.history.series import (
     require_one_arm,
 )
 from armsight.app.requests.history import TrendJob
+from armsight.app.verdicts import of_trend, with_verdict
 from armsight.calibrate.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.output import Output, output
+from armsight.records.verdict import Verdict
 from armsight.report.history_report import Charted, TrendPage, trend_report
 from armsight.store.atomic import write_json, write_text
 from armsight.store.history.database import reading
@@ -109,6 +111,7 @@ class TrendOutput(Output):
     false_alarms_apart_years: Annotated[float, Doc("Years of a cell in which one false alarm is to be expected.")]
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str, Doc("The report.")]
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,6 +159,7 @@ def trend(job: TrendJob) -> TrendOutput:
         notes=[*_notes(figures, doubted), *_short(judgements), *_of_runs(found)],
         report=str(report),
     )
+    done = with_verdict(done, of_trend)
     job.out.mkdir(parents=True, exist_ok=True)
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(report, trend_report(_page(done, judgements)))

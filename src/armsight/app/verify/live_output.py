@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.verdicts import of_verification, with_verdict
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
@@ -100,7 +101,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
     n, span_s = len(log.rows), log.duration_s
     ms = np.array([row.ms for row in log.rows])
     limits = log.limits
-    return VerifyLiveOutput(
+    done = VerifyLiveOutput(
         n=n,
         n_compared=int(known.sum()),
         n_lost=sum(not row.seen for row in log.rows),
@@ -122,6 +123,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
         doubts=list(doubts),
         verdict=_verdict(log, series, known, grave),
     )
+    return with_verdict(done, of_verification)
 
 
 def _errors(series: LiveSeries, known: NDArray[np.bool_]) -> LiveErrors:

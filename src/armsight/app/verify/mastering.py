@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.requests.verify import MasteringJob
+from armsight.app.verdicts import of_verification, with_verdict
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, fk
@@ -81,6 +82,7 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
         raise UsageError("the joints of the poses are missing", cure="Give --joints joints.csv")
     result = check_mastering(arm, paired.q, paired.measured, how)
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
+    done = with_verdict(done, of_verification)
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / REPORT, mastering_report(done, arm.name, slides=_slides(arm)))
     return done

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from armsight._files import real_path
 from armsight.app.arm_files import load_arm
 from armsight.app.requests.verify import VerifyJob
+from armsight.app.verdicts import of_verification, with_verdict
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
@@ -123,6 +124,7 @@ def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
 
 
 def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
+    done = with_verdict(done, of_verification)
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / ERRORS, table)
     write_text(job.out / REPORT, page)

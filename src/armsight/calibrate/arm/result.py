@@ -16,6 +16,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
+from armsight.records.verdict import Verdict
 
 Array = NDArray[np.float64]
 
@@ -108,6 +109,7 @@ class ArmCalibration(Output):
     ]
     correlation: Correlation | None = None
     n_places: int | None = None
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @property
     def nominal(self) -> Arm:

@@ -16,6 +16,7 @@ from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import RejectedFile
+from armsight.records.verdict import Verdict
 
 Array = NDArray[np.float64]
 
@@ -49,6 +50,7 @@ class CameraCalibration(Output):
     residual_px: Array
     used: Observations
     T_camera_board: Array
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @figure("Images read.")
     def n_images(self) -> int:
@@ -114,6 +116,7 @@ class StereoCalibration(Output):
     used: Observations
     residual_px: Mapping[str, Array]
     T_left_board: Array
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @figure("Distance of the corners from their epipolar lines, RMS, px.")
     def epipolar_rms_px(self) -> float:

@@ -18,6 +18,7 @@ from armsight.optics import Rig
 from armsight.records import Target
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
+from armsight.records.verdict import Verdict
 
 Array = NDArray[np.float64]
 
@@ -99,6 +100,7 @@ class CellCalibration(Output):
     tip: Annotated[TipDeviation, Doc("How well the tip is known in base axes over the recording's volume.")]
     notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
     advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @property
     def rig(self) -> Rig:

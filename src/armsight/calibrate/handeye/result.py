@@ -18,6 +18,7 @@ from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd
+from armsight.records.verdict import Verdict
 from armsight.units import DEG, MM
 
 Vector3 = tuple[float, float, float]
@@ -111,6 +112,7 @@ class HandEye(Output):
     offset: TimeOffset | None = None
     camera_file: Annotated[str | None, Doc("The freed camera that the result belongs to, where it was kept.")] = None
     proposals: Annotated[tuple[Proposal, ...] | None, Doc("Further poses, with --propose.")] = None
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     def __post_init__(self) -> None:
         n = len(self.pairs)

@@ -1,0 +1,18 @@
+"""What a result comes to, in the same words on the terminal, the page, the report, in JSON and in Python."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from armsight.fields import Doc
+from armsight.records.output import Output, output
+
+
+@output
+class Verdict(Output):
+    """Whether a result may be relied on, why, and what to do next."""
+
+    level: Annotated[str, Doc("good, care, bad or refused.")]
+    headline: Annotated[str, Doc("In a word or two.")]
+    reasons: Annotated[list[str], Doc("Why, in sentences.")]
+    next: Annotated[list[str], Doc("What to do.")]

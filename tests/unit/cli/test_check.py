@@ -1,0 +1,62 @@
+"""--check: exit code 3 where a verdict is not good, with the files written; `verdict_` in the words of the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from typer.testing import CliRunner
+
+from armsight.cli.commands import app
+from armsight.kinematics import dh_arm, fk, moved, preset
+from armsight.store.arm_file import write_arm
+
+ROWS = [(0.0, np.pi / 2, 0.3, 0.0), (-0.5, 0.0, 0.0, 0.0), (-0.4, 0.0, 0.0, 0.0)]
+POSE = "x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad"
+
+
+def table(path: Path, header: str, rows: np.ndarray) -> Path:
+    path.write_text("\n".join([header, *(",".join(repr(float(v)) for v in row) for row in rows)]) + "\n")
+    return path
+
+
+def verified(folder: Path, knock_deg: float) -> list[object]:
+    """Return the flags of verify for an arm in the measurements' frame whose third joint was knocked."""
+    arm, rng = preset("irb120"), np.random.default_rng(3)
+    q = rng.uniform(-0.9, 0.9, (40, 6))
+    T = RigidTransform.from_matrix(fk(moved(arm, {"j3.theta_rad": np.deg2rad(knock_deg)}), q))
+    turn = Rotation.from_rotvec(rng.normal(0.0, 2e-4, (40, 3)))
+    std = np.tile([1e-4] * 3 + [2e-4] * 3, (40, 1))
+    poses = np.hstack([T.translation + rng.normal(0.0, 1e-4, (40, 3)), (turn * T.rotation).as_quat(), std])
+    measured, joints = table(folder / "m.csv", POSE, poses), table(folder / "j.csv", "q1,q2,q3,q4,q5,q6", q)
+    return ["--measured", measured, "--arm", "irb120", "--joints", joints, "--align", "none", "-o", folder / "out"]
+
+
+@pytest.mark.parametrize(("knock_deg", "level", "code"), [(0.0, "good", 0), (0.4, "bad", 3)])
+def test_a_joint_that_is_off_ends_a_checked_command_with_3_and_its_files(
+    armsight: Any, tmp_path: Path, knock_deg: float, level: str, code: int
+) -> None:
+    flags = verified(tmp_path, knock_deg)
+    done = armsight("verify", *flags, "--check")
+    assert done.code == code
+    verdict = done.json["verdict_"]
+    assert verdict["level"] == level and set(verdict) == {"level", "headline", "reasons", "next"}
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert verdict["headline"] in page and (tmp_path / "out" / "verify.json").exists()
+    said = CliRunner().invoke(app, [str(word) for word in ("verify", *flags, "--overwrite")])
+    assert said.exit_code == 0  # without it exit codes stay as they are
+    assert f"Verdict: {level}. {verdict['headline']}. {verdict['next'][0]}" in " ".join(said.stderr.split())
+
+
+def test_results_that_differ_are_told_by_the_exit_code(armsight: Any, tmp_path: Path) -> None:
+    for name, by in (("a", 0.0), ("b", 0.02)):
+        rows = [(a + by, alpha, d, theta) for a, alpha, d, theta in ROWS]
+        write_arm(tmp_path / f"{name}.yaml", dh_arm("arm", rows), inputs=[])
+    alike = armsight("compare", tmp_path / "a.yaml", tmp_path / "a.yaml", "--check")
+    other = armsight("compare", tmp_path / "a.yaml", tmp_path / "b.yaml", "--check")
+    for done in (alike, other):
+        assert done.code == (0 if done.json["verdict_"]["level"] == "good" else 3)
+    assert other.code == 3
