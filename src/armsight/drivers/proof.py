@@ -104,11 +104,6 @@ class Probe:
     names: tuple[str, ...]
     parts: tuple[slice, ...] = (slice(None),)
 
-    @property
-    def of_flange(self) -> Probe:
-        """The same way of the flange alone."""
-        return Probe(amplitude=self.amplitude[:6], names=FLANGE_AXES)
-
 
 def joint_probe(lower: Array, upper: Array) -> Probe:
     """Return the probe of joints that are lower and upper (n,) in rad from their ranges' ends; it stays within them."""
@@ -123,6 +118,19 @@ def flange_probe(joints: int = 0) -> Probe:
     """Return the probe of a flange: way in m and turn in rad (6,) in base axes, and so many joints not watched."""
     amplitude = np.concatenate([np.geomspace(*PROBE_M, 3), np.geomspace(*PROBE_RAD, 3)]) * [1, -1, 1, -1, 1, -1]
     return Probe(amplitude=np.append(amplitude, np.zeros(joints)), names=FLANGE_AXES + ("",) * joints)
+
+
+def flange_probe_by_joints(n: int, moved: Callable[[Array], Array]) -> Probe:
+    """Return the probe of a flange whose signs are those by which the least moved of n joints moves most.
+
+    moved: as in flange_and_joint_probe. A joint that the flange's probe hardly moves would not be proven.
+    """
+    probe = flange_probe()
+    by_joint = np.array([moved(row) for row in PROBE_RAD[1] * np.eye(n)])  # (n, 6)
+    signs = np.array(list(product((1.0, -1.0), repeat=6)))
+    ways = signs * np.abs(probe.amplitude)
+    least = np.abs(ways @ np.linalg.pinv(by_joint)).min(axis=1)
+    return Probe(amplitude=ways[int(least.argmax())], names=probe.names)
 
 
 def flange_and_joint_probe(lower: Array, upper: Array, moved: Callable[[Array], Array]) -> Probe:
@@ -151,9 +159,8 @@ def flange_and_joint_probe(lower: Array, upper: Array, moved: Callable[[Array], 
 def _unlike(ways: Array) -> Array:
     """Return by which share of the larger one the two most alike of a flange's ways, or turns, differ (m,)."""
     pairs = [(i, j) for i, j in combinations(range(6), 2) if i // 3 == j // 3]
-    return np.array(
-        [np.abs(ways[:, i] - ways[:, j]) / np.maximum(np.abs(ways[:, i]), np.abs(ways[:, j])) for i, j in pairs]
-    ).min(axis=0)
+    differ = [np.abs(ways[:, i] - ways[:, j]) / np.maximum(np.abs(ways[:, i]), np.abs(ways[:, j])) for i, j in pairs]
+    return np.asarray(np.min(differ, axis=0))
 
 
 class Standing:

@@ -19,7 +19,7 @@ from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.link_settings import UdpSettings
 from armsight.drivers.pace import LinkTimes
-from armsight.drivers.proof import Probe, flange_and_joint_probe, flange_probe
+from armsight.drivers.proof import Probe, flange_probe, flange_probe_by_joints
 from armsight.drivers.protocols import PROVING, Sent
 from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
@@ -363,10 +363,8 @@ class UdpRobot(CyclicRobot, Generic[State]):
             return super()._probe()
         if arm is None or reading is None:
             return flange_probe()
-        q = reading.q
-        here = arm.fk(q)
-        both = flange_and_joint_probe(*self._goals.room(), lambda by: np.concatenate(between(here, arm.fk(q + by))))
-        return both.of_flange  # the controller may speak of another tool: how far its joints go is not judged
+        q, here = reading.q, arm.fk(reading.q)
+        return flange_probe_by_joints(len(q), lambda by: np.concatenate(between(here, arm.fk(q + by))))
 
     def _axes(self) -> Array:
         here = None if self._last is None else self._last.T_base_flange

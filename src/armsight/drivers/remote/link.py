@@ -49,6 +49,11 @@ class Link:
         """Why the connection ended, in words; empty while it lives."""
         return self._wire.ended
 
+    @property
+    def awaited(self) -> bool:
+        """Whether the program waits for an answer of the server."""
+        return self._wire.awaited
+
     def open(self) -> say.Welcome:
         """Connect and return the server's welcome. Raises as Wire.open."""
         first = self._wire.open()
@@ -194,6 +199,10 @@ class Heart:
         pause_s = self._link.welcome.heartbeat_s / BEATS
         while not self._over.wait(pause_s):
             self._turn()
+            if self._link.awaited:
+                # a program that waits for a server that stands still is alive: an enable that is let go of and given
+                # again once the server goes on would be one given anew
+                self._touched_s = self._time_s()
             alive = self._time_s() - self._touched_s <= self._quiet_s
             try:
                 self._link.beat(enable=self._enable and alive, waits=False)

@@ -145,6 +145,11 @@ class Wire:
             return answer
         raise DeviceFailed(f"{self.address.url} answered with {answer.type}", consequence="It is not known what it did")
 
+    @property
+    def awaited(self) -> bool:
+        """Whether somebody waits for an answer."""
+        return bool(self._waiting)
+
     def send(self, make: Callable[..., say.Command], **fields: Any) -> None:
         """Send a message and do not wait for its answer. Raises DeviceLost without a connection."""
         self._send(make, fields, waits=False)
