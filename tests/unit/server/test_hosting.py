@@ -108,11 +108,11 @@ def test_a_driver_who_is_gone_is_a_hold(how):
         assert loop.q.tolist() == rest.tolist(), "a new heartbeat does not bring back what was asked"
 
 
-def held_by_the_line(loop, seconds, *, web=True):
-    """Let time pass with enables by the line for stops, both processes alive or the web server standing still."""
+def held_by_the_line(loop, seconds, *, web=True, line=True):
+    """Let time pass with enables by the line for stops, both processes alive or one of them standing still."""
     for _ in range(round(seconds / 0.05)):
         now_s = loop.clock.now_s()
-        for who in (Serves.WEB, Serves.LINE) if web else (Serves.LINE,):
+        for who in [Serves.WEB] * web + [Serves.LINE] * line:
             loop.host.line.turns.turn(who, now_s)
         loop.host.line.orders.put(pickle.dumps(("beat", (True, None), now_s, 0, "key")))
         loop.clock.advance(0.05)
@@ -136,13 +136,13 @@ def test_a_web_server_that_stands_still_holds_the_arm_though_the_line_enables_it
         assert loop.host.status().enabled is not rule
 
 
-def test_a_stand_still_that_is_shorter_than_the_age_of_an_enable_ends_it_too():
+def test_a_stand_still_of_the_line_that_is_shorter_than_the_age_of_an_enable_ends_it_too():
     with running() as loop:
         loop.host.grant(0, "key")
         held_by_the_line(loop, 0.1)
         loop.host.post(JointGoal(q=np.array([2.0, 0.3])))
         held_by_the_line(loop, 0.4)
-        held_by_the_line(loop, 0.05, web=False)  # its turns are 0.1 s apart
+        held_by_the_line(loop, 0.05, line=False)  # its turns are 0.1 s apart
         assert loop.host.status().guard == "running"
         held_by_the_line(loop, 0.5)
         assert loop.host.status().guard == "disabled"

@@ -188,16 +188,17 @@ SERVERS = ("the web server", "the line for stops")
 class Turns:
     """When each of the processes that serve a robot last had its turn; one that has not begun yet is not missed.
 
-    One that stood still for less than the loop waits for finds so itself, at its next turn.
+    The line for stops finds itself, at its next turn, where it stood still for less than the loop waits for. The web
+    server does not: it gives way to all other work, and waits for a tenth of a second on a busy computer.
     """
 
     def __init__(self) -> None:
         self._memory: Any = RawArray("d", 2 * len(SERVERS))
-        self._still = tuple(StandStill(TURN_S) for _ in SERVERS)
+        self._still = StandStill(TURN_S)
 
     def turn(self, who: Serves, t_s: float) -> None:
         """Note a turn at t_s, on the loop's clock."""
-        if self._still[who].turn(t_s):
+        if who is Serves.LINE and self._still.turn(t_s):
             self._memory[len(SERVERS) + who] = t_s
         self._memory[who] = t_s
 
