@@ -184,7 +184,8 @@ class BoardCalibration:
         )
         if judged is not None and judged.level != "good":  # as the report says it
             words = " ".join(judged.reasons + judged.next)
-        return Verdict(good=good, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
+        care = not good and judged is not None and judged.level == "care"
+        return Verdict(good=good, care=care, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
 
     def _clear(self) -> None:
         """Take away what an earlier calibration left, so that only what was accepted counts."""

@@ -69,8 +69,9 @@ class Sample:
 class Verdict:
     """good: whether the result can be trusted. words: of the calibration itself. rows: names and values for a table.
 
-    file: what was written; report: beside it, None where there is none. lists: more to read, title and lines. use:
-    under which keys of the cell which files stand, None for none, where it is not the one file of the step.
+    care: it is not good, but may be used by who knows what words say. file: what was written; report: beside it, None
+    where there is none. lists: more to read, title and lines. use: under which keys of the cell which files stand, None
+    for none, where it is not the one file of the step.
     """
 
     good: bool
@@ -80,6 +81,7 @@ class Verdict:
     report: Path | None = None
     lists: tuple[tuple[str, tuple[str, ...]], ...] = ()
     use: tuple[tuple[str, Path | None], ...] = ()
+    care: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

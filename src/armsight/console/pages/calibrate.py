@@ -198,7 +198,10 @@ def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
             _lamp("bad", texts.NOT_CALIBRATED)
             text_of("p", state.not_done)
             return
-        _lamp("good" if verdict.good else "bad", texts.GOOD if verdict.good else texts.NOT_GOOD)
+        if verdict.care:
+            _lamp("warn", texts.WITH_CARE)
+        else:
+            _lamp("good" if verdict.good else "bad", texts.GOOD if verdict.good else texts.NOT_GOOD)
         text_of("p", verdict.words)
         rows_table(verdict.rows)
         text_of("p", texts.SAVED.format(file=_inside(console, verdict.file)))
@@ -207,7 +210,7 @@ def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
                 href = f"/console/files/{_inside(console, verdict.report)}"
                 text_of("a", texts.REPORT, href=href, target="_blank")
             used = verdict.use or (((USED_AS[name], verdict.file),) if name in USED_AS else ())
-            if verdict.good and used:
+            if (verdict.good or verdict.care) and used:
                 words = texts.USE_LENS if name in LENSES else texts.USE_IT
                 button(words, partial(_use, console, used), testid="use")
         for title, lines in verdict.lists:
