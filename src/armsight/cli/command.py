@@ -118,7 +118,7 @@ class Command:
 
     def run(self, face: Face = CommandUI, /, **given: Any) -> None:
         """Run the function; a run that fails leaves the results that were there, one that was stopped what it has."""
-        as_json, check = given.pop("json", False), given.pop("check", False)
+        as_json, check = given.pop("json", False), self.judged and given.pop("check", False)
         overwrite = given.pop("overwrite", False) if self.keeps else False
         with contextlib.ExitStack() as held:
             if self.filed:

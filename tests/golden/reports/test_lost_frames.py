@@ -72,7 +72,12 @@ def test_zeros_do_not_turn_the_verdict_and_reach_no_table(tmp_path):
     folder = case("trackers")
     files = {"measured": folder / "xyz_zero.csv", "arm": "ur10", "joints": folder / "joints_off.csv"}
     found = run_verify(VerifyJob(**files, out=tmp_path / "v"))
-    assert found.cause == "joint 3" and found.n >= 110 and abs(found.time.offset_s) < 3 * found.time.std_s
+    full = run_verify(VerifyJob(**{**files, "measured": folder / "xyz_full.csv"}, out=tmp_path / "full"))
+    assert found.cause == full.cause and found.n >= 110 and abs(found.time.offset_s) < 3 * found.time.std_s
+    off_rad, std_rad = found.joints[2].offset_rad, found.joints[2].std_rad
+    assert (
+        off_rad is not None and std_rad is not None and abs(abs(np.degrees(off_rad)) - 0.3) < 3.0 * np.degrees(std_rad)
+    )
     done = join(JoinJob(**files, kind="points", out=tmp_path / "points.csv"))
     assert any(names_it(note, LINES) for note in done.notes)
     assert np.linalg.norm(read_arm_points(tmp_path / "points.csv").xyz_m, axis=1).min() > 0.1
