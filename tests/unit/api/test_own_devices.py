@@ -82,6 +82,7 @@ def test_a_frame_is_an_image_too() -> None:
     np.testing.assert_array_equal(armsight.find_spots(frame).uv_px, armsight.find_spots(FRAMES[0].left).uv_px)
 
 
+@pytest.mark.alone
 def test_a_robot_moves_and_one_that_goes_nowhere_is_told() -> None:
     assert armsight.jog(Robot(), 2, 0.02, confirm=True).reached[1] == pytest.approx(-0.98)
     with refuses(armsight.DeviceFailed, "nowhere"):

@@ -17,6 +17,8 @@ from armsight_sim.arms import Drive, SimArm, SimJoint
 from armsight_sim.robot import SimRobot
 from refusals import refuses
 
+pytestmark = pytest.mark.alone  # a program that a busy computer keeps waiting for 0.09 s has to enable anew
+
 
 class NoLog:
     dropped, failed = 0, ""
