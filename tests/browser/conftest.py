@@ -97,7 +97,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 def small_cell(file: Path) -> Any:
-    """Write the built-in cell with cameras of half the pixels, which two busy cores can draw; return its world."""
+    """Write the built-in cell with half its pixels and half its controller's pace, for two cores; return its world."""
     text = scenario_text("webcam-cell")
     assert text is not None
     cell = yaml.safe_load(text[0])
@@ -108,6 +108,7 @@ def small_cell(file: Path) -> Any:
         lens |= {"fx": lens["fx"] / 2, "fy": lens["fy"] / 2}
         lens |= {"cx": (lens["cx"] - 0.5) / 2, "cy": (lens["cy"] - 0.5) / 2}
     cell |= {"fps": 12.0, "room": "dark"}
+    cell["arm"]["cycle_s"] = 0.016
     cell["target"]["sigma_px"] = 1.5
     cameras["sensor"]["hot_pixels"] = 0
     file.write_text(yaml.safe_dump(cell))

@@ -37,6 +37,8 @@ SCENE_PX = 420
 NEAREST_M, FARTHEST_M = 0.003, 30.0
 """From the eye: what is outside is not drawn; a path of a few mm is looked at from as near."""
 SCENE_HZ = 8
+ROUND = (12, 8)
+"""Faces about a ball, and from pole to pole: a computer without a graphics processor draws few in time."""
 """Drawings a second: more would slow a tablet's other work, of which the enable is the first."""
 LIGHT_M, SMALL_M = 0.008, 0.03
 """Radius of a light; size of a target below which the names of its lights would hide it."""
@@ -112,7 +114,7 @@ class Scene:
             self._tool = Curve("tool", line="dashed", mark_px=2.0, layer=3)
             self._ruler = Ruler(self._scene)
             self._path = self._scene.group()
-            self._ellipsoid = self._scene.sphere(radius=1.0).material(COLOURS["uncertainty"], opacity=0.45)
+            self._ellipsoid = self._scene.sphere(1.0, *ROUND).material(COLOURS["uncertainty"], opacity=0.45)
         self._target.visible(False)
         self._ellipsoid.visible(False)
         self.look_at_cell()
@@ -197,7 +199,7 @@ class Scene:
         radius = float(np.clip(0.3 * np.median(apart_m), 0.0015, 0.005)) if len(apart_m) else 0.005
         with self._scene, self._scene.group() as self._path:
             for i, position in enumerate(positions):
-                ball = self._scene.sphere(radius=(1.8 if i == 0 or i in chosen else 1.0) * radius).move(*position)
+                ball = self._scene.sphere((1.8 if i == 0 or i in chosen else 1.0) * radius, *ROUND).move(*position)
                 ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
         self._taught.show([tuple(position) for position in positions], [_rgb(PATH_COLOUR)] * len(positions))
 
@@ -224,7 +226,7 @@ class Scene:
                 label = self._scene.text(texts.FIT_JOINT.format(joint=fit.joint), f"font-weight: 700; color: {colour}")
                 label.move(*T.apply(fit.axis[1]).tolist())
                 for position in T.apply(fit.seen).tolist():
-                    self._scene.sphere(radius=0.004).move(*position).material(COLOURS["target"])
+                    self._scene.sphere(0.004, *ROUND).move(*position).material(COLOURS["target"])
 
     def _joints(self) -> Array | None:
         try:
@@ -257,7 +259,7 @@ class Scene:
                 apart_m = float(np.ptp(target.xyz_m, axis=0).max())
                 radius = min(LIGHT_M, 0.15 * apart_m) if apart_m > 0.0 else LIGHT_M
                 for name, light in zip(target.names, target.xyz_m.tolist(), strict=True):
-                    self._scene.sphere(radius=radius).move(*light).material(COLOURS["target"])
+                    self._scene.sphere(radius, *ROUND).move(*light).material(COLOURS["target"])
                     if apart_m > SMALL_M:
                         self._scene.text(name, "font-weight: 700; font-size: 12px; color: #14181c").move(*light)
             for axis, colour in zip(np.eye(3) * 0.06, ("#D55E00", "#009E73", "#0072B2"), strict=True):
@@ -284,8 +286,8 @@ class Scene:
             self._scene.line(one, next_).material(colour)
 
     def _draw_bone(self) -> tuple[Object3D, Object3D]:
-        bone = self._scene.cylinder(BONE_M, BONE_M, 1.0, 16).material(COLOURS["arm"])
-        return bone, self._scene.sphere(radius=JOINT_M).material(COLOURS["joint"])
+        bone = self._scene.cylinder(BONE_M, BONE_M, 1.0, ROUND[0]).material(COLOURS["arm"])
+        return bone, self._scene.sphere(JOINT_M, *ROUND).material(COLOURS["joint"])
 
     def look_at_cell(self) -> None:
         """Look at what the cameras see, from beside and above them; from nearer where there is no arm to be seen."""

@@ -309,14 +309,11 @@ class ControlLoop:
 def quiet_interpreter() -> Iterator[None]:
     """Keep Python from collecting garbage and from letting other threads run for long, until it ends."""
     was_on, switch_s = gc.isenabled(), sys.getswitchinterval()
-    gc.collect()
-    gc.freeze()
-    gc.disable()
+    gc.disable()  # without a last collection: of a console's objects it takes half a second, and holds its server
     sys.setswitchinterval(min(switch_s, SWITCH_S))
     try:
         yield
     finally:
         sys.setswitchinterval(switch_s)
-        gc.unfreeze()
         if was_on:
             gc.enable()

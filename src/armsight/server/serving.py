@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -44,6 +45,7 @@ def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], Non
     auth = Authenticator(options.tokens or ())
     with listening(options.bind, options.port) as listener, stop_line(service, options):
         give_way(SERVES)  # after the loop and the line for stops were begun
+        _keep_collections_short()
         server = web_server(create_app(service, auth), options, _connections(service))
         ready(_url(options, listener))
         server.run(sockets=[listener])
@@ -72,6 +74,7 @@ def serve_pages(
         if service is not None:
             stack.enter_context(stop_line(service, options, page_port=listener.getsockname()[1]))
         give_way(SERVES)
+        _keep_collections_short()
         server = web_server(gate, options, _connections(service))
         ready(_url(options, listener).replace("ws", "http", 1))
         server.run(sockets=[listener])
@@ -95,6 +98,13 @@ def background(service: Service, options: ServeOptions | None = None, *, with_st
         finally:
             server.should_exit = True
             thread.join()
+
+
+def _keep_collections_short() -> None:
+    """Leave what was loaded out of the collections of garbage: a look through all of it takes half a second, in which
+    nobody is answered and an enable grows too old."""
+    gc.collect()
+    gc.freeze()
 
 
 def _connections(service: Service | None) -> Connections:

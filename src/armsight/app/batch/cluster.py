@@ -44,12 +44,15 @@ GONE_S = 2.0
 MOST_WORKERS = 1024
 ONE_THREAD = {
     **dict.fromkeys(
-        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", CORES, "ARMSIGHT_WORKERS"),
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", CORES, "ARMSIGHT_WORKERS"),
         "1",
     ),
     "OPENCV_LOG_LEVEL": "SILENT",
 }
 """Of a worker's process, before it loads anything: one process for each core, whose threads would fight for them."""
+ONE_KERNEL_THREAD = {"NUMBA_NUM_THREADS": "1"}
+"""Of a worker's process, from its first turn on. Dask has what a process begins with in its own environment while it
+starts one, and numba reads this of it at each kernel that it compiles, and refuses a change once its threads run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +99,7 @@ def connected(workers: Workers) -> Iterator[Client]:
 CONFIG = {
     "distributed.logging": {"distributed": "critical"},
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,  # without Dask's MALLOC_TRIM_THRESHOLD_: images come and go
+    "distributed.nanny.environ": ONE_KERNEL_THREAD,
     "distributed.scheduler.allowed-failures": 1_000_000,  # a job's attempts are counted by its folders
     "distributed.scheduler.worker-ttl": None,  # compiling holds the interpreter's lock for longer than a heartbeat
     "distributed.scheduler.work-stealing": False,  # groups are handed out as workers become free
