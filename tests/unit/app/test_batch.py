@@ -22,7 +22,7 @@ from batch_tasks import work
 from armsight.api.batch import _job, call
 from armsight.app.batch import run as batch_run
 from armsight.app.batch import work as batch_work
-from armsight.app.batch.cluster import Workers, connected
+from armsight.app.batch.cluster import ONE_THREAD, Workers, connected
 from armsight.app.batch.jobs import Ended, Job, check_inputs, check_names, fingerprint
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
@@ -41,6 +41,12 @@ def cluster() -> Iterator[Any]:
     """Two workers for all tests here: they take seconds to begin."""
     with connected(Workers(n=2)) as client:
         yield client
+
+
+def test_the_number_of_kernel_threads_is_told_to_workers_and_not_to_this_process_while_they_begin(cluster: Any) -> None:
+    """Numba refuses another number once its threads run, at the next kernel that it compiles: here for ever."""
+    assert cluster.submit(os.getenv, "NUMBA_NUM_THREADS", pure=False).result() == "1"
+    assert not {name for name in ONE_THREAD if name.startswith("NUMBA")}
 
 
 @pytest.fixture(autouse=True)
