@@ -18,9 +18,11 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def cell(console: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """The console of the simulated cell, as `make demo` names it."""
-    folder = tmp_path_factory.mktemp("operator") / "cell"
-    address, process = console.begin(folder, "--robot", "sim:webcam-cell")
+    """The console of a simulated cell that leaves two busy cores time for two browsers' enables."""
+    home = tmp_path_factory.mktemp("operator")
+    console.small_cell(home / "small.yaml")
+    folder = home / "cell"
+    address, process = console.begin(folder, "--robot", f"sim:{home / 'small.yaml'}")
     yield address, folder
     console.end(process)
 

@@ -279,8 +279,8 @@ def serve_cell(
         if cancelled():
             raise Cancelled("stopped before the page was served")
         cell.service.pump()
-        if cell.service.outside:
-            face.say(f"Note: {cell.service.outside}.")
+        for note in filter(None, (cell.service.outside, *cell.notes)):
+            face.say(f"Note: {note}.")
         made = Console.of_folder(folder, cell)
         try:
             page.step(texts.OPENING["measure"])

@@ -16,6 +16,7 @@ from fastapi import FastAPI
 from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.guarding import arm_model, left_open
 from armsight.app.robot.hosting import ProcessHost, spec_of
+from armsight.app.robot.opening import open_to_all
 from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.control.guard import Limits
 from armsight.control.session.service import Service
@@ -168,7 +169,7 @@ def serve_robot(
         service.authority.note("info", f"{job.robot} is served")
         service.pump()  # what the loop told as it took the arm over
         with told_to_plant(service, options.plant, terminal.tell):
-            notes = (service.outside, "" if limits is None else left_open(spec.limits, limits.name))
+            notes = (service.outside, "" if limits is None else left_open(spec.limits, limits.name), open_to_all(job))
             serve(service, options, ready=lambda url: terminal.ready(url, "; ".join(filter(None, notes))))
         service.authority.note("info", "the server ends")
         service.pump()

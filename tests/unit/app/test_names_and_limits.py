@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from armsight.app.arm_files import load_arm
-from armsight.app.robot.guarding import left_open
+from armsight.app.requests.motion import RobotJob
+from armsight.app.robot.guarding import left_open, noted
 from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.app.simulate.cells import load_cell
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
-from armsight.control.guard import Box, JointLimit, Limits
+from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import RecordingFailed, UsageError
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter
@@ -54,6 +55,16 @@ def test_what_limits_leave_open_is_told_with_what_holds_instead() -> None:
     told = left_open(Limits(joints=rows, workspace=box), "l")
     assert names_it(told, "joint 2", "60 deg/s") and "workspace" not in told
     assert left_open(Limits(joints=(JointLimit(speed=0.5),) * 3, workspace=box), "l") == ""
+
+
+@pytest.mark.parametrize("settings", [None, {"cycle_s": 0.012}, {"controller": "192.168.0.10"}, {"bind": "127.0.0.1"}])
+def test_before_a_motion_it_is_told_that_a_link_listens_on_every_network(settings: dict[str, object] | None) -> None:
+    guard = Guard(load_arm("ur10"), Limits(), 0.004)
+    narrowed = settings is not None and "cycle_s" not in settings
+    for robot in ("rsi:49152", "egm:6510", "rtde:192.168.0.10", "sim:webcam-cell"):
+        told = noted("", guard, RobotJob(robot=robot, robot_settings=settings), None)
+        listens = robot[:3] in ("rsi", "egm") and not narrowed
+        assert names_it(told, robot, "every network", "controller=ADDRESS") if listens else told == ""
 
 
 def test_a_full_disk_ends_the_recording_with_a_word_and_a_code_of_its_own(

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from armsight.app.live.followed import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.guarding import arm_model
+from armsight.app.robot.guarding import arm_model, left_open
 from armsight.app.robot.hosting import ProcessHost, spec_of
-from armsight.app.robot.opening import SIM
+from armsight.app.robot.opening import SIM, open_to_all
 from armsight.app.robot.recorder import RecordingLog, default_log, require_recorded
 from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
@@ -35,13 +35,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotCell:
-    """A robot under way. followed: its cameras where it is simulated, else None."""
+    """A robot under way. followed: its cameras where it is simulated, else None. notes: on limits and link."""
 
     robot: str
     service: Service
     session: OperatorSession
     limits: Limits
     followed: FollowedCell | None = None
+    notes: tuple[str, ...] = ()
     jobs: JobRunner = field(default_factory=JobRunner)
 
     def joints(self) -> Array:
@@ -80,6 +81,7 @@ def open_robot_cell(job: RobotJob, folder: Path) -> Iterator[RobotCell]:
             service=service,
             session=OperatorSession(service),
             limits=kept,
+            notes=("" if limits is None else left_open(kept, limits.name), open_to_all(job)),
             followed=None if scenario is None or track is None else FollowedCell(scenario, track),
         )
         try:

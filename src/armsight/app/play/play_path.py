@@ -243,7 +243,9 @@ class PlaySession:
             with beside_outside(outside):
                 plan = planned(job, self._path, guard.arm, guard.limits, standing(robot, guard.arm.n))
             source = PathSource(plan, override=job.override)
-            if not confirm(question(robot, guard, plan, self._monitor is not None) + noted(outside, guard, job.limits)):
+            if not confirm(
+                question(robot, guard, plan, self._monitor is not None) + noted(outside, guard, job, job.limits)
+            ):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
             self._watch = self._watching(stack, recorder.sink)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
-from armsight.app.robot.opening import open_robot
+from armsight.app.requests.motion import RobotJob
+from armsight.app.robot.opening import open_robot, open_to_all
 from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.limits import JOINT_SPEED, SLIDE_SPEED_M_S, check_fit
@@ -104,11 +105,11 @@ def standing_outside(guard: Guard, robot: Robot) -> str:
     return f"the arm stands {outside}" if outside else ""
 
 
-def noted(outside: str, guard: Guard, file: Path | None) -> str:
-    """Return what is added to the question before a motion: where the arm stands outside its limits, and what file,
-    the limits.yaml that was given, leaves open."""
+def noted(outside: str, guard: Guard, job: RobotJob, file: Path | None) -> str:
+    """Return what is added to the question before a motion: where the arm stands outside its limits, what file, the
+    limits.yaml that was given, leaves open, and who may speak on the link."""
     open_ = "" if file is None else left_open(guard.limits, file.name)
-    return "".join(f" Note: {text}." for text in (outside, open_) if text)
+    return "".join(f" Note: {text}." for text in (outside, open_, open_to_all(job)) if text)
 
 
 def left_open(limits: Limits, file: str) -> str:

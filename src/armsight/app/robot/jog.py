@@ -99,7 +99,7 @@ def jog_robot(
         j = job.joint - 1
         goal = start + job.by * (np.arange(len(start)) == j)
         _check_range(job, guard, float(start[j]), outside)
-        if not confirm(question(job, robot, guard, float(start[j])) + noted(outside, guard, job.limits)):
+        if not confirm(question(job, robot, guard, float(start[j])) + noted(outside, guard, job, job.limits)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
         with recording(job.record, clock) as sink:
             source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)

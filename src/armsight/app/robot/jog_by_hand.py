@@ -53,7 +53,7 @@ def jog_by_hand(
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
     with robot, inputs(job.hand, axes) as hand:
         outside = standing_outside(guard, robot)
-        if not confirm(_question(robot, guard, source.frame, hand) + noted(outside, guard, job.limits)):
+        if not confirm(_question(robot, guard, source.frame, hand) + noted(outside, guard, job, job.limits)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
         enable = Enable(clock)
         with recording(job.record, clock) as sink:

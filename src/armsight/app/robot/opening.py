@@ -43,7 +43,7 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
     return cast(Robot, maker(name, settings=dict(settings or {}), clock=clock))
 
 
-TAKES_ARM, TAKES_TAGS = ("alter", "egm", "rsi"), "rsi"
+TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "egm", "rsi"), "rsi", ("egm", "rsi")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,6 +70,17 @@ def robot_of(job: RobotJob, clock: Clock, arm: Arm | None = None) -> Robot:
     """Return the robot that a job names, with its driver's settings; nothing is opened yet. Raises as open_robot."""
     settings = driver_settings(job.robot, job.robot_settings, arm=arm, rsi_config=job.rsi_config)
     return open_robot(job.robot, clock, settings)
+
+
+def open_to_all(job: RobotJob) -> str:
+    """Return, in words, that a link listens on every network of this computer; empty where it does not."""
+    settings = job.robot_settings or {}
+    if job.robot.partition(":")[0] not in LISTENS or settings.get("controller") or settings.get("bind"):
+        return ""
+    return (
+        f"{job.robot} listens on every network of this computer, and takes the first controller that sends; with "
+        "--robot-set controller=ADDRESS it listens to that one alone"
+    )
 
 
 def refuse_settings(job: RobotJob) -> None:

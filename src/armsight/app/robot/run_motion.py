@@ -92,7 +92,9 @@ def run_motion(
     with robot:
         outside = standing_outside(guard, robot)
         with beside_outside(outside):
-            asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(outside, guard, job.limits)
+            asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(
+                outside, guard, job, job.limits
+            )
         if not confirm(asked):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
         run = _Run(job, robot, guard, source, clock, progress, cameras)

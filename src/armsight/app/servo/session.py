@@ -245,7 +245,9 @@ class ServoSession:
                 self._beside.begin(source, self._guard.arm, clock, recorder.sink)
                 vision.beside = self._beside.observe
             outside = standing_outside(self._guard, robot)
-            if not confirm(question(robot, self._guard, gain, source) + noted(outside, self._guard, self._job.limits)):
+            if not confirm(
+                question(robot, self._guard, gain, source) + noted(outside, self._guard, self._job, self._job.limits)
+            ):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             tally = Tally(source, progress.cancelled)
             loop = ControlLoop(
