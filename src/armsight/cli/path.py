@@ -125,7 +125,9 @@ def check(
         face.say(f"  {issue.text}")
     if len(done.issues) > 20:
         face.say(f"  ... and {len(done.issues) - 20} more")
-    verdict = "can run the path" if done.ok else "cannot run the path as it is"
+    verdict = "can run the path" if done.ok else f"cannot run the path as it is ({done.refused})"
+    if done.ok and done.issues:
+        verdict += ", slower than asked where that is told"
     face.say(f"{done.arm} {verdict}: {done.n_reached} of {done.n} rows reached, {done.duration_s:.2f} s")
     face.result(done)
     if not done.ok:

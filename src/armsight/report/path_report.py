@@ -49,14 +49,27 @@ FLATTEST = 0.4
 
 
 def path_report(
-    path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck, *, name: str, created: datetime | None = None
+    path: TaughtPath,
+    arm: Arm,
+    limits: Limits,
+    found: PathCheck,
+    *,
+    name: str,
+    refused: str = "",
+    created: datetime | None = None,
 ) -> str:
-    """Return the page of what check_path found, as HTML text that needs no other file; path in world or base."""
+    """Return the page of what check_path found, as HTML text that needs no other file; path in world or base.
+
+    refused: why play does not run it, where it does not.
+    """
     runs = _runs(found.issues)
+    slower = ", slower than asked in those below" if found.issues else ""
     verdict = (
-        Verdict(level="good", word="can be run", sentence=f"{arm.name} can run all {found.rows} rows.", to_do=RUN)
-        if found.ok
-        else Verdict(level="bad", word="cannot be run", sentence=_sentence(arm, found, runs), to_do=MEND)
+        Verdict(
+            level="good", word="can be run", sentence=f"{arm.name} can run all {found.rows} rows{slower}.", to_do=RUN
+        )
+        if found.ok and not refused
+        else Verdict(level="bad", word="cannot be run", sentence=_sentence(arm, found, runs, refused), to_do=MEND)
     )
     page = Page(title=f"{name} on {arm.name}", subtitle=_subtitle(path), verdict=verdict, cards=_cards(path, found))
     around, alone = _scenes(path, arm, limits, found, runs)
@@ -84,7 +97,9 @@ def _subtitle(path: TaughtPath) -> str:
     return f"{len(path)} rows in {path.parent}, {path.length_m[-1]:.3f} m"
 
 
-def _sentence(arm: Arm, found: PathCheck, runs: Sequence[Sequence[PathIssue]]) -> str:
+def _sentence(arm: Arm, found: PathCheck, runs: Sequence[Sequence[PathIssue]], refused: str) -> str:
+    if refused and found.ok:
+        return f"{arm.name} cannot run this path: {refused}."
     first = runs[0][0].text if runs else "not every row is reached"
     return f"{arm.name} cannot run this path: {len(found.issues)} troubles. The first: {first}."
 

@@ -209,6 +209,7 @@ def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> Path
         robot.limits,
         speed_m_s=asked.speed_m_s,
         start=robot.joints(),
+        keep_rotation=asked.keep_rotation,
         out=asked.folder / "path-check.html",
         name=FILE,
     )

@@ -148,7 +148,7 @@ def _checked(job: ExportJob, path: TaughtPath, arm: Arm, jumps: tuple[PathJump, 
     limits = Limits() if job.limits is None else read_limits(job.limits)
     first = None if job.start is None else reading_values(arm, job.start)
     found = check_path(path, arm, limits, speed_m_s=job.speed_m_s, start=first, taught=False)
-    if not found.ok:
+    if found.issues or not found.ok:  # another controller slows down in its own way, or not
         text = "; ".join(issue.text for issue in found.issues[:TOLD])
         more = f"; and {len(found.issues) - TOLD} more" if len(found.issues) > TOLD else ""
         raise Inconsistent(

@@ -278,10 +278,10 @@ class _Play:
 
     def _show_check(self, found: PathCheckOutput) -> None:
         if found.ok:
-            figures = {"n": found.n, "length": found.length_m / MM, "time": found.duration_s}
+            figures = {"n": found.n, "length": found.length_m / MM, "time": found.play_s}
             _say(self._said, texts.PATH_OK.format(**figures))
         else:
-            _say(self._said, texts.PATH_NOT_OK, "bad")
+            _say(self._said, texts.PATH_NOT_OK.format(why=found.refused), "bad")
         with self._issues:
             for issue in found.issues[:5]:
                 text_of("p", issue.text)

@@ -41,6 +41,10 @@ class PathTrouble(StrEnum):
     FORBIDDEN = "forbidden"
 
 
+SLOWED = frozenset({PathTrouble.SPEED, PathTrouble.TURN, PathTrouble.JOINT_SPEED})
+"""What keeps no arm from its path: play goes slower there."""
+
+
 @output
 class PathIssue(Output):
     """Trouble at a row of a path, or on the way to it; value and limit: NaN where there is none."""
@@ -74,8 +78,8 @@ class PathCheck:
 
     @property
     def ok(self) -> bool:
-        """Whether every row is reached without trouble."""
-        return not self.issues and len(self.q) == self.rows
+        """Whether every row is reached without trouble, but for speeds that play lowers."""
+        return len(self.q) == self.rows and all(issue.trouble in SLOWED for issue in self.issues)
 
 
 def check_path(

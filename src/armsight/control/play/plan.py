@@ -10,7 +10,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.paths import PathCheck, PathTrouble, check_path
+from armsight.control.paths import PathCheck, check_path
+from armsight.control.paths.check import SLOWED
 from armsight.control.paths.outliers import SAME_M, distinct_rows, of_rows, path_jumps
 from armsight.control.play.shape import TURN_M, Shape, shaped, steps, welds_of
 from armsight.control.play.timing import SPEED_SHARE, timed
@@ -39,8 +40,6 @@ LEAST_SPEED_M_S = 2e-4
 """A path that allows no more than this somewhere has a corner there that nobody can run through."""
 TURNS_RAD = 1e-3
 """Of an arm that cannot turn its tool at will: a path's rotation is met that is no further from the arm's own."""
-SLOWED = frozenset({PathTrouble.SPEED, PathTrouble.TURN, PathTrouble.JOINT_SPEED})
-"""What is no trouble: the plan goes slower there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
