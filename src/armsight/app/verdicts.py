@@ -31,6 +31,20 @@ def of_verification(done: Any) -> Verdict | None:
     return live_verdict(done).told if isinstance(done, VerifyLiveOutput) else None
 
 
+def of_measurement(run: Any) -> Verdict | None:
+    """Return the verdict of what was measured."""
+    from armsight.report.measure import measure_verdict
+
+    return measure_verdict(run).told
+
+
+def of_identification(result: Any, sweeps: Any, rig: Any) -> Verdict | None:
+    """Return the verdict of an arm that was identified."""
+    from armsight.report.identify_report import identify_verdict
+
+    return identify_verdict(result, sweeps, rig).told
+
+
 def of_camera(done: Any) -> Verdict | None:
     """Return the verdict of a camera's calibration; None of its noise alone."""
     from armsight.app.calibrate.reports import camera_run

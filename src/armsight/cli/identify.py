@@ -23,7 +23,7 @@ UNITS = (MM, DEG, MM, DEG)
 LIVE_ALONE = ("--propose", "--limits", "--model", "--leave-out")
 
 
-@command(app, panels=(CAMERAS, TABLES), filed="identify")
+@command(app, panels=(CAMERAS, TABLES), filed="identify", judged=True)
 def identify(
     face: CommandUI,
     out: requests.identify.Result,

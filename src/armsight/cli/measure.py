@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from armsight.drivers import PairSettings
 
 
-@command(app, keeps=MEASURED)
+@command(app, keeps=MEASURED, judged=True)
 def measure(
     face: CommandUI,
     job: requests.measure.MeasureJob,

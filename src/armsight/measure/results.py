@@ -7,6 +7,7 @@ from typing import Annotated
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import BothCounts, BothSeconds, PoseStd, Skew
+from armsight.records.verdict import Verdict
 
 
 @output
@@ -146,3 +147,4 @@ class MeasureOutput(Output):
     ] = None
     zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
     made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
+    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None

@@ -82,20 +82,24 @@ def identify_report(
     return page.html(created=created or datetime.now())
 
 
+def identify_verdict(result: Identification, sweeps: Sweeps, rig: Rig | None) -> Verdict:
+    """Return what the page of an identified arm says first."""
+    sure = all(joint.decided for joint in result.joints)
+    return Verdict(
+        level="good" if sure else "warn",
+        word="Types decided" if sure else "A type is not decided",
+        sentence=_sentence(result, None if rig is None else _lean(rig, sweeps)),
+        to_do=_to_do(result),
+    )
+
+
 def _head(result: Identification, sweeps: Sweeps, rig: Rig | None) -> Page:
     """Return the page with its title, verdict and figures, as yet without sections."""
-    sure = all(joint.decided for joint in result.joints)
-    lean = None if rig is None else _lean(rig, sweeps)
     kinds = "".join("R" if joint.axis.revolute else "P" for joint in result.joints)
     return Page(
         title=f"Identified arm: {kinds}",
         subtitle=f"{len(sweeps)} readings, method {result.method}",
-        verdict=Verdict(
-            level="good" if sure else "warn",
-            word="Types decided" if sure else "A type is not decided",
-            sentence=_sentence(result, lean),
-            to_do=_to_do(result),
-        ),
+        verdict=identify_verdict(result, sweeps, rig),
         cards=_cards(result, rig),
     )
 

@@ -63,6 +63,12 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     return page.html(created=created or datetime.now())
 
 
+def measure_verdict(run: MeasureRun) -> Verdict:
+    """Return what the page of a measurement says first."""
+    errors = errors_of(run.poses, run.truth) if run.truth is not None else None
+    return _verdict(run, series_of(run.poses, timed=run.timed, apart=run.stills), errors)
+
+
 def _subtitle(run: MeasureRun, series: Series) -> str:
     n = len(run.poses)
     if n < 2:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -60,3 +61,26 @@ def test_results_that_differ_are_told_by_the_exit_code(armsight: Any, tmp_path: 
     for done in (alike, other):
         assert done.code == (0 if done.json["verdict_"]["level"] == "good" else 3)
     assert other.code == 3
+
+
+def test_a_measurement_with_gaps_ends_a_checked_command_with_3(armsight: Any, tmp_path: Path) -> None:
+    cell = tmp_path / "cell"
+    assert armsight("simulate", "hand-cell", "--frames", "8", "--room", "dark", "-o", cell).code == 0
+    flags = [
+        "--rig",
+        cell / "rig.yaml",
+        "--target",
+        cell / "target.yaml",
+        "--left",
+        cell / "left",
+        "--right",
+        cell / "right",
+    ]
+    whole = armsight("measure", *flags, "-o", tmp_path / "whole", "--check")
+    assert (whole.code, whole.json["verdict_"]["level"]) == (0, "good")
+    for name in sorted((cell / "left").iterdir())[2:5]:  # dark: the target is not seen in them
+        cv2.imwrite(str(name), np.zeros_like(cv2.imread(str(name))))
+    gaps = armsight("measure", *flags, "-o", tmp_path / "gaps", "--check")
+    assert gaps.code == 3 and gaps.json["verdict_"]["level"] == "care"
+    assert gaps.json["verdict_"]["headline"] in (tmp_path / "gaps" / "report.html").read_text()
+    assert armsight("measure", *flags, "-o", tmp_path / "unchecked").code == 0

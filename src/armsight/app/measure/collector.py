@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.verdicts import of_measurement
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import MeasureOutput
 from armsight.optics import SIDES
@@ -72,8 +73,8 @@ class Collector:
             self._keep_residuals(number, pose)
         self._keep_sample(number, (left, right), measured, pose)
 
-    def write(self, path: Path, summary: MeasureOutput, about: About) -> None:
-        """Write the report of the pairs so far."""
+    def write(self, path: Path, summary: MeasureOutput, about: About) -> MeasureOutput:
+        """Write the report of the pairs so far; return the figures with its verdict."""
         run = MeasureRun(
             poses=self._poses,
             rig=self._setup.rig,
@@ -95,6 +96,7 @@ class Collector:
             consistency=summary.consistency,
         )
         write_text(path, measure_report(run))
+        return replace(summary, verdict_=of_measurement(run))
 
     def _keep_residuals(self, number: int, pose: TargetPose) -> None:
         vectors = pose.residual_px.reshape(-1, len(SIDES), 2)  # (n, side, u v), model minus measured

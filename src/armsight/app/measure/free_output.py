@@ -29,6 +29,7 @@ from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.sources.bags import read_motion
 from armsight.app.sources.frames import recordings_in
+from armsight.app.verdicts import of_measurement
 from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
@@ -72,7 +73,9 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
     summary = _summary(done, [one.pose for one in moved], ms)
     summary = replace(summary, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
-    write_text(job.out / REPORT, measure_report(_report(job, setup, world, done, moved, summary)))
+    shown = _report(job, setup, world, done, moved, summary)
+    write_text(job.out / REPORT, measure_report(shown))
+    summary = replace(summary, verdict_=of_measurement(shown))
     write_json(job.out / SUMMARY, summary.to_dict())
     return summary
 

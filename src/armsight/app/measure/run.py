@@ -140,7 +140,7 @@ def run(
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
     summary = replace(summary, assumed_fps=about.assumed_fps, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
-    report.write(out / REPORT, summary, about)
+    summary = report.write(out / REPORT, summary, about)
     write_json(out / SUMMARY, summary.to_dict())
     if failure is not None:
         raise _with_path(failure, outputs, out)
