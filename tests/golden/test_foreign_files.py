@@ -14,7 +14,7 @@ from armsight.geometry import is_close
 from armsight.optics import Camera
 from armsight.store import foreign
 from armsight.store.foreign.opencv import opencv_rig
-from armsight.store.foreign.ros import ros_mapping, ros_rig
+from armsight.store.foreign.ros import ros_camera, ros_mapping, ros_rig
 from armsight.store.yamls import dump_yaml, parse_yaml, read_yaml
 from refusals import refuses
 
@@ -170,9 +170,9 @@ def test_other_models_are_refused_by_name():
         ros_rig({**content, "distortion_model": "thin_prism"}, content, "l", "r")
     with refuses(BadFile, "5 coefficients", "fisheye", "four"):
         ros_rig({**content, "distortion_model": "equidistant"}, content, "l", "r")
-    wide = {**content, "distortion_coefficients": {"rows": 1, "cols": 8, "data": [0.0] * 5 + [0.1, 0.0, 0.0]}}
-    with pytest.raises(BadFile, match="rational"):
-        ros_rig(wide, content, "l", "r")
+    bent = {**content, "distortion_coefficients": {"rows": 1, "cols": 8, "data": [0.0] * 5 + [10.0, -30.0, 60.0]}}
+    with refuses(BadFile, "rational", "8 coefficients", "armsight calibrate camera"):
+        ros_camera(bent, "l")
 
 
 def test_a_pair_that_is_swapped_or_none_is_recognised():

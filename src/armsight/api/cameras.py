@@ -14,7 +14,7 @@ import numpy as np
 from armsight.api.arrays import Image, ImageLike, as_images
 from armsight.api.checks import speaks_python
 from armsight.api.results import Result, Row, with_std
-from armsight.app.calibrate.board_images import COUNT_AGAIN, Seen, in_parallel, see_board
+from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, see_board
 from armsight.app.calibrate.mirrors import mirrors_output
 from armsight.app.calibrate.zoom import add_setting
 from armsight.app.requests.calibrate_cameras import CameraJob, MirrorsJob, StereoJob, ZoomFlags, ZoomValue
@@ -203,7 +203,7 @@ def calibrate_camera(
     seen = _seen(as_images(images, "image", bits), target, _detector(detector))
     views = [view for _, view in seen if isinstance(view, BoardView)]
     missed = tuple(RejectedFile(name, view.why) for name, view in seen if isinstance(view, NotSeen))
-    _require(views, missed)
+    _require(views, missed, target)
     done = solvers.calibrate_camera(views, target, options)
     return CameraResult(detail=replace(done, rejected=(*missed, *done.rejected)))
 
@@ -240,7 +240,7 @@ def calibrate_stereo(
     pairs = _paired(as_images(left_images, "left image", bits), as_images(right_images, "right image", bits))
     how = _detector(detector)
     left, right, missed = _both(_seen(pairs[0], target, how), _seen(pairs[1], target, how))
-    _require(left, missed)
+    _require(left, missed, target)
     done = solvers.calibrate_stereo(left, right, target, options)
     done = replace(done, n_pairs=len(pairs[0]), rejected=(*missed, *done.rejected))
     return RigResult(rig=done.rig, detail=done)
@@ -276,7 +276,7 @@ def calibrate_mirrors(
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
     missed = tuple(RejectedFile(name, views.why) for name, views in seen if isinstance(views, NotSeen))
     found = [views for _, views in seen if not isinstance(views, NotSeen)]
-    _require([left for left, _ in found], missed)
+    _require([left for left, _ in found], missed, target)
     done: MirrorCalibration = mirror_solver.calibrate_mirrors(
         [left for left, _ in found], [right for _, right in found], target, thickness_m=thickness_m, options=options
     )
@@ -345,13 +345,13 @@ def _both(
     return views[0], views[1], tuple(missed)
 
 
-def _require(views: list[BoardView], missed: Rejected) -> None:
+def _require(views: list[BoardView], missed: Rejected, board: Target) -> None:
     if not views:
         first = f"; in the first, {missed[0][0]}: {missed[0][1]}" if missed else ": there are none"
         raise NotEnoughData(
             f"the board was found in none of the images{first}",
             consequence="Nothing was calibrated",
-            cure=COUNT_AGAIN,
+            cure=count_again(board),
         )
 
 

@@ -108,7 +108,7 @@ def convert(
     to: str | None = None,
     kind: Kind | None = None,
     size: tuple[int, int] | None = None,
-    unit_m: float = FileUnits.unit_m,
+    unit_m: float | None = FileUnits.unit_m,
     convention: Literal["standard", "craig"] | None = None,
     names: FrameNames | None = None,
     table: TableFormat = OURS,

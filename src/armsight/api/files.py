@@ -44,7 +44,7 @@ def read_rig(
     path: PathText | list[PathText] | tuple[PathText, ...],
     *,
     size: tuple[int, int] | None = None,
-    unit_m: float = FileUnits.unit_m,
+    unit_m: float | None = FileUnits.unit_m,
     zoom_left: float | None = None,
     zoom_right: float | None = None,
 ) -> Rig:

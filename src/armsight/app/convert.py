@@ -69,7 +69,8 @@ def convert_camera(
     """Convert a camera's file; to: one of WRITTEN, default armsight. Raises DataRefused or UsageError."""
     kind = _kind(source, "armsight/camera")
     to = _wanted(kind, to)
-    camera = load_camera(source, size=size)
+    told: list[str] = []
+    camera = load_camera(source, size=size, told=told)
     write: Mapping[str, Callable[[], None]] = {
         "armsight": lambda: write_camera(out, camera, inputs=[source]),
         "ros": lambda: camera_to_ros(out, camera),
@@ -78,29 +79,38 @@ def convert_camera(
         "colmap": lambda: cameras_to_colmap(out, [camera]),
     }
     write[to]()
-    return _done(kind, to, [out])
+    return _done(kind, to, [out], note="; ".join(told))
 
 
-def load_camera(source: Path, *, size: tuple[int, int] | None = None) -> Camera:
-    """Return the camera in a file of ours or of one of KINDS. Raises BadFile."""
+def load_camera(source: Path, *, size: tuple[int, int] | None = None, told: list[str] | None = None) -> Camera:
+    """Return the camera in a file of ours or of one of KINDS; told: takes what is to be said. Raises BadFile."""
     read: Mapping[str, Callable[[Path], Camera]] = {
         "armsight": read_camera,
-        "ros": camera_from_ros,
-        "opencv": lambda path: camera_from_opencv(path, size=size),
+        "ros": lambda path: camera_from_ros(path, told=told),
+        "opencv": lambda path: camera_from_opencv(path, size=size, told=told),
         "kalibr": camera_from_kalibr,
     }
     return read[_kind(source, "armsight/camera")](source)
 
 
-def load_rig(sources: Sequence[Path], *, size: tuple[int, int] | None = None, unit_m: float = 1.0) -> Rig:
-    """Return the rig in a file, or in the two files, of ours or of one of KINDS. Raises BadFile, UsageError."""
+def load_rig(
+    sources: Sequence[Path],
+    *,
+    size: tuple[int, int] | None = None,
+    unit_m: float | None = None,
+    told: list[str] | None = None,
+) -> Rig:
+    """Return the rig in a file, or in the two files, of ours or of one of KINDS; told: takes what is to be said.
+
+    Raises BadFile, UsageError.
+    """
     kind = _kind(sources[0], "armsight/rig")
     _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
     read: Mapping[str, Callable[[], Rig]] = {
         "armsight": lambda: read_rig(sources[0]),
-        "ros": lambda: rig_from_ros(sources[0], sources[1]),
-        "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m),
-        "kalibr": lambda: rig_from_kalibr(sources[0]),
+        "ros": lambda: rig_from_ros(sources[0], sources[1], unit_m=unit_m, told=told),
+        "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m, told=told),
+        "kalibr": lambda: rig_from_kalibr(sources[0], unit_m=unit_m),
     }
     return read[kind]()
 
@@ -111,21 +121,23 @@ def convert_rig(
     *,
     to: str | None = None,
     size: tuple[int, int] | None = None,
-    unit_m: float = 1.0,
+    unit_m: float | None = None,
 ) -> ConvertOutput:
     """Convert a rig's file, or its two files (ROS: left, right; OpenCV: intrinsics, extrinsics).
 
     to: one of WRITTEN, default armsight; ROS wants two outs, and may take a third for a launch file with the transforms
-    (TF) between the cameras; the others want one. size (width, height) and unit_m are for
-    OpenCV's files, which may leave them out. Raises DataRefused or UsageError.
+    (TF) between the cameras; the others want one. size (width, height): of OpenCV's
+    files, which may leave it out. unit_m: the length of their unit in metres, where it is not the metre. Raises
+    DataRefused or UsageError.
     """
     kind = _kind(sources[0], "armsight/rig")
     to = _wanted(kind, to)
-    rig, note = load_rig(sources, size=size, unit_m=unit_m), ""
+    told: list[str] = []
+    rig = load_rig(sources, size=size, unit_m=unit_m, told=told)
     _count("output", outs, to, (2, 3) if to == "ros" else (1,))
     if to != "armsight" and rig.left.plate is not None:
         rig, rms_px = pinhole_pair(rig)
-        note = f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off"
+        told.append(f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off")
     write: Mapping[str, Callable[[], None]] = {
         "armsight": lambda: write_rig(outs[0], rig, inputs=sources),
         "ros": lambda: _rig_to_ros(outs, rig),
@@ -134,7 +146,7 @@ def convert_rig(
         "colmap": lambda: cameras_to_colmap(outs[0], [rig.left, rig.right]),
     }
     write[to]()
-    return _done(kind, to, outs, note=note)
+    return _done(kind, to, outs, note="; ".join(told))
 
 
 def _rig_to_ros(outs: Sequence[Path], rig: Rig) -> None:

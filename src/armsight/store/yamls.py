@@ -128,6 +128,7 @@ for _name, _constructor in (
     ("seq", _list),
     ("map", _mapping),
     ("opencv-matrix", _mapping),
+    ("opencv-nd-matrix", _mapping),
 ):
     _Loader.add_constructor(_TAG + _name, _constructor)
 

@@ -11,11 +11,20 @@ from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board, find_two_boards
 from armsight.records import BoardView, Frame, NotSeen, Target, TargetKind
 
-COUNT_AGAIN = (
-    "Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), or the circles, and check "
-    "that the whole board is in the images"
-)
-"""What to do where no image shows the board."""
+_COUNTED = {
+    TargetKind.CHECKERBOARD: "inner corners, where four squares meet (a board of 10x7 squares has 9x6)",
+    TargetKind.CIRCLES: "circles",
+    TargetKind.ACIRCLES: "circles of a column and of a row",
+    TargetKind.CHARUCO: "squares (not the inner corners), and check the name of the markers' dictionary",
+    TargetKind.APRILGRID: "tags",
+}
+"""What columns and rows of a board are counts of."""
+
+
+def count_again(board: Target) -> str:
+    """Return what to do where no image shows the board."""
+    return f"Count the board's {_COUNTED[board.kind]}, and check that it is sharp and well lit in the images"
+
 
 Seen = BoardView | NotSeen
 """The view, or why there is none."""
@@ -63,7 +72,7 @@ def require_counts(seen: Sequence[Seen], board: Target, text: str) -> None:
     (size, count), *_ = sizes.most_common(1)
     if count <= n_views:
         return
-    counted = "circles" if board.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES) else "inner corners"
+    counted = _COUNTED[board.kind].split(" (")[0].split(",")[0]
     right = text.replace(f"{board.columns}x{board.rows}", f"{size[0]}x{size[1]}", 1)
     raise Inconsistent(
         f"a board of {size[0]}x{size[1]} {counted} is seen in {count} of {len(seen)} images, "

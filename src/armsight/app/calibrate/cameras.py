@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from armsight.app.calibrate.board_images import COUNT_AGAIN, Seen, in_parallel, require_counts, see_board
+from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.app.calibrate.camera_noise import FoundNoise, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
@@ -152,7 +152,7 @@ def _require(views: Sequence[BoardView], rejected: Sequence[RejectedFile], board
     raise NotEnoughData(
         f"the board {board} was found in none of the images; in the first, {file}: {why}",
         consequence="Nothing was calibrated",
-        cure=COUNT_AGAIN,
+        cure=count_again(parse_board(board)),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
-from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
+from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
@@ -23,12 +23,13 @@ from armsight.calibrate.handeye import (
     pairs_of_streams,
     propose,
 )
+from armsight.calibrate.handeye.board_turns import turned_views
 from armsight.calibrate.tooltip import MeasuredPoint, calibrate_tooltip
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera
-from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
+from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, Target, TargetPose
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
@@ -187,16 +188,42 @@ def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
         raise NotEnoughData(
             f"the board {job.board} was found in none of the images; {unseen[0][0]}: {unseen[0][1]}",
             consequence="Nothing was calibrated",
-            cure="Check the number of inner corners or circles in --board",
+            cure=count_again(board),
         )
     progress.update(0, 0, "solving")
+    solved = _solved(job, views, camera, board, robot, pictures)
+    missed = tuple(RejectedPair(row=None, name=name, why=why) for name, why in unseen)
+    return replace(solved, result=replace(solved.result, unseen=missed))
+
+
+def _solved(
+    job: HandEyeJob,
+    views: list[BoardView],
+    camera: Camera,
+    board: Target,
+    robot: Mapping[str, RigidTransform],
+    pictures: BoardPictures,
+) -> Solved:
+    """Return the calibration from the board's views."""
+    views, n_turned = turned_views(views, [robot[Path(view.source).name] for view in views], camera, board, job.setup)
     hand = ViewsOfHand(views=views, camera=camera, board=board, setup=job.setup, free_camera=job.free_camera)
     done = hand.calibrated(robot, job.table, lambda other: _robot_poses(replace(job, table=other)))
-    inputs = [job.camera, job.robot, *list_images(job.images)]
-    boards = hand_boards(done.result, views, done.camera, board, pictures)
-    freed = None if done.camera is camera else done.camera
-    missed = tuple(RejectedPair(row=None, name=name, why=why) for name, why in unseen)
-    return Solved(result=replace(done.result, unseen=missed), inputs=inputs, boards=boards, freed=freed)
+    return Solved(
+        result=replace(done.result, advice=(*_of_turned(n_turned, views, board), *done.result.advice)),
+        inputs=[path for path in (job.camera, job.robot) if path is not None] + list(list_images(job.images)),
+        boards=hand_boards(done.result, views, done.camera, board, pictures),
+        freed=None if done.camera is camera else done.camera,
+    )
+
+
+def _of_turned(n_turned: int, views: Sequence[BoardView], board: Target) -> list[str]:
+    """Return what to say of images in which a board that looks the same turned was the other way round."""
+    if not n_turned:
+        return []
+    return [
+        f"A board of {board.columns}x{board.rows} looks the same turned: {n_turned} of {len(views)} images are read "
+        "the other way round, as the robot's poses say. A board with an odd and an even count (9x6) leaves no choice."
+    ]
 
 
 def _from_streams(job: HandEyeJob) -> Solved:

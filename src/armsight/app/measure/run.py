@@ -287,7 +287,7 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency, *, board: bool) ->
             cure="Check that both cameras' times are on one clock, or allow more (--max-skew)",
         )
     first = outputs.commonest
-    if consistency.refused > 0.0:
+    if consistency.refused > 0.0 or consistency.instead:
         return NotEnoughData(
             f"the target is seen in the {outputs.n_frames} pairs and fits in none of them. {sentence(consistency)}",
             consequence="There is no pose",

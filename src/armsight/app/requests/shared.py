@@ -55,7 +55,10 @@ Base: TypeAlias = Annotated[
     str | None, Doc("Of a URDF: the arm's base link. [default: the root]"), Flag(metavar="LINK")
 ]
 UnitLength: TypeAlias = Annotated[
-    float, Doc("Length of an OpenCV file's unit in m."), Bounds(least=1e-9), Flag("--unit")
+    float | None,
+    Doc("Length of the unit of another program's file in m. [default: 1, asked for beyond 1 m]"),
+    Bounds(least=1e-9),
+    Flag("--unit"),
 ]
 MaxSkew: TypeAlias = Annotated[
     float | None,
@@ -69,7 +72,7 @@ MaxSkew: TypeAlias = Annotated[
 class FileUnits:
     """What the unit of a file of another program is."""
 
-    unit_m: UnitLength = 1.0
+    unit_m: UnitLength = None
 
 
 CAMERAS = "Live cameras (both the same)"

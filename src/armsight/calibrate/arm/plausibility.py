@@ -14,6 +14,7 @@ from armsight.calibrate.arm.initial_guess import mounts_by_turns, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.other_arm import explained
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.calibrate.arm.senses import other_senses
 from armsight.errors import Degenerate, Inconsistent
 from armsight.kinematics import Arm, fk
 from armsight.units import MM
@@ -47,6 +48,9 @@ def check_fit(model: ArmModel, points: ArmPoints, error_m: Array) -> None:
     """Raise Inconsistent where the best fit's errors (m,) say that the measurements are not of this arm."""
     spread = spread_m(points.xyz_m)
     if exceeded(error_m) > MOST_SHARE * spread:
+        senses = other_senses(model.arm, points)
+        if senses is not None:
+            raise senses[0].refusal(model.arm, senses[1])
         other = explained(model, points)
         raise senseless(error_m, spread, () if other else _disagreeing(model, points, MOST_SHARE * spread), other)
 

@@ -23,7 +23,6 @@ from armsight.calibrate.handeye.pairs import (
     pose,
     require_metres,
     require_turning,
-    rotation_excitation,
 )
 from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
@@ -115,13 +114,12 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     repeated = {row: why for row, _, why in pairs.duplicates()}
     rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
     chosen = pairs.take(rows) if repeated else pairs
-    require_turning(rotation_excitation(chosen.T_base_flange.rotation))
+    require_turning(chosen)
     solution, left_out, order = _solve_in_order(chosen, setup)
     _require_others(chosen, order[solution.keep & ~np.isfinite(left_out).all(axis=1)])
     used = np.zeros(len(pairs), bool)
     used[rows[order[solution.keep]]] = True
-    turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
-    require_turning(turned)
+    turned = require_turning(pairs.take(np.flatnonzero(used)))
     uncertain = uncertainty(solution)
     found = residuals(pairs.arrays(setup), *solution.poses)
     errors = found.copy()

@@ -218,24 +218,55 @@ def rotation_excitation(rotations: Rotation) -> RotationExcitation:
     return RotationExcitation(rotvecs_rad=w, rms_rad=rms, axes=vectors.T[::-1])
 
 
-def require_turning(found: RotationExcitation) -> None:
-    """Raise Degenerate where the hand turned too little, or about one axis only."""
+STALE = 2.0
+"""Turns that the camera sees and the robot does not say, by this factor: both turn alike, whatever is mounted where."""
+TURN_CURE = (
+    "Add poses that tilt the hand by 15 to 30 degrees about at least two axes that are not parallel. Where the arm "
+    "cannot tilt (SCARA, palletiser, gantry), let the camera stand beside it and use `armsight calibrate robot-world`, "
+    "which needs joint readings and places, and no tilt"
+)
+
+
+def require_turning(pairs: PosePairs) -> RotationExcitation:
+    """Return how far the hand turned; raise Degenerate where it turned too little, or about one axis only.
+
+    Raises Inconsistent where the camera saw it turn and the robot's poses do not say so.
+    """
+    found, seen = (rotation_excitation(poses.rotation) for poses in (pairs.T_base_flange, pairs.T_camera_target))
     first, second, _ = found.rms_rad
     if second >= LEAST_TURN_RAD:
-        return
-    cure = "Add poses that tilt the hand by 15 to 30 degrees about at least two axes that are not parallel"
+        return found
+    _require_fresh(pairs, found, seen)
     if first < LEAST_TURN_RAD:
         raise Degenerate(
             f"the hand turns by only {first / DEG:.2g} degrees (root mean square) over all poses",
             consequence="Noise would decide where the camera is, by centimetres; no calibration is given",
-            cure=cure,
+            cure=TURN_CURE,
         )
     x, y, z = found.axes[0]
     raise Degenerate(
         f"the hand turns about one axis only, ({x:.2f}, {y:.2f}, {z:.2f}) in its own frame: {first / DEG:.3g} degrees "
         f"about it, {second / DEG:.2g} across it (root mean square)",
-        consequence="Where the camera is along that axis, and part of its orientation, cannot be known",
-        cure=cure,
+        consequence="Where the camera is along that axis cannot be known",
+        cure=TURN_CURE,
+    )
+
+
+def _require_fresh(pairs: PosePairs, found: RotationExcitation, seen: RotationExcitation) -> None:
+    """Raise Inconsistent where the camera's poses turn and the robot's, read along with them, do not."""
+    if not seen.rms_rad[1] >= max(LEAST_TURN_RAD, STALE * found.rms_rad[1]):
+        return
+    robot = pairs.T_base_flange.as_matrix()
+    copies = sum(len(_same(robot, i)) > 0 for i in range(1, len(pairs)))
+    turns = [float(each.rms_rad[0]) / DEG for each in (found, seen)]
+    cause = f"the robot's poses turn by {turns[0]:.2g} degrees (root mean square) and the camera's by {turns[1]:.2g}"
+    if copies:
+        cause += f"; {copies} of {len(pairs)} robot poses repeat another to the last digit"
+    raise Inconsistent(
+        cause,
+        consequence="The hand turned and its readings do not say so: they are stale, or in another unit of angle",
+        cure="Read the robot's pose anew at every image, once the hand stands; where angles are in radians, say "
+        "--units rad",
     )
 
 

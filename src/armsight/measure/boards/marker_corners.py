@@ -18,7 +18,8 @@ from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
 from armsight.measure.boards.gridmap import fit_map
 from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
-from armsight.records import BoardView, Target
+from armsight.records import BoardView, Target, TargetKind
+from armsight.records.target import board_target
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -111,7 +112,9 @@ def find_charuco(image: NDArray[np.uint8], board: Target, source: str) -> BoardV
     """Return those corners of a ChArUco board that are seen and verified; raises BadImage with the reason."""
     detector = _detector(board)
     corners, ids, _, markers = detector.detectBoard(image)
-    if ids is None or len(ids) < CHARUCO.least:
+    if _few(ids) and not _few(markers):
+        corners, ids = _of_old_layout(image, board)
+    if _few(ids):
         seen = 0 if markers is None else len(markers)
         mirrored = detector.detectBoard(np.ascontiguousarray(image[:, ::-1]))[1]
         CHARUCO.refuse_mirrored(0 if mirrored is None else len(mirrored), source)
@@ -120,13 +123,41 @@ def find_charuco(image: NDArray[np.uint8], board: Target, source: str) -> BoardV
             f"{CHARUCO.least} are needed",
             consequence="The image is not used",
             cure="Show more of the board, sharper and larger, and check its size and dictionary",
+            size=_exchanged(image, board) if not _few(markers) else None,
         )
     index = np.asarray(ids, dtype=np.intp).ravel()
     order = np.argsort(index)
     return _refined(image, board, index[order], np.asarray(corners, float).reshape(-1, 2)[order], source)
 
 
-def _detector(board: Target) -> Any:
+def _few(found: Any) -> bool:
+    return found is None or len(found) < CHARUCO.least
+
+
+def _of_old_layout(image: Grey, board: Target) -> tuple[Any, Any]:
+    """Return corners and ids of the layout before OpenCV 4.6, which some vendors print: of even rows it is another.
+
+    No image shows both: the markers stand on the other colour's squares.
+    """
+    corners, ids, *_ = _detector(board, old_layout=True).detectBoard(image)
+    return corners, ids
+
+
+def _exchanged(image: Grey, board: Target) -> tuple[int, int] | None:
+    """Return rows and columns where the board with these exchanged is there."""
+    other = board_target(
+        TargetKind.CHARUCO,
+        board.rows,
+        board.columns,
+        board.pitch_m,
+        marker_m=board.marker_m,
+        dictionary=board.dictionary,
+    )
+    found = [_detector(other, old_layout=old).detectBoard(image)[1] for old in (False, True)]
+    return None if all(_few(ids) for ids in found) else (board.rows, board.columns)
+
+
+def _detector(board: Target, *, old_layout: bool = False) -> Any:
     """Return OpenCV's detector for the board; raises Inconsistent where the description is not a board."""
     code = getattr(cv2.aruco, board.dictionary, None)
     if code is None or not board.dictionary.startswith("DICT_"):
@@ -136,6 +167,7 @@ def _detector(board: Target) -> Any:
         raise Inconsistent(f"a marker of {board.marker_m} m does not fit into a square of {board.pitch_m} m")
     dictionary = cv2.aruco.getPredefinedDictionary(code)
     charuco = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_m, board.marker_m, dictionary)
+    charuco.setLegacyPattern(old_layout)
     return cv2.aruco.CharucoDetector(charuco)
 
 

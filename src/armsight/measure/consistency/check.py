@@ -18,6 +18,7 @@ from armsight.measure.consistency import kernels
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE, causes_of
 from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, Consistency, Finding, judge
 from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of, stacked
+from armsight.measure.consistency.other_setups import what_fits
 from armsight.measure.motion.estimate import Filtered, Start
 from armsight.measure.motion.states import View
 from armsight.measure.poses.correspondence import match_known
@@ -32,6 +33,9 @@ from armsight.units import DEG, MM
 NEXT_LOOK = 1.5
 """... and each next time after so many times more."""
 
+
+MOST_KEPT = 12
+"""Moments by which other setups are tried where the given one does not fit."""
 
 MOST_REFITTED = 200
 """Refused frames that are looked at again (some milliseconds each): a run that is refused throughout says no more."""
@@ -58,6 +62,7 @@ class RunCheck:
         self._causes = causes_of(setup, self._evidence.basis)
         self._next = float(WINDOW)
         self._known: Consistency | None = None
+        self._kept: list[Measured] = []
 
     def add(self, measured: Measured) -> Measured:
         """Take one moment; return it with the pose's covariance widened by what is known to be wrong by now.
@@ -65,6 +70,8 @@ class RunCheck:
         Noise above the claimed one multiplies the part of the covariance that the spots make; a fault of rig or
         target adds its expected effect on this pose to the part that repeats.
         """
+        if len(self._kept) < MOST_KEPT and min(len(measured.left_seen), len(measured.right_seen)) >= 3:
+            self._kept.append(measured)
         self._evidence.add(self._telling(measured))
         if self._evidence.frames >= self._next:
             self._known = self._judge(changes=False)
@@ -83,7 +90,11 @@ class RunCheck:
     def finish(self) -> Consistency:
         """Return the verdict over the whole run."""
         self._evidence.finish()
-        return self._judge(changes=True)
+        found = self._judge(changes=True)
+        if self._whole and found.verdict != "inconsistent":
+            return found
+        other = what_fits(self._evidence.setup, self._kept)
+        return found if other is None else replace(found, instead=other.words, remedy=other.cure)
 
     def _judge(self, *, changes: bool) -> Consistency:
         share = self._refused / max(self._refused + self._whole, 1)
@@ -243,6 +254,8 @@ AXES = {f"about_{a}_rad": f"about its {a} axis" for a in "xyz"} | {f"{a}_m": f"a
 
 def sentence(found: Consistency) -> str:
     """Return what the check says in one or two sentences; empty where there is nothing to say."""
+    if found.instead:
+        return f"{found.instead}."
     if not found.findings and found.verdict == "inconsistent":
         return f"{100 * found.refused:.0f} % of the frames do not fit the target, and no one cause stands out."
     if not found.findings or found.verdict == "ok":
@@ -258,6 +271,8 @@ def sentence(found: Consistency) -> str:
 
 def advice(found: Consistency) -> str:
     """Return what to do about it; empty where there is nothing to do."""
+    if found.remedy:
+        return f"{found.remedy}."
     if found.as_calibrated and found.noise_scale > VERY_NOISY and not found.findings:
         return f"{FLAT_BOARD}, then {RECALIBRATE}."
     if found.verdict in ("ok", "unchecked"):

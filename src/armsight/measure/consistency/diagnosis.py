@@ -168,7 +168,8 @@ class Consistency:
     largest
     effect (m, 3-D RMS) on the poses that the run could not have told. refused: share of the frames with enough lights
     whose residuals cannot be noise, so that they gave no pose. residual_px: RMS of a board's points (2-D), beside that
-    which its rig was calibrated with; NaN of lights and where not known.
+    which its rig was calibrated with; NaN of lights and where not known. instead, remedy: of a run that does not fit,
+    what is wrong with rig or target by the setup that does fit (other_setups.py), and what to change.
     """
 
     verdict: str
@@ -184,6 +185,8 @@ class Consistency:
     undetected: dict[str, float] = field(default_factory=dict)
     residual_px: float = float("nan")
     calibration_px: float = float("nan")
+    instead: str = ""
+    remedy: str = ""
 
     @property
     def second_moment(self) -> Array | None:
@@ -232,6 +235,7 @@ def judge(
     if refused > MOSTLY and not significant:
         significant = [f for f in ranked if f.evidence > LIKELY_ODDS][:1]
     significant = [f for f in significant if f.cause.unit or f is significant[0]]  # "several" may be what others are
+    residual_px, calibration_px = _of_board(evidence)
     out = Consistency(
         verdict="ok",
         refused=refused,
@@ -244,17 +248,18 @@ def judge(
         findings=tuple(significant),
         equal=sum(f.evidence >= significant[0].evidence - EQUAL_ODDS for f in significant),
         undetected=_undetected(evidence, found),
-        **_of_board(evidence),
+        residual_px=residual_px,
+        calibration_px=calibration_px,
     )
     return replace(out, verdict="inconsistent" if refused > MOSTLY else _verdict(out))
 
 
-def _of_board(evidence: Evidence) -> dict[str, float]:
-    """Return the residuals of a board and of its rig's calibration, where both are known."""
+def _of_board(evidence: Evidence) -> tuple[float, float]:
+    """Return the residuals of a board and of its rig's calibration, px; NaN where not both are known."""
     known = evidence.setup.rig.rms_px
     if known is None or not evidence.setup.target.is_board:
-        return {}
-    return {"residual_px": sqrt(evidence.residual_px2 / evidence.residuals), "calibration_px": known}
+        return float("nan"), float("nan")
+    return sqrt(evidence.residual_px2 / evidence.residuals), known
 
 
 def noise_scale2(blocks: list[Block], width: Array) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Tell whose file a YAML file is, by the keys that only that program writes."""
+"""Tell whose file a file of a calibration is, by the keys that only that program writes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from armsight.store.yamls import read_yaml
+from armsight.store.foreign.storage import read_storage
 
 
 def kind_of_mapping(content: Mapping[str, Any]) -> str | None:
@@ -24,5 +24,5 @@ def kind_of_mapping(content: Mapping[str, Any]) -> str | None:
 
 
 def kind_of(path: Path) -> str | None:
-    """Return whose file this is; see kind_of_mapping. BadFile where it is not YAML at all."""
-    return kind_of_mapping(read_yaml(path))
+    """Return whose file this is; see kind_of_mapping. BadFile where it is neither YAML nor OpenCV's XML."""
+    return kind_of_mapping(read_storage(path))

@@ -64,15 +64,16 @@ def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
         return make(int(size[0]), int(size[1]), fu, fv, pu, pv, distortion=distortion)
 
 
-def rig_from_kalibr(path: Path) -> Rig:
+def rig_from_kalibr(path: Path, *, unit_m: float | None = None) -> Rig:
     """Return the rig of a camchain of two cameras: cam0 left, cam1 right, the rig's axes those of cam0.
 
-    Raises BadFile where the file has another number of cameras, another model or no T_cn_cnm1.
+    unit_m: the length of its unit in metres. Raises BadFile where the file has another number of cameras, another model
+    or no T_cn_cnm1.
     """
-    return kalibr_rig(read_yaml(path), str(path))
+    return kalibr_rig(read_yaml(path), str(path), unit_m)
 
 
-def kalibr_rig(content: Mapping[str, Any], where: str) -> Rig:
+def kalibr_rig(content: Mapping[str, Any], where: str, unit_m: float | None = None) -> Rig:
     """Return the rig of a camchain's content; see rig_from_kalibr."""
     names = sorted(key for key in content if key.startswith("cam") and key[3:].isdecimal())
     if names != ["cam0", "cam1"]:
@@ -92,7 +93,7 @@ def kalibr_rig(content: Mapping[str, Any], where: str) -> Rig:
         left=kalibr_camera(content, "cam0", where),
         right=kalibr_camera(content, "cam1", where),
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name),
+        T_rig_right=placed(rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name, unit_m),
     )
 
 

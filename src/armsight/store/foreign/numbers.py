@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
@@ -18,8 +19,16 @@ Array = NDArray[np.float64]
 ROTATION_TOLERANCE = 1e-4
 """Largest entry of R R^T - 1: files with five decimals stay below it, wrong matrices do not."""
 
-LARGEST_BASELINE_M = 10.0
-"""A pair further apart than this is one whose file is in millimetres."""
+LARGEST_BASELINE_M = 1.0
+"""A pair further apart than this has its unit said: centimetres (7.5), millimetres (60) and squares of a board (2.4)
+look like wide rigs, and no rig of cameras that see a tool has been met that is wider than 0.6 m."""
+
+NEAREST_PX = 1.0
+"""RMS distance over the image that a lens's nearest k1, k2, p1, p2, k3 may leave."""
+TOLD_PX = 0.01
+"""... and the largest one from which on it is told: a hundredth of a pixel is what corners are good to."""
+WHOLE = 0.9
+"""Share of the image that must have rays: of lenses made for it a corner may fold over."""
 
 
 def value_at(content: Mapping[str, Any], key: str, where: str) -> Any:
@@ -36,7 +45,8 @@ def array_of(value: Any, key: str, where: str) -> Array:
     """Return a list, nested lists, or a matrix written as rows, cols, data, as a finite array; else BadFile."""
     shape: tuple[int, ...] | None = None
     if isinstance(value, Mapping):
-        shape = (_size(value, "rows", key, where), _size(value, "cols", key, where))
+        if "sizes" not in value:  # of OpenCV 5, of arrays that are no matrix
+            shape = (_size(value, "rows", key, where), _size(value, "cols", key, where))
         value = value_at(value, "data", f"{where}, {key}")
     try:
         array = np.array(value, dtype=object)
@@ -87,18 +97,74 @@ def intrinsics_of(matrix: Array, key: str, where: str) -> tuple[float, float, fl
     return fx, float(matrix[1, 1]), cx, float(matrix[1, 2]), skew
 
 
-def brown_conrady(values: Array, key: str, where: str) -> Array:
-    """Return k1, k2, p1, p2, k3 of an OpenCV vector; BadFile where it needs terms that we do not have."""
+def brown_conrady(
+    values: Array,
+    intrinsics: tuple[float, float, float, float, float],
+    size: tuple[int, int],
+    where: str,
+    told: list[str] | None = None,
+) -> Array:
+    """Return k1, k2, p1, p2, k3 of an OpenCV vector, of its rational, thin-prism and tilted models the nearest ones.
+
+    told: takes what is to be said of it. Raises BadFile where these differ by more than NEAREST_PX over the image.
+    """
     flat = values.ravel()
     if flat.size not in (0, 4, 5, 8, 12, 14):
-        raise _bad(key, where, f"holds {flat.size} coefficients; OpenCV's models have 4, 5, 8, 12 or 14")
-    if np.any(flat[5:] != 0.0):
+        raise _bad("the distortion", where, f"holds {flat.size} coefficients; OpenCV's models have 4, 5, 8, 12 or 14")
+    if not np.any(flat[5:] != 0.0):
+        return np.concatenate([flat[:5], np.zeros(max(0, 5 - flat.size))])
+    nearest, rms_px, most_px = nearest_coefficients(flat, intrinsics, size)
+    if not rms_px <= NEAREST_PX:
+        how = "leaves much of the image without rays"
+        if np.isfinite(rms_px):
+            how = f"is {rms_px:.2g} px (RMS over the image) from the nearest k1, k2, p1, p2, k3"
         raise BadFile(
-            f"{where}: {key} uses the rational, thin-prism or tilted model ({flat.size} coefficients)",
-            consequence="It cannot be turned into k1, k2, p1, p2, k3 without loss",
-            cure="Calibrate with the five-parameter model (plumb_bob)",
+            f"{where}: the rational, thin-prism or tilted model ({flat.size} coefficients) {how}",
+            consequence="The camera is not used",
+            cure="Calibrate it with armsight calibrate camera or stereo, of a very wide lens with --lens fisheye",
         )
-    return np.concatenate([flat[:5], np.zeros(max(0, 5 - flat.size))])
+    if told is not None and most_px > TOLD_PX:
+        told.append(
+            f"{where}: of {flat.size} coefficients the nearest k1, k2, p1, p2, k3 are taken, {rms_px:.2g} px apart "
+            f"over the image (RMS) and at most {most_px:.2g} px, at its edge"
+        )
+    return nearest
+
+
+def nearest_coefficients(
+    given: Array, intrinsics: tuple[float, float, float, float, float], size: tuple[int, int]
+) -> tuple[Array, float, float]:
+    """Return k1, k2, p1, p2, k3 (5,) nearest to OpenCV's coefficients over an image, and the distance in px, RMS and
+    largest.
+
+    The distorted place is linear in them: least squares over a grid of pixels; infinite where too many have no ray.
+    """
+    fx, fy, cx, cy, skew = intrinsics
+    K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    u, v = np.meshgrid(np.linspace(0.0, size[0] - 1.0, 41), np.linspace(0.0, size[1] - 1.0, 31))
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)  # (n, 2)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    rays = cv2.undistortPointsIter(uv[:, None], K, given, np.eye(3), np.eye(3), stop).reshape(-1, 2)
+    back = cv2.projectPoints(np.column_stack([rays, np.ones(len(rays))]), np.zeros(3), np.zeros(3), K, given)[0]
+    has_ray = np.abs(back.reshape(-1, 2) - uv).max(axis=1) < TOLD_PX  # else it folds over there, or is no number
+    if has_ray.mean() < WHOLE:
+        return np.zeros(5), float("inf"), float("inf")
+    uv, rays = uv[has_ray], rays[has_ray]
+    x, y = rays.T
+    r2 = x**2 + y**2
+    columns = [
+        np.stack([x * r2, y * r2]),
+        np.stack([x * r2**2, y * r2**2]),
+        np.stack([2.0 * x * y, r2 + 2.0 * y**2]),
+        np.stack([r2 + 2.0 * x**2, 2.0 * x * y]),
+        np.stack([x * r2**3, y * r2**3]),
+    ]
+    A = np.stack(columns, axis=-1)  # (2, n, 5) of the place in the image plane
+    in_px = np.einsum("ij,jnk->ink", K[:2, :2], A).reshape(-1, 5)
+    bent = (uv.T - K[:2, :2] @ rays.T - K[:2, 2:]).ravel()
+    k = np.linalg.lstsq(in_px, bent, rcond=None)[0]
+    apart = np.linalg.norm((in_px @ k - bent).reshape(2, -1), axis=0)
+    return k, float(np.sqrt((apart**2).mean())), float(apart.max())
 
 
 def fisheye_coefficients(values: Array, key: str, where: str) -> Array:
@@ -121,18 +187,22 @@ def rotation_of(matrix: Array, key: str, where: str) -> Array:
     return np.asarray(U @ Vt)
 
 
-def placed(R: Array, t_m: Array, where: str) -> RigidTransform:
-    """Return T_left_right from R, t of p_right = R p_left + t; BadFile where t cannot be metres between cameras."""
-    baseline_m = float(np.linalg.norm(t_m))
-    if not 0.0 < baseline_m <= LARGEST_BASELINE_M:
+def placed(R: Array, t: Array, where: str, unit_m: float | None = None) -> RigidTransform:
+    """Return T_left_right from R, t of p_right = R p_left + t; BadFile where t cannot be metres between cameras.
+
+    unit_m: length of t's unit in metres; None where nobody has said it, so that it must look like metres.
+    """
+    apart = float(np.linalg.norm(t))
+    if not apart > 0.0 or (unit_m is None and apart > LARGEST_BASELINE_M):
         raise BadFile(
-            f"{where}: the cameras would stand {baseline_m:g} m apart",
+            f"{where}: the cameras would stand {apart:g} m apart",
             consequence="The rig is not used",
-            cure="Lengths are read as metres; for a file in millimetres say unit 0.001"
-            if baseline_m > 0.0
+            cure="Say the file's unit: --unit 0.001 for millimetres, 0.01 for centimetres, a square's side in metres "
+            "where the board was given in squares, --unit 1 where they do stand so far apart"
+            if apart > 0.0
             else "Give the file of a calibrated stereo pair, not of single cameras",
         )
-    return pose_from_matrix(R, t_m).inv()
+    return pose_from_matrix(R, t * (1.0 if unit_m is None else unit_m)).inv()
 
 
 def relative(T_rig_left: RigidTransform, T_rig_right: RigidTransform) -> tuple[Array, Array]:

@@ -5,12 +5,14 @@ OpenCV fixes no names; these are read: of a pair `M1 D1 M2 D2 R T` (the stereo_c
 `camera_matrix` or `cameraMatrix` or `K`, with `distortion_coefficients`, `distCoeffs`, `dist_coeffs` or `D`. The
 image size is `image_width` and `image_height`, or a list `imageSize`, `image_size` or `size` (width, height); the
 stereo sample leaves it out, then it must be given. p_right = R p_left + T. T is in the unit of the board's squares at
-calibration: taken as metres unless unit_m says otherwise; a pair more than 10 m apart is refused as millimetres.
+calibration: taken as metres unless unit_m says otherwise; for a pair more than 1 m apart it must be said.
 
 A fisheye lens is told by `fisheye_model: 1`, as OpenCV's calibration sample writes it, or by `distortion_model` or
-`model`: four coefficients alone may be of either lens and are taken as a pinhole's k1, k2, p1, p2.
+`model`. Four coefficients alone may be of either lens: they are taken as a pinhole's k1, k2, p1, p2 where these can be
+such, which is refused for a wide lens and for p1, p2 beyond what a tilted sensor makes.
 
-The text is parsed here and not by cv2.FileStorage, so that a broken file gives an error that names its line.
+The text, YAML, JSON or XML, is parsed here and not by cv2.FileStorage, so that
+a broken file gives an error that names its line.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ from armsight.store.foreign.numbers import (
     value_at,
 )
 from armsight.store.foreign.rectification import rectification
-from armsight.store.yamls import read_yaml
+from armsight.store.foreign.storage import read_storage
 
 Array = NDArray[np.float64]
 
@@ -54,34 +56,58 @@ SIZE_NAMES = ("imageSize", "image_size", "size")
 
 Size = tuple[int, int]
 
+WIDE = 1.0
+"""Tangent of the angle from the axis to an image's corner beyond which lenses are mostly fisheyes (45 degrees)."""
+TILTED = 0.005
+"""p1, p2 of a lens that stands askew by 0.3 degrees; of calibrated pinholes they are below a third of it."""
 
-def camera_from_opencv(path: Path, *, size: Size | None = None) -> Camera:
-    """Return the camera of a FileStorage YAML; size (width, height) is wanted where the file does not say it."""
-    return opencv_camera(read_yaml(path), str(path), size=size)
+
+def camera_from_opencv(path: Path, *, size: Size | None = None, told: list[str] | None = None) -> Camera:
+    """Return the camera of a FileStorage file; size (width, height) is wanted where the file does not say it.
+
+    told: takes what is to be said of it.
+    """
+    return opencv_camera(read_storage(path), str(path), size=size, told=told)
 
 
-def opencv_camera(content: Mapping[str, Any], where: str, *, size: Size | None = None) -> Camera:
+def opencv_camera(
+    content: Mapping[str, Any], where: str, *, size: Size | None = None, told: list[str] | None = None
+) -> Camera:
     """Return the camera that FileStorage content describes; see camera_from_opencv."""
     key = _first(content, CAMERA_NAMES, where)
     distortion = _first(content, DISTORTION_NAMES, where)
-    return _camera(content, key, distortion, _size(content, size, where), where)
+    return _camera(content, (key, distortion), _size(content, size, where), where, told)
 
 
-def rig_from_opencv(paths: Sequence[Path], *, size: Size | None = None, unit_m: float = 1.0) -> Rig:
+def rig_from_opencv(
+    paths: Sequence[Path],
+    *,
+    size: Size | None = None,
+    unit_m: float | None = None,
+    told: list[str] | None = None,
+) -> Rig:
     """Return the rig of one or more FileStorage files (the sample writes intrinsics.yml and extrinsics.yml).
 
-    size: (width, height) where the files do not say it. unit_m: the length of T's unit in metres. Raises BadFile.
+    size: (width, height) where the files do not say it. unit_m: the length of T's unit in metres. told: takes what is
+    to be said of them. Raises BadFile.
     """
     content: dict[str, Any] = {}
     for path in paths:
-        for key, value in read_yaml(path).items():
+        for key, value in read_storage(path).items():
             if key in content and content[key] != value:
                 raise BadFile(f"{path}: {key} differs from the other file's", consequence="The rig is not used")
             content[key] = value
-    return opencv_rig(content, " and ".join(str(path) for path in paths), size=size, unit_m=unit_m)
+    return opencv_rig(content, " and ".join(str(path) for path in paths), size=size, unit_m=unit_m, told=told)
 
 
-def opencv_rig(content: Mapping[str, Any], where: str, *, size: Size | None = None, unit_m: float = 1.0) -> Rig:
+def opencv_rig(
+    content: Mapping[str, Any],
+    where: str,
+    *,
+    size: Size | None = None,
+    unit_m: float | None = None,
+    told: list[str] | None = None,
+) -> Rig:
     """Return the rig that FileStorage content describes; see rig_from_opencv."""
     sets = (*PAIR_NAMES, *PAIR_NAMES_ALSO)
     names = next((names for names in sets if all(name in content for name in names)), None)
@@ -93,13 +119,13 @@ def opencv_rig(content: Mapping[str, Any], where: str, *, size: Size | None = No
         )
     wh = _size(content, size, where)
     R = rotation_of(matrix_at(content, "R", (3, 3), where), "R", where)
-    t = matrix_at(content, "T", (3, 1), where).ravel() * unit_m
+    t = matrix_at(content, "T", (3, 1), where).ravel()
     return Rig(
         kind=RigKind.STEREO,
-        left=_camera(content, names[0], names[1], wh, where),
-        right=_camera(content, names[2], names[3], wh, where),
+        left=_camera(content, names[:2], wh, where, told),
+        right=_camera(content, names[2:], wh, where, told),
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(R, t, where),
+        T_rig_right=placed(R, t, where, unit_m),
     )
 
 
@@ -154,14 +180,43 @@ def storage_text(parts: Mapping[str, int | Array]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _camera(content: Mapping[str, Any], matrix: str, distortion: str, size: Size, where: str) -> Camera:
+def _camera(content: Mapping[str, Any], names: Sequence[str], size: Size, where: str, told: list[str] | None) -> Camera:
+    """Return the camera; names: of its matrix and its distortion."""
+    matrix, distortion = names
     intrinsics = intrinsics_of(matrix_at(content, matrix, (3, 3), where), matrix, where)
+    given = array_of(value_at(content, distortion, where), distortion, where)
     fisheye = _is_fisheye(content, where)
-    coefficients = fisheye_coefficients if fisheye else brown_conrady
-    values = coefficients(array_of(value_at(content, distortion, where), distortion, where), distortion, where)
+    if fisheye:
+        values = fisheye_coefficients(given, distortion, where)
+    else:
+        if not _says_lens(content):
+            _refuse_open_lens(given.ravel(), intrinsics, size, f"{where}: {distortion}")
+        values = brown_conrady(given, intrinsics, size, f"{where}: {distortion}", told)
     make = Camera.fisheye if fisheye else Camera.pinhole
     with named(where):
         return make(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+
+
+def _says_lens(content: Mapping[str, Any]) -> bool:
+    return any(key in content for key in ("fisheye_model", "distortion_model", "model"))
+
+
+def _refuse_open_lens(given: Array, intrinsics: tuple[float, ...], size: Size, where: str) -> None:
+    """Raise BadFile for four coefficients (4,) that may well be a fisheye's, of a file that does not say the lens."""
+    fx, fy, cx, cy = intrinsics[:4]
+    if given.size != 4 or not given.any() or not (fx > 0.0 and fy > 0.0):
+        return
+    reach = np.hypot(max(cx, size[0] - cx) / fx, max(cy, size[1] - cy) / fy)
+    tilt = float(np.abs(given[2:]).max())
+    if reach <= WIDE and tilt <= TILTED:
+        return
+    why = f"the lens sees {np.degrees(np.arctan(reach)):.0f} degrees from its axis" if reach > WIDE else ""
+    raise BadFile(
+        f"{where} has four coefficients and no lens model, and " + (why or f"the last two are up to {tilt:g}"),
+        consequence="They may be a fisheye's k1, k2, k3, k4 as well as a pinhole's k1, k2, p1, p2",
+        cure="Add a line to the file: `distortion_model: equidistant` for cv2.fisheye, `distortion_model: plumb_bob` "
+        "for cv2.calibrateCamera",
+    )
 
 
 def _is_fisheye(content: Mapping[str, Any], where: str) -> bool:

@@ -42,13 +42,13 @@ ROS_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "equidistant"}
 """sensor_msgs/distortion_models."""
 
 
-def camera_from_ros(path: Path) -> Camera:
+def camera_from_ros(path: Path, *, told: list[str] | None = None) -> Camera:
     """Return the camera of a camera_info YAML; BadFile where it is none or has another lens model."""
-    return ros_camera(read_yaml(path), str(path))
+    return ros_camera(read_yaml(path), str(path), told)
 
 
-def ros_camera(content: Mapping[str, Any], where: str) -> Camera:
-    """Return the camera that camera_info content describes; see camera_from_ros."""
+def ros_camera(content: Mapping[str, Any], where: str, told: list[str] | None = None) -> Camera:
+    """Return the camera that camera_info content describes; told: takes what is to be said. See camera_from_ros."""
     model = content.get("distortion_model", "plumb_bob")
     if model not in ("plumb_bob", "rational_polynomial", "equidistant"):
         raise BadFile(
@@ -58,31 +58,42 @@ def ros_camera(content: Mapping[str, Any], where: str) -> Camera:
         )
     key = "distortion_coefficients"
     intrinsics = intrinsics_of(matrix_at(content, "camera_matrix", (3, 3), where), "camera_matrix", where)
-    fisheye = model == "equidistant"
-    coefficients = fisheye_coefficients if fisheye else brown_conrady
-    distortion = coefficients(array_of(value_at(content, key, where), key, where), key, where)
+    size = count_at(content, "image_width", where), count_at(content, "image_height", where)
+    values, fisheye = array_of(value_at(content, key, where), key, where), model == "equidistant"
+    if fisheye:
+        distortion = fisheye_coefficients(values, key, where)
+    else:
+        distortion = brown_conrady(values, intrinsics, size, where, told)
     make = Camera.fisheye if fisheye else Camera.pinhole
     with named(where):
         return make(
-            count_at(content, "image_width", where),
-            count_at(content, "image_height", where),
+            *size,
             *intrinsics[:4],
             skew=intrinsics[4],
             distortion=distortion,
         )
 
 
-def rig_from_ros(left: Path, right: Path) -> Rig:
+def rig_from_ros(left: Path, right: Path, *, unit_m: float | None = None, told: list[str] | None = None) -> Rig:
     """Return the rig of a pair of camera_info files, its axes those of the left camera.
 
-    Raises BadFile where a file is none, Inconsistent where they are no stereo pair or are swapped.
+    unit_m: the length of the baseline's unit in metres. told: takes what is to be said. Raises BadFile where a file is
+    none, Inconsistent where they are no stereo pair or are swapped.
     """
-    return ros_rig(read_yaml(left), read_yaml(right), str(left), str(right))
+    return ros_rig(read_yaml(left), read_yaml(right), str(left), str(right), unit_m=unit_m, told=told)
 
 
-def ros_rig(left: Mapping[str, Any], right: Mapping[str, Any], where_left: str, where_right: str) -> Rig:
+def ros_rig(
+    left: Mapping[str, Any],
+    right: Mapping[str, Any],
+    where_left: str,
+    where_right: str,
+    *,
+    unit_m: float | None = None,
+    told: list[str] | None = None,
+) -> Rig:
     """Return the rig of the content of two camera_info files; see rig_from_ros."""
-    cameras = ros_camera(left, where_left), ros_camera(right, where_right)
+    cameras = ros_camera(left, where_left, told), ros_camera(right, where_right, told)
     shifts, turns = [], []
     for content, where in ((left, where_left), (right, where_right)):
         P = matrix_at(content, "projection_matrix", (3, 4), where)
@@ -100,7 +111,7 @@ def ros_rig(left: Mapping[str, Any], right: Mapping[str, Any], where_left: str, 
         left=cameras[0],
         right=cameras[1],
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(R, t, where_right),
+        T_rig_right=placed(R, t, where_right, unit_m),
     )
 
 

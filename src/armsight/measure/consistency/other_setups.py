@@ -1,0 +1,139 @@
+"""Where the lights seen do not fit rig and target: the usual mistakes in the two files undone, and which one fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import DataRefused
+from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.pairs import pair_spots
+from armsight.measure.poses.setup import Setup
+from armsight.optics import SIDES, Camera
+from armsight.records import PoseStatus
+
+Array = NDArray[np.float64]
+
+MOST = 0.7
+"""Share of the moments that another setup must fit to be named; ... and"""
+MORE = 2.0
+"""... by this factor more than the setup as it is given."""
+FEWEST = 3
+"""Moments that must fit: three lights fit another triangle once by chance."""
+SCALED = 0.004
+"""Scale from which it is tried: smaller ones the residuals of poses tell, with their deviations."""
+EDGE = 0.25
+"""A principal point nearer to an image's edge than this share of its width is not that of a whole image."""
+SIZES = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 2, 2.0, 3.0, 4.0)
+"""Ratios of image sizes that drivers offer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OtherSetup:
+    """A setup in place of the given one; words: what is then wrong with that one, cure: what to change."""
+
+    setup: Setup
+    words: str
+    cure: str
+
+
+def what_fits(setup: Setup, moments: Sequence[Measured]) -> OtherSetup | None:
+    """Return the setup that fits most of the moments where the given one does not; None where none does."""
+    if setup.target.is_board or not setup.target.model_known or len(setup.model) < 3 or len(moments) < FEWEST:
+        return None
+    others = _others(setup, moments)
+    counts = [_fitting(other.setup, moments) for other in others]
+    best = int(np.argmax(counts)) if counts else -1
+    if best < 0 or counts[best] < max(FEWEST, MOST * len(moments), MORE * _fitting(setup, moments)):
+        return None
+    return others[best]
+
+
+def _fitting(setup: Setup, moments: Sequence[Measured]) -> int:
+    """Return in how many moments all lights of the target are found."""
+    fits = 0
+    for one in moments:
+        try:
+            found = measure_spots(setup, one.pose.t_s, one.left_seen, one.right_seen)
+        except DataRefused:
+            continue
+        fits += found.pose.status is PoseStatus.OK and len(found.names) == len(setup.model)
+    return fits
+
+
+def _others(setup: Setup, moments: Sequence[Measured]) -> list[OtherSetup]:
+    """Return the usual mistakes undone, the plainest first."""
+    mirrored = _with_target(setup, np.array([1.0, -1.0, 1.0]))
+    out = [*_of_other_size(setup)]
+    out.append(
+        OtherSetup(
+            setup=mirrored,
+            words="The lights are the target's mirror image: its y is measured upwards, or its z towards the camera",
+            cure="Change the sign of y of every light in the target's file: x goes to the right, y down, z away from "
+            "the camera",
+        )
+    )
+    factor = _scale(setup, moments)
+    if factor is not None and abs(factor - 1.0) > SCALED:
+        words = f"The lights stand {factor:.3g} times as far apart, seen with this rig, as the target's file says"
+        cure = (
+            f"Check the target's measures and their unit with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, "
+        )
+        cure += "with the board's true square size"
+        for start, more in ((setup, ""), (mirrored, ", and they are its mirror image: its y is measured upwards")):
+            out.append(OtherSetup(setup=_with_target(start, np.full(3, factor)), words=words + more, cure=cure))
+    return out
+
+
+def _with_target(setup: Setup, factors: Array) -> Setup:
+    """Return the setup with the target's coordinates (x, y, z) multiplied."""
+    return replace(setup, target=replace(setup.target, xyz_m=setup.target.xyz_m * factors, covariance=None))
+
+
+def _scale(setup: Setup, moments: Sequence[Measured]) -> float | None:
+    """Return how much larger the triangles seen are than the target's, over the moments that show as many lights."""
+    m = len(setup.model)
+    given = np.sort(setup.model.distance_m[np.triu_indices(m, 1)])
+    found = []
+    for one in moments:
+        pairs = pair_spots(setup.packed, one.left_seen, one.right_seen, setup.slack_px, overlaid=setup.overlaid)
+        if len(pairs.index) == m and all(len(np.unique(pairs.index[:, side])) == m for side in range(2)):
+            apart = np.linalg.norm(pairs.xyz_m[:, None] - pairs.xyz_m[None], axis=2)[np.triu_indices(m, 1)]
+            found.append(float(np.median(np.sort(apart) / given)))
+    return float(np.median(found)) if len(found) >= FEWEST else None
+
+
+def _of_other_size(setup: Setup) -> list[OtherSetup]:
+    """Return the rig with intrinsics of images of another size, where a principal point says so."""
+    rig, off = setup.rig, dict[str, float]()
+    for side in SIDES:
+        camera = rig.camera(side)
+        share = camera.intrinsics[2] / camera.width
+        if not EDGE <= share <= 1.0 - EDGE:
+            off[side] = SIZES[int(np.argmin(np.abs(np.log(np.array(SIZES) * 2.0 * max(share, 1e-3)))))]
+    if not off:
+        return []
+    left, right = (_resized(rig.camera(side), off.get(side, 1.0)) for side in SIDES)
+    first, factor = next(iter(off.items()))
+    camera = rig.camera(first)
+    return [
+        OtherSetup(
+            setup=replace(setup, rig=replace(rig, left=left, right=right, covariance=None)),
+            words=f"The principal point lies at the image's edge (cx {camera.intrinsics[2]:.1f} of {camera.width} px, "
+            f"{' and '.join(off)}): the intrinsics are of images {1.0 / factor:.3g} times as large",
+            cure=f"Multiply fx, fy, cx and cy of the {' and '.join(off)} camera in the rig's file by {factor:.4g}, or "
+            "calibrate at this size of image",
+        )
+    ]
+
+
+def _resized(camera: Camera, factor: float) -> Camera:
+    """Return the camera of images that many times as large, pixel (0, 0) in the middle of the first one."""
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[:5] *= factor
+    return replace(camera, intrinsics=intrinsics)

@@ -1,0 +1,70 @@
+"""Strangers' calibrations of cameras as OpenCV 4 and 5, ROS and devices write them, right and in other units."""
+
+import numpy as np
+import pytest
+
+from armsight.app.convert import convert_rig, load_camera, load_rig
+from armsight.errors import BadFile
+from armsight.optics import LensKind
+from refusals import names_it, refuses
+from reports import case
+
+
+@pytest.mark.parametrize("name", ["m.yml", "vec.yml", "cam.yml", "m.xml", "m.json"])
+@pytest.mark.parametrize("version", ["v4", "v5"])
+def test_what_opencv_writes_is_read(version, name):
+    folder = case("camera-files")
+    name = f"{version}_{name}" if name.endswith("yml") else f"{version}.{name.split('.')[1]}"
+    if "cam" in name:
+        assert load_camera(folder / name).intrinsics[:4].tolist() == [700.0, 700.0, 640.0, 360.0]
+        return
+    rig = load_rig([folder / name])
+    assert 1e3 * rig.baseline_m == pytest.approx(120.003, abs=1e-3)
+    assert rig.right.intrinsics[[5, 6, 7, 8]].tolist() == [-0.17, 0.026, 0.0003, -0.0002]
+
+
+@pytest.mark.parametrize(
+    ("names", "unit_m", "right_mm"),
+    [
+        (["oak_cm.yml"], 0.01, 75.001),
+        (["endo_mm.yml"], 0.001, 4.2),
+        (["squares.yml"], 0.025, 60.0),
+        (["v5_cm.yml"], 0.01, 120.003),
+        (["v4_mm.yml"], 0.001, 120.003),
+        (["../cameras-09/left.yaml", "../cameras-09/right.yaml"], 0.001, 60.0),
+    ],
+)
+def test_lengths_in_another_unit_are_asked_for_and_the_cure_works(names, unit_m, right_mm, tmp_path):
+    files = [case("camera-files") / name for name in names]
+    with refuses(BadFile, "apart", f"--unit {unit_m}" if unit_m in (0.001,) else "--unit"):
+        convert_rig(files, [tmp_path / "rig.yaml"])
+    assert not (tmp_path / "rig.yaml").exists()
+    convert_rig(files, [tmp_path / "rig.yaml"], unit_m=unit_m)
+    assert 1e3 * load_rig([tmp_path / "rig.yaml"]).baseline_m == pytest.approx(right_mm, abs=0.01)
+
+
+def test_four_coefficients_of_a_wide_lens_are_asked_for_and_the_cure_works(tmp_path):
+    file = case("camera-files") / "fe.yml"
+    with refuses(BadFile, "D1", "four coefficients", "distortion_model: equidistant"):
+        load_rig([file])
+    (tmp_path / "fe.yml").write_text(file.read_text() + "distortion_model: equidistant\n")
+    assert load_rig([tmp_path / "fe.yml"]).left.lens is LensKind.FISHEYE
+    (tmp_path / "pi.yml").write_text(file.read_text() + "distortion_model: plumb_bob\n")
+    assert load_rig([tmp_path / "pi.yml"]).left.lens is LensKind.PINHOLE
+
+
+def test_a_rational_lens_is_read_as_the_nearest_and_how_near_is_told(tmp_path):
+    import cv2
+
+    folder = case("cameras-20")
+    done = convert_rig([folder / "left.yaml", folder / "right.yaml"], [tmp_path / "rig.yaml"])
+    assert names_it(done.note, "8 coefficients", "px")
+    K = np.array([[798.2, 0, 641.7], [0, 798.4, 402.6], [0, 0, 1]])
+    k = np.array([2.31, -6.02, 0.00031, -0.00049, 2.87, 2.19, -5.71, 2.52])
+    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 15), np.linspace(-0.4, 0.4, 9))
+    rays = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    right = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, k)[0].reshape(-1, 2)
+    inside = ((right > 0.0) & (right < [1279.0, 799.0])).all(axis=1)
+    off = np.linalg.norm(load_rig([tmp_path / "rig.yaml"]).left.project(rays) - right, axis=1)[inside]
+    told = float(done.note.split("at most ")[1].split(" px")[0])
+    assert off.max() <= 1.1 * told and np.sqrt((off**2).mean()) < 1.0

@@ -1,0 +1,37 @@
+"""Strangers' arms whose joints count the other way than the model: named, and what cures them works."""
+
+import re
+
+import numpy as np
+import pytest
+import yaml
+
+from armsight.app.arm_files import convert_arm
+from armsight.app.calibrate.arm import run_calibrate_arm
+from armsight.app.requests.calibrate_robot import ArmJob
+from armsight.errors import Inconsistent
+from refusals import refuses
+from reports import case
+
+
+def calibrated(tmp_path, points, model="irb120"):
+    return run_calibrate_arm(ArmJob(model=str(model), points=case("arms-27") / points, out=tmp_path / "a.yaml"))
+
+
+@pytest.mark.parametrize(("points", "joints"), [("points-j6.csv", (6,)), ("points.csv", (2, 5))])
+def test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works(points, joints, tmp_path):
+    named = [f"j{j}" for j in joints]
+    with refuses(Inconsistent, *named, "sign: -1", "the other way") as caught:
+        calibrated(tmp_path, points)
+    assert not (tmp_path / "a.yaml").exists()
+    assert not [j for j in range(1, 7) if j not in joints and f"j{j} counted" in caught.value.cause]
+    convert_arm("irb120", tmp_path / "irb120.yaml")
+    content = yaml.safe_load((tmp_path / "irb120.yaml").read_text())
+    for j in joints:
+        content["joints"][j - 1]["sign"] = -1
+    for number, j in re.findall(r"(-?\d\.\d+) \(j(\d)\)", caught.value.cure):
+        content["joints"][int(j) - 1]["theta_rad"] += float(number)
+    (tmp_path / "irb120.yaml").write_text(yaml.safe_dump(content))
+    done = calibrated(tmp_path, points, tmp_path / "irb120.yaml")
+    assert done.after.mean_m < 2e-3
+    assert np.isfinite(done.after.max_m)
