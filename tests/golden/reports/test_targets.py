@@ -56,7 +56,7 @@ def test_a_target_measured_with_y_up_is_named_and_the_cure_works(tmp_path):
 def test_a_baseline_of_another_scale_is_named_by_its_factor(rig, factor, tmp_path):
     folder = case("cameras-10")
     text = told(folder, tmp_path, rig)
-    assert names_it(text, "times as far apart", "board's true square size")
+    assert names_it(text, "calliper", "armsight calibrate stereo")
     assert float(text.split("stand ")[1].split(" times")[0]) == pytest.approx(factor, abs=0.005)
     assert run(folder, tmp_path).consistency.verdict == "ok"  # the cameras calibrated anew
 
