@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
@@ -13,7 +15,9 @@ from armsight.drivers import read_image
 from armsight.errors import DeviceLost, NotEnoughData
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.measure.settings import SpotSettings
-from armsight.records import Frame, Target
+from armsight.records import Frame, PoseStatus, Target
+
+Array = NDArray[np.float64]
 
 LOST_FRAMES = 3
 """Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""
@@ -24,16 +28,39 @@ def beacon_settings(target: Target, mask: Path | None) -> SpotSettings:
     return SpotSettings(colour=target.colour, mask=None if mask is None else read_image(mask) > 0)
 
 
-def beacon_std_px(found: Measured) -> float:
-    """Return the standard deviation of a pixel coordinate of a beacon that was found: that of its worse direction."""
-    worst = (np.linalg.eigvalsh(view.covariance_px2[0])[1] for view in (found.left, found.right))
-    return float(np.sqrt(max(worst)))
+class SeenBeacon(NamedTuple):
+    """One light: its place (3,) in the rig's axes, its pixels (2, 2) left and right, and their standard deviation, that
+    of the worse direction."""
+
+    xyz_m: Array
+    uv_px: Array
+    std_px: float
+
+
+def beacon_of(found: Measured, name: str, n_lights: int) -> SeenBeacon | None:
+    """Return the light of this name; None where it is not seen. n_lights: of the target.
+
+    Which of several lights it is only a whole pose says.
+    """
+    if name not in found.names or not (n_lights == 1 or found.pose.status is PoseStatus.OK):
+        return None
+    i, views = found.names.index(name), (found.left, found.right)
+    worst = max(np.linalg.eigvalsh(view.covariance_px2[i])[1] for view in views)
+    return SeenBeacon(found.points.xyz_m[i], np.stack([view.uv_px[i] for view in views]), float(np.sqrt(worst)))
+
+
+def beacon_note(name: str, n_lights: int) -> tuple[str, ...]:
+    """Return, in words, which of several lights the arm is identified by."""
+    if n_lights == 1:
+        return ()
+    return (f"of the target's {n_lights} lights {name} is the beacon: the arm's tool is that light, not the target",)
 
 
 class StereoBeaconObserver:
     """Observations at the beacon through pairs of live frames, whose stamps count from a moment of their own."""
 
     def __init__(self, setup: Setup, pairs: Iterator[tuple[Frame, Frame]], clock: Clock) -> None:
+        """The beacon is the target's first light."""
         self._setup = setup
         self._pairs = pairs
         self._clock = clock
@@ -48,11 +75,11 @@ class StereoBeaconObserver:
         t_s = max(pair[0].t_s, pair[1].t_s)
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - t_s)  # a frame may wait, none comes before it is taken
         found = measure_pair(self._setup, *pair)
-        if len(found.points):
+        names = self._setup.target.names
+        beacon = beacon_of(found, names[0], len(names))
+        if beacon is not None:
             self._lost = 0
-            uv = np.stack([found.left.uv_px[0], found.right.uv_px[0]])
-            std_px = beacon_std_px(found)
-            return Observation(taken_s=t_s + self._ahead_s, uv_px=uv, xyz_m=found.points.xyz_m[0], std_px=std_px)
+            return Observation(taken_s=t_s + self._ahead_s, **beacon._asdict())
         self._lost += 1
         why = found.pose.why or "it is not in both images"
         if self._lost >= LOST_FRAMES:

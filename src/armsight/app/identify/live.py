@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
-from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
+from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_note, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.results import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.identify.sweep_files import identified, joint_std
@@ -92,12 +92,13 @@ def run_identify_live(
     clock, progress = clock or SystemClock(), progress or Silent()
     known, target = read_known(job), target_of(job.target)
     swept_joints(len(job.limits), job.left_out)  # refused before anything is opened
-    _check(job, target)
+    _check(job)
     robot, pairs = devices or open_devices(job, target, clock)
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, job.mask))
     with robot, pairs:
         observer = StereoBeaconObserver(setup, iter(pairs), clock)
-        return identify_observed(job, known, person, robot, observer, clock, progress)
+        done = identify_observed(job, known, person, robot, observer, clock, progress)
+    return replace(done, notes=[*beacon_note(target.names[0], len(target.names)), *done.notes])
 
 
 def identify_observed(
@@ -266,13 +267,7 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
     )
 
 
-def _check(job: LiveJob, target: Target) -> None:
-    if len(target.names) != 1:
-        raise UsageError(
-            f"the target has {len(target.names)} points",
-            consequence="Which is the beacon is open",
-            cure="Give a target of one light (--target)",
-        )
+def _check(job: LiveJob) -> None:
     if job.model is not None and job.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames < 1:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.identify.beacon_observer import beacon_settings, beacon_std_px
+from armsight.app.identify.beacon_observer import SeenBeacon, beacon_note, beacon_of, beacon_settings
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.identify.results import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.measure.run import target_of
@@ -165,7 +165,7 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
                 check_sizes(setup.rig, left, right)
                 at_left, at_right = (find_spots(frame.image, setup.settings) for frame in (left, right))
                 spots.append((number, at_left, at_right))
-    seen, notes = _beacons(setup, spots)
+    name, seen, notes = beacons(setup, spots)
     rows = [i for i, frame in enumerate(frames.tolist()) if frame in seen]
     if not rows:
         raise NotEnoughData(
@@ -176,31 +176,32 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
     return Sweeps(
         joint=joint[rows],
         q=q[rows],
-        xyz_m=np.array([seen[int(frames[i])][0] for i in rows]),
-        uv_px=np.array([seen[int(frames[i])][1] for i in rows]),
-        std_px=np.array([seen[int(frames[i])][2] for i in rows]),
-    ), notes
+        xyz_m=np.array([seen[int(frames[i])].xyz_m for i in rows]),
+        uv_px=np.array([seen[int(frames[i])].uv_px for i in rows]),
+        std_px=np.array([seen[int(frames[i])].std_px for i in rows]),
+    ), [*beacon_note(name, len(target.names)), *notes]
 
 
-def _beacons(
-    setup: Setup, spots: list[tuple[int, Spots, Spots]]
-) -> tuple[dict[int, tuple[Array, Array, float]], list[str]]:
-    """Return place, pixels and their standard deviation of the beacon by frame, and why it is not seen in the others.
+def beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[str, dict[int, SeenBeacon], list[str]]:
+    """Return which light is the beacon, the beacon by frame, and why it is not seen in the others.
 
-    The beacon moves with the arm: what stands at one place in most frames is something else.
+    The beacon moves with the arm: what stands at one place in most frames is something else. Of several lights it is
+    the one that is seen most often, in all frames the same.
     """
-    seen: dict[int, tuple[Array, Array, float]] = {}
-    notes = []
+    names = setup.target.names
+    by_light: dict[str, dict[int, SeenBeacon]] = {name: {} for name in names}
+    whys: dict[int, str] = {}
     lefts = without_standing([left for _, left, _ in spots])
     rights = without_standing([right for _, _, right in spots])
     for (number, _, _), left, right in zip(spots, lefts, rights, strict=True):
         found = measure_spots(setup, float(number), left, right)
-        if len(found.points) == 0:
-            notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
-            continue
-        views = (found.left, found.right)
-        seen[number] = found.points.xyz_m[0], np.stack([view.uv_px[0] for view in views]), beacon_std_px(found)
-    return seen, notes
+        whys[number] = found.pose.why or "the beacon is not seen"
+        for name in names:
+            if (beacon := beacon_of(found, name, len(names))) is not None:
+                by_light[name][number] = beacon
+    chosen = max(names, key=lambda name: len(by_light[name]))
+    notes = [f"frame {number}: {why}" for number, why in whys.items() if number not in by_light[chosen]]
+    return chosen, by_light[chosen], notes
 
 
 def identify_output(
