@@ -50,7 +50,7 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     page = Page(
         title=run.title,
         subtitle=run.subtitle or _subtitle(run, series),
-        verdict=_verdict(run, series, errors),
+        verdict=measure_verdict(run),
         cards=_cards(run, series, errors),
     )
     _add_scene(page, run)
@@ -63,12 +63,6 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     return page.html(created=created or datetime.now())
 
 
-def measure_verdict(run: MeasureRun) -> Verdict:
-    """Return what the page of a measurement says first."""
-    errors = errors_of(run.poses, run.truth) if run.truth is not None else None
-    return _verdict(run, series_of(run.poses, timed=run.timed, apart=run.stills), errors)
-
-
 def _subtitle(run: MeasureRun, series: Series) -> str:
     n = len(run.poses)
     if n < 2:
@@ -79,7 +73,9 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
     return f"{n:,} pairs of frames{over}"
 
 
-def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
+def measure_verdict(run: MeasureRun) -> Verdict:
+    """Return what the page of a measurement says first."""
+    series = series_of(run.poses, timed=run.timed, apart=run.stills)
     n, ok = len(run.poses), int(series.whole.sum())
     if ok == 0:
         losses = losses_of(run.poses)
@@ -94,8 +90,8 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         "deviation)."
     )
     level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("warn", "With gaps")
-    if errors is not None:
-        inside, low, high = _inside(errors)
+    if run.truth is not None:
+        inside, low, high = _inside(errors := errors_of(run.poses, run.truth))
         position = figure_of(float(np.sqrt(np.nanmean((errors.values[:, :3] ** 2).sum(axis=1)))), "mm", digits=2)
         sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
         if not low <= inside <= high:
@@ -112,10 +108,8 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
 
 def _rms_columns(values: Array) -> Array:
     """Return the root mean square of each column, NaN aside; NaN for a column without numbers."""
-    known = np.isfinite(values)
-    count = known.sum(axis=0).astype(float)
-    total = np.where(known, values, 0.0) ** 2
-    return np.asarray(np.sqrt(total.sum(axis=0) / np.where(count > 0.0, count, np.nan)))
+    known = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.sqrt(np.mean(column**2)) if len(column) else np.nan for column in known])
 
 
 def _median_columns(values: Array) -> Array:
