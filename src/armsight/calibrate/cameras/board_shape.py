@@ -145,4 +145,6 @@ def _profile(fit: Fit, values: Array, z2: Array, ratio: float) -> tuple[float, f
     """Return log likelihood and the noise's variance that it is largest at, for a ratio of the points' to it."""
     grown = 1.0 + values * ratio
     noise2 = (2.0 * fit.cost - float((z2 - z2 / grown).sum())) / fit.dof
+    if not noise2 > 0.0:  # so much of it is the board that first order takes away more than there is
+        return -np.inf, 0.0
     return -0.5 * float(np.log(grown).sum()) - 0.5 * fit.dof * float(np.log(noise2)), noise2

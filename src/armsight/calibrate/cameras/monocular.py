@@ -12,6 +12,7 @@ from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boa
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
 from armsight.calibrate.cameras.observations import BoardOptions, pack
+from armsight.calibrate.cameras.other_board import doubtful, refuse_misfit, refuse_other_board
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
@@ -22,6 +23,10 @@ from armsight.records import BoardView, NamedCovariance, Progress, Target, Targe
 from armsight.records.result_parts import RejectedFile
 
 Array = NDArray[np.float64]
+
+NOT_SQUARE = 0.015
+"""Share by which fx and fy of cameras do not differ, beyond SURE deviations of theirs."""
+SURE = 2.0
 
 DOUBTFUL_FOCAL = 0.02
 """A focal length less sure than this share of itself is worth a word."""
@@ -47,8 +52,13 @@ def calibrate_camera(
     try:
         robust_fit, on_tilt = fit_tilted(observations, start_of(observations), options, "the camera", progress)
     except (Degenerate, NotConverged, NotEnoughData, Undetermined) as error:
+        refuse_other_board(observations, board, options, "the camera")
         raise with_hint(error, observations, options) from error
+    if in_doubt := doubtful(observations, robust_fit):
+        refuse_other_board(observations, board, options, "the camera")
     advice += refuse_other_lens(observations, robust_fit, options, 0, "the camera")
+    if in_doubt:
+        refuse_misfit(observations, options, "the camera")
     out = left_out(robust_fit, options)
     residual, seen = residuals_px(robust_fit.observations, robust_fit.fit), robust_fit.observations.weight > 0.0
     shape = board_shape(robust_fit.observations, robust_fit.fit, required(robust_fit))
@@ -106,10 +116,28 @@ def view_rms(residual: Array, seen: NDArray[np.bool_]) -> tuple[float, ...]:
     return tuple(np.sqrt(squares / np.maximum(seen.sum(axis=(1, 2)), 1)).tolist())
 
 
+def _not_square(robust_fit: RobustFit, covariance: NamedCovariance) -> list[str]:
+    """Return advice where pixels would not be square: more often it is the board's squares."""
+    fit, told = robust_fit.fit, []
+    for name in (name for name in fit.names if name.split(".")[-1] == "fx"):
+        other = name[:-1] + "y"
+        ratio = fit.value(name) / fit.value(other)
+        if not {name, other} <= set(covariance.names):
+            continue
+        each = np.array([1.0 / fit.value(name), -1.0 / fit.value(other)])
+        doubt = float(np.sqrt(each @ covariance.block((name, other)) @ each))
+        if abs(ratio - 1.0) > NOT_SQUARE + SURE * doubt:
+            told.append(
+                f"{name} and fy differ by {100 * abs(ratio - 1.0):.1f} %: cameras have square pixels, so the images "
+                "were stretched or the board's squares are none; measure the board along both sides with a calliper"
+            )
+    return told
+
+
 def caveats(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
     """Return advice on focal lengths that are not well known."""
     std = covariance.std()
-    return [
+    return _not_square(robust_fit, covariance) + [
         f"{name} is known to {100 * std[name] / robust_fit.fit.value(name):.1f} % only; "
         "tilt the board more, bring it closer"
         for name in robust_fit.fit.names

@@ -21,6 +21,7 @@ from armsight.calibrate.cameras.monocular import (
     view_rms,
 )
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
+from armsight.calibrate.cameras.other_board import doubtful, refuse_misfit, refuse_other_board
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
 from armsight.calibrate.cameras.pair_effects import pair_effects
 from armsight.calibrate.cameras.pairing import Paired, baseline_std, of_one_lens, pair_views, rig_of
@@ -84,9 +85,14 @@ def fit_pairs(
     try:
         robust_fit, on_tilt = fit_tilted(given, start, options, "the pair", progress)
     except (Degenerate, NotConverged, NotEnoughData, Undetermined) as error:
+        refuse_other_board(given.camera(0), board, options.of_camera(0), "the left camera")
         raise with_hint(error, given.camera(0), options.of_camera(0)) from error
+    if in_doubt := doubtful(given, robust_fit):
+        refuse_other_board(given.camera(0), board, options.of_camera(0), "the left camera")
     for c, side in enumerate(SIDES):
         advice += refuse_other_lens(given, robust_fit, options, c, f"the {side} camera")
+        if in_doubt:
+            refuse_misfit(given.camera(c), options.of_camera(c), f"the {side} camera")
     return robust_fit, rejected, [*advice, *on_tilt]
 
 

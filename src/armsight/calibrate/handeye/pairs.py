@@ -265,8 +265,7 @@ def _require_fresh(pairs: PosePairs, found: RotationExcitation, seen: RotationEx
     raise Inconsistent(
         cause,
         consequence="The hand turned and its readings do not say so: they are stale, or in another unit of angle",
-        cure="Read the robot's pose anew at every image, once the hand stands; where angles are in radians, say "
-        "--units rad",
+        cure="Read the robot's pose anew at every image, once the hand stands, and check the unit of its angles",
     )
 
 

@@ -1,0 +1,70 @@
+"""All cures that the product gives, read from its source: what stands as cure=... in a call."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "armsight"
+
+NAMES = re.compile(
+    r"(?<![\w-])--[a-z]|\barmsight [a-z]|"
+    r"\b(metres?|millimetres?|centimetres?|mm|degrees?|radians?|rad|pixels?|px|seconds?)\b"
+)
+"""What a person can do to the letter: a flag, a command or a unit."""
+
+
+@dataclass(frozen=True)
+class Cure:
+    """A cure of a module (path from src/armsight), its text with {} for what is put in."""
+
+    module: str
+    text: str
+
+    @property
+    def named(self) -> bool:
+        """Whether it names a flag, a command or a unit."""
+        return NAMES.search(self.text) is not None
+
+
+@cache
+def cures() -> tuple[Cure, ...]:
+    """Return all cures, each text of a module once."""
+    found = {}
+    for path in sorted(SOURCE.rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        constants = {
+            target.id: node.value
+            for node in tree.body
+            if isinstance(node, ast.Assign)
+            for target in node.targets
+            if isinstance(target, ast.Name)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.keyword) and node.arg == "cure":
+                for text in texts(node.value, constants):
+                    if text.strip("{} "):
+                        found[Cure(path.relative_to(SOURCE).as_posix(), text)] = None
+    return tuple(found)
+
+
+def texts(node: ast.expr, constants: dict[str, ast.expr]) -> Iterator[str]:
+    """Yield what an expression may be as text."""
+    if isinstance(node, ast.Constant):
+        yield str(node.value) if isinstance(node.value, str) else ""
+    elif isinstance(node, ast.JoinedStr):
+        yield "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)
+    elif isinstance(node, ast.IfExp):
+        yield from texts(node.body, constants)
+        yield from texts(node.orelse, constants)
+    elif isinstance(node, ast.BinOp):
+        yield from (a + b for a in texts(node.left, constants) for b in texts(node.right, constants))
+    elif isinstance(node, ast.Name) and node.id in constants:
+        yield from texts(constants[node.id], constants)
+    else:
+        yield "{}"
