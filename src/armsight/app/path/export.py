@@ -27,6 +27,7 @@ from armsight.control.paths import (
     with_approach,
 )
 from armsight.control.paths.outliers import PathJump, path_jumps
+from armsight.control.paths.program import weld_state
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
@@ -68,6 +69,7 @@ def export_path(job: ExportJob) -> PathExportOutput:
     path = read_path(job.source, parent=job.parent)
     if kind not in PROGRAMS:
         return _as_it_is(job, path, kind)
+    _require_tags(job, path)
     arm = _arm(job)
     jumps = path_jumps(path)
     path = with_approach(_in_base(path, arm), job.approach_m)
@@ -105,6 +107,15 @@ def _format(job: ExportJob) -> str:
             cure=f"Use --to {', '.join(FORMATS)}, or one of the endings {', '.join(BY_SUFFIX)}",
         )
     return kind
+
+
+def _require_tags(job: ExportJob, path: TaughtPath) -> None:
+    if job.weld_output is not None and all(weld_state(tag) is None for tag in path.tags):
+        raise UsageError(
+            f"a weld output is given, and no row of {job.source.name} is tagged weld_on or weld_off",
+            consequence="No program is written: it would never weld",
+            cure="Tag the rows where the seam begins and ends (column tag), or omit --weld-output",
+        )
 
 
 def _arm(job: ExportJob) -> Arm | None:
