@@ -27,6 +27,8 @@ SAME_Q = 1e-9
 """Readings that differ by less (rad or m) are of one joint position: rounding of a file."""
 
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 1e-3: "kilometres"}
+MOST_TOUCHED, TOUCHES = 3, 4
+"""Positions that touched points are at most, and joint positions for each: measured ones differ in some digit."""
 FARTHEST = 1e5
 """Positions of 100 m in millimetres stay within it, so that these are told as such; beyond it a cell is wrong."""
 ABSURD = 12.0
@@ -173,8 +175,23 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             cure="Give radians; the numbers look like degrees",
         )
     _check_far(points)
+    _check_touched(points)
     check_units(arm, points.q, points.xyz_m)
     check_spread(points.xyz_m, "the positions")
+
+
+def _check_touched(points: ArmPoints) -> None:
+    """Raise Inconsistent where many joint positions are at a few places to the last digit: points that were touched."""
+    places = len(np.unique(points.xyz_m, axis=0))
+    if places > MOST_TOUCHED or int(points.position.max()) + 1 < TOUCHES * places:
+        return
+    raise Inconsistent(
+        f"the {len(points)} rows have {places} position{'s' * (places > 1)} to the last digit, and the joints moved: "
+        "fixed points that the tool touched",
+        consequence="Such rows say only that the tool came back there, from which nothing here finds an arm's geometry",
+        cure="Measure where the tool is at each joint position (a tracker, or a light and `armsight measure`), and "
+        "give those positions; where its tip is on the flange, `armsight calibrate tooltip` finds from poses over one point",
+    )
 
 
 def _check_far(points: ArmPoints) -> None:
