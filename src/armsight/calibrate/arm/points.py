@@ -190,7 +190,7 @@ def _check_touched(points: ArmPoints) -> None:
         "fixed points that the tool touched",
         consequence="Such rows say only that the tool came back there, from which nothing here finds an arm's geometry",
         cure="Measure where the tool is at each joint position (a tracker, or a light and `armsight measure`), and "
-        "give those positions; where its tip is on the flange, `armsight calibrate tooltip` finds from poses over one point",
+        "give those positions; the tip on the flange `armsight calibrate tooltip` finds",
     )
 
 
