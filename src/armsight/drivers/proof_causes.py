@@ -25,6 +25,9 @@ EARLY = 0.4
 """Hypotheses of a cause fit where every axis is as they say but for this share of its way; EARLY where the probe was
 ended while little more than noise had been sent."""
 
+MANY = 10.0
+"""No gear ratio that was set wrongly moves all axes so many times as far."""
+
 STILL_SHARE = 0.2
 """An axis that moves by less than this share of what was sent does not move."""
 
@@ -77,7 +80,7 @@ def cause_of(seen: Evidence) -> str:
         )
     if (np.abs(gain) < STILL_SHARE).all():
         return "no axis moves: its controller takes the answers, but motion is not enabled or corrections are not used"
-    found = _scaled(gain, EARLY if seen.early else ALIKE) or _exchanged(seen) or _single(seen, gain)
+    found = _scaled(gain, EARLY if seen.early else ALIKE) or _exchanged(seen) or _units(gain) or _single(seen, gain)
     return found or f"its axes do not move as sent: {_listed(seen, gain)}{_by_pose(seen.names)}"
 
 
@@ -106,6 +109,16 @@ def _scaled(gain: Array, alike: float) -> str:
     if scale < 0.0 and abs(scale + 1.0) <= ALIKE:
         return "all axes are reversed"
     return f"every axis moves {scale:.3g} times as far as sent: the units or the scale of the corrections differ"
+
+
+def _units(gain: Array) -> str:
+    """Return the cause where all axes go far beyond what any gear makes of it, as far as each got before the stop."""
+    if gain.min() < MANY:
+        return ""
+    return (
+        f"every axis moves {gain.min():.0f} to {gain.max():.0f} times as far as sent: its controller takes radians for "
+        "degrees, which is 57 times, or another unit"
+    )
 
 
 def _exchanged(seen: Evidence) -> str:
