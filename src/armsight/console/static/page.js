@@ -11,14 +11,14 @@
     if (answer && answer.status === 401) location.reload();
   }, 3000);
   // A computer without a graphics processor works on a scene for a tenth of a second, and tells no enable meanwhile: from
-  // four such stretches in two seconds on, each pair of seconds halves the scene's pixels across.
+  // eight such stretches in two seconds on, each pair of seconds halves the scene's pixels across. Loading makes some too.
   let ratio = 1;
   const long = [];
   const coarser = (list) => {
-    long.push(...list.getEntries().map((task) => task.startTime));
+    long.push(...list.getEntries().map((task) => task.startTime).filter((t) => t > 4000));
     while (long[0] < performance.now() - 2000) long.shift();
     const scene = document.querySelector(".nicegui-scene");
-    if (long.length < 4 || !scene || ratio <= 0.25) return;
+    if (long.length < 8 || !scene || ratio <= 0.25) return;
     long.length = 0;
     ratio /= 2;
     getElement(Number(scene.id.slice(1))).renderer?.setPixelRatio(ratio * window.devicePixelRatio);
