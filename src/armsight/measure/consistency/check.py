@@ -91,7 +91,8 @@ class RunCheck:
         """Return the verdict over the whole run."""
         self._evidence.finish()
         found = self._judge(changes=True)
-        if self._whole and found.verdict != "inconsistent":
+        told = bool(found.findings) and self._whole > self._refused  # with its size and deviation, which another lacks
+        if self._whole and (found.verdict != "inconsistent" or told):
             return found
         other = what_fits(self._evidence.setup, self._kept)
         return found if other is None else replace(found, instead=other.words, remedy=other.cure)
