@@ -307,7 +307,7 @@ class ControlLoop:
 
 @contextmanager
 def quiet_interpreter() -> Iterator[None]:
-    """Keep Python from collecting garbage and from letting other threads run for long, until it ends."""
+    """Keep Python from collecting garbage, and from letting other threads run for long, until it ends."""
     was_on, switch_s = gc.isenabled(), sys.getswitchinterval()
     gc.disable()  # without a last collection: of a console's objects it takes half a second, and holds its server
     sys.setswitchinterval(min(switch_s, SWITCH_S))

@@ -1,4 +1,4 @@
-// What every page needs beside NiceGUI: the page's language, a connection that is gone, and files brought into the cell's folder.
+// What every page needs beside NiceGUI: its language, a connection that is gone, scenes that are slow, and files brought into the cell.
 (() => {
   // Without its connection the page keeps what it showed last: nothing of it may look like now.
   setInterval(() => {
