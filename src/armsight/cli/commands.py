@@ -102,8 +102,8 @@ def demo(
         pictures=not no_pictures,
         progress=face.progress("demo"),
     )
-    demo_tables(face, result, out)
     face.result(result)
+    demo_tables(face, result, out)  # last stands what to do next
 
 
 @command(app, keeps=(*WORLD, *ARM, *VIEWS, *SETS))
