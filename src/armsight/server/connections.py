@@ -23,6 +23,10 @@ HEAD_S = 3.0
 """A connection whose TLS handshake and first head are not there after so long is a slow attack, or a line that no robot
 is driven over."""
 
+LAST_TURN_S = 0.5
+"""Of HEAD_S, kept for what has come already: a server that stood still itself finds its timers due before it has read,
+and reads first."""
+
 UNKNOWN_PER_ADDRESS = 16
 """Connections of an address that have asked nothing yet; one more, and the oldest of them is closed."""
 
@@ -108,7 +112,7 @@ class Connections:
         self._unknown = {other: its for other, its in self._unknown.items() if its.fileno() >= 0}
         # before TLS and before any protocol: a connection that says nothing has no transport yet
         self._unknown[peer[:2]] = line
-        asyncio.get_running_loop().call_later(HEAD_S, self._late, peer[:2], line)
+        after_turns(HEAD_S, self._late, peer[:2], line)
         waiting = [other for other in self._unknown if other[0] == peer[0]]
         if len(waiting) > UNKNOWN_PER_ADDRESS:
             self.note(peer[0], f"opened {UNKNOWN_PER_ADDRESS} connections and asked nothing; the oldest are closed")
@@ -238,6 +242,12 @@ def _room() -> int:
     except (ImportError, OSError):
         return IN_ALL + UNKNOWN_IN_ALL
     return IN_ALL + UNKNOWN_IN_ALL if allowed == RLIM_INFINITY else allowed - used - SPARE
+
+
+def after_turns(delay_s: float, act: Callable[..., None], *args: Any) -> None:
+    """Call act after delay_s, and not before the loop has read what came until LAST_TURN_S before that."""
+    loop = asyncio.get_running_loop()
+    loop.call_later(delay_s - LAST_TURN_S, loop.call_later, LAST_TURN_S, act, *args)
 
 
 def _cut(line: socket.socket) -> None:

@@ -17,7 +17,7 @@ from websockets.protocol import OPEN
 from armsight.clock import monotonic_s
 from armsight.control.session.service import TokenBucket
 from armsight.drivers.remote import protocol as say
-from armsight.server.connections import HEAD_S, Connections, address_of_line
+from armsight.server.connections import HEAD_S, Connections, address_of_line, after_turns
 
 SLICE = 1024
 """Bytes that are parsed before others have their turn and the budget is looked at again: 170 of the shortest messages,
@@ -58,7 +58,7 @@ class LimitedHttp(H11Protocol):
         super().__init__(**uvicorns)
         self.app_state = {**self.app_state, CONNECTION: self}
         self.guarded = connections
-        self._head: asyncio.TimerHandle | None = None
+        self._waits: object | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for the first head."""
@@ -81,14 +81,17 @@ class LimitedHttp(H11Protocol):
         super().connection_lost(exc)
 
     def _wait_for_head(self) -> None:
-        if self._head is None:
-            self._head = self.loop.call_later(HEAD_S, self.transport.abort)
+        if self._waits is None:
+            self._waits = object()
+            after_turns(HEAD_S, self._late, self._waits)
 
     def _head_came(self) -> None:
         self.guarded.asked(self.transport)
-        if self._head is not None:
-            self._head.cancel()
-            self._head = None
+        self._waits = None
+
+    def _late(self, waited_for: object) -> None:
+        if self._waits is waited_for:
+            self.transport.abort()
 
 
 class LimitedWebSocket(WebSocketsSansIOProtocol):

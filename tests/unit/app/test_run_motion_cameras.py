@@ -203,7 +203,7 @@ class Held:
 
     def __init__(self, name: str, frames: int, end: Exception | None = None) -> None:
         self.name, self.frames, self.end = name, frames, end
-        self.closed = threading.Event()
+        self.spent, self.closed = threading.Event(), threading.Event()
 
     def __enter__(self) -> Self:
         return self
@@ -218,21 +218,22 @@ class Held:
             yield Frame(image=np.zeros((8, 8), np.uint8), t_s=float(n), sequence=n, source=self.name)
         if self.end is not None:
             raise self.end
+        self.spent.set()
         self.closed.wait()
 
 
 def recorded(cameras: dict[str, Held], out: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[CameraRecorded, ...]:
-    """Record until a camera fails; a second goes by between two looks once both have begun."""
+    """Record until a camera fails; a second goes by between two looks once both have nothing more to send."""
     monkeypatch.setattr(free_cameras, "camera_source", lambda text, side, **_: cameras[side])
-    clock, begun = ManualClock(), threading.Event()
+    clock, until_s = ManualClock(), time.monotonic() + PATIENCE_S
 
     def ended() -> bool:
         os.sched_yield()
-        if begun.is_set():
+        if all(camera.spent.is_set() for camera in cameras.values()):
             clock.advance(1.0)
-        return clock.now_s() > 100.0
+        return clock.now_s() > 100.0 or time.monotonic() > until_s
 
-    return record_free(FreeJob(left="camera:1", right="camera:2", out=out), begun.set, ended, clock)
+    return record_free(FreeJob(left="camera:1", right="camera:2", out=out), lambda: None, ended, clock)
 
 
 def test_a_camera_that_falls_silent_is_lost_though_its_driver_says_nothing(

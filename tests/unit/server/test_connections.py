@@ -49,7 +49,14 @@ class Loop:
         self.timers.append((delay_s, act, args))
 
     def ring(self):
-        for _, act, args in self.timers:
+        """Ring all that are due by now, and those that they set in turn."""
+        while self.timers:
+            _, act, args = self.timers.pop(0)
+            act(*args)
+
+    def stand_still(self):
+        """All timers are due at once, before anything is read."""
+        for _, act, args in [self.timers.pop() for _ in self.timers]:
             act(*args)
 
 
@@ -89,9 +96,20 @@ def test_a_handshake_that_hangs_is_ended(crowd, loop):
     crowd.accepted(quick, quick.peer)
     crowd.opened(quick)
     crowd.asked(quick)
-    assert {delay_s for delay_s, *_ in loop.timers} == {limits.HEAD_S}
+    assert {delay_s for delay_s, *_ in loop.timers} == {limits.HEAD_S - limits.LAST_TURN_S}
     loop.ring()
     assert slow.cut and not quick.cut, "the one that never spoke TLS, and no other"
+
+
+def test_a_server_that_stood_still_itself_reads_before_it_ends_a_connection(crowd, loop):
+    come_meanwhile, silent = Line(HONEST, 1), Line(HONEST, 2)
+    for line in (come_meanwhile, silent):
+        crowd.accepted(line, line.peer)
+    loop.stand_still()
+    crowd.opened(come_meanwhile)
+    crowd.asked(come_meanwhile)
+    loop.ring()
+    assert silent.cut and not come_meanwhile.cut
 
 
 def test_slow_ones_displace_each_other_and_nobody_elsewhere(crowd, told):
