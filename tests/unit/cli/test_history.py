@@ -206,6 +206,9 @@ def test_trend_finds_what_drifted_and_leaves_the_rest(armsight, history, tmp_pat
     assert json.loads((tmp_path / "drift/trend.json").read_text())["figures"][0] == first
     page = (tmp_path / "drift/report.html").read_text()
     assert "joint3.theta" in page
+    for name in ("joint3.theta", "joint3.theta_rad"):  # as history show prints it, and in full
+        alone = armsight("history", "trend", "--cell", "weld-3", "--figure", name, "-o", tmp_path / name)
+        assert [one["name"] for one in alone.json["figures"]] == ["joint3.theta_rad"]
     assert "1 in 100" in page
 
 
@@ -285,7 +288,8 @@ def test_names_that_are_not_there_are_answered_with_the_nearest(armsight, histor
     for words, name in (
         (["trend", "--cell", "wedl-3", "-o", tmp_path / "t"], "'weld-3'"),
         (["trend", "--cell", "weld-3", "--figure", "joint-zero", "-o", tmp_path / "t"], "'joint-zeros'"),
-        (["trend", "--cell", "weld-3", "--figure", "after.rms", "-o", tmp_path / "t"], "'after.rms_m'"),
+        (["trend", "--cell", "weld-3", "--figure", "after.rsm", "-o", tmp_path / "t"], "'after.rms_m'"),
+        (["trend", "--cell", "weld-3", "--figure", "theta", "-o", tmp_path / "t"], "'joint2.theta_rad'"),
         (["list", "--command", "calibrat"], "'calibrate'"),
         (["list", "--cell", "weld"], "'weld-3'"),
         (["show", "7"], "1 to 2"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection
 
 from armsight.app.history.arms import other_arm
-from armsight.app.history.figures import AXES, TURNS
+from armsight.app.history.figures import AXES, TURNS, UNITS
 from armsight.app.history.looking import one_of, pose_change, wrapped
 from armsight.errors import Inconsistent
 from armsight.store.history import queries
@@ -89,14 +89,25 @@ def courses(found: Found, asked: Sequence[str] | None) -> list[Course]:
     numbers = list(_courses(trusted, found.figures, measured=False))
     every = [*calibrated, *(one for one in numbers if one.name not in {other.name for other in calibrated})]
     chosen: dict[tuple[str, str], Course] = {}
-    for name in asked:
-        choices = [*GROUPS, ALL, *dict.fromkeys(one.name for one in every)]
-        one_of(name, choices, "figure", "Give a group or one of the cell's figures")
+    choices = [*GROUPS, ALL, *dict.fromkeys(one.name for one in every)]
+    for name in (_in_full(given, choices) for given in asked):
         pattern = GROUPS.get(name)
         for one in calibrated if pattern or name == ALL else every:
             if name in (ALL, one.name) or (pattern and re.fullmatch(pattern, one.name)):
                 chosen[one.command, one.name] = one
     return list(chosen.values())
+
+
+def _in_full(given: str, choices: Sequence[str]) -> str:
+    """Return the choice that is given, also where its unit, `.value` or the words before its last are left out."""
+    alike = [name for name in choices if f".{_stem(name)}".endswith(f".{_stem(given)}")]
+    if given not in choices and len(alike) == 1:
+        return alike[0]
+    return one_of(given, alike if given not in choices and alike else choices, "figure", "Give --figure with one of")
+
+
+def _stem(name: str) -> str:
+    return UNITS.sub("", name.removesuffix(".value"))
 
 
 def _all_of(found: Found, run: int) -> Iterator[Quantity]:
