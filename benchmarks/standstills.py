@@ -106,7 +106,8 @@ def driving(url: str, orders: Any) -> None:
                 if what == "end":
                     return
                 if what in ("enable", "move"):
-                    if driver.state().robot == "stopped":
+                    now = driver.state()
+                    if "stopped" in (now.robot, now.guard):
                         driver.reset()
                     driver.enable()
                 moving, asked_s = what == "move", 0.0

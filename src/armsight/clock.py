@@ -52,8 +52,12 @@ class StandStill:
 
     def turn(self, now_s: float) -> float:
         """Note a turn at now_s; return for how long its owner stood still before it, in s, 0 where it did not."""
-        last_s, self.turn_s = self.turn_s, now_s
-        gap_s = 0.0 if last_s is None else now_s - last_s
+        stood_s, self.turn_s = self.since(now_s), now_s
+        return stood_s
+
+    def since(self, now_s: float) -> float:
+        """Return for how long its owner stood still since its last turn, in s, 0 where it did not; no turn is noted."""
+        gap_s = 0.0 if self.turn_s is None else now_s - self.turn_s
         return gap_s if gap_s > self._longest_s else 0.0
 
 

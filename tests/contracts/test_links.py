@@ -73,6 +73,33 @@ def test_a_rule_of_stand_stills_that_is_taken_out_is_missed(
             contract._stands_still(case, stood_s, at_rest=False)
 
 
+def test_a_step_that_was_taken_before_a_stand_still_goes_out_no_more(make_link: Any) -> None:
+    pair = make_link()
+    with pair.robot as robot:
+        pair.prove()
+        robot.step_joints(np.full(6, 0.001))
+        pair.advance(25 * pair.cycle_s)
+        rest, tick = pair.twin.q, robot._tick
+
+        def stands_still(cycles: int, *, taken: bool) -> None:
+            tick(cycles, taken=taken)
+            robot._tick = tick
+            for _ in range(round(0.15 / pair.cycle_s)):  # its controller goes on
+                pair.clock.advance(pair.cycle_s)
+                pair.twin.cycle()
+
+        robot._tick = stands_still
+        robot.step_joints(np.full(6, 0.001))
+        pair.advance(25 * pair.cycle_s)
+        assert np.abs(pair.twin.q - rest).max() < 2e-5
+        assert robot.state is RobotState.STOPPED and "stood still" in robot.why
+        robot.reset()
+        pair.prove()
+        sent = robot.step_joints(np.full(6, 0.0005))
+        pair.advance(25 * pair.cycle_s)
+        assert np.abs(pair.twin.q - rest - 0.0005).max() < 4e-5, sent
+
+
 def test_a_late_caller_leaves_the_arm_where_it_was_told_to_go(make_link: Any) -> None:
     pair = make_link()
     with pair.robot as robot:

@@ -45,8 +45,8 @@ ROUNDING = 1e-9
 class CyclicRobot(ABC):
     """A robot behind a link with a cycle. A driver says how the link is opened, closed and kept going.
 
-    The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, then _tick;
-    _lose where the link is gone, _halt where the controller takes no motion just now, and _begin_anew where it takes it
+    The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, then _tick,
+    and _outlived before the answer goes out; _lose where the link is gone, _halt where the controller takes no motion just now, and _begin_anew where it takes it
     in another session than that in which the arm moved. Nothing moves before the link is proven (proof.py).
     """
 
@@ -73,6 +73,7 @@ class CyclicRobot(ABC):
         self._held = False
         self._commands = 0
         self._moved = False
+        self._before = self._goals.sent, self._poses.sent
         self._turns = StandStill(times.cycle_s)
         self._stood_s = 0.0
         self._proof, self._standing = Proof(times.cycle_s), Standing(times.cycle_s)
@@ -203,6 +204,7 @@ class CyclicRobot(ABC):
         taken: whether it took what it was sent last, as far as it tells; else that goes out again.
         """
         with self._lock:  # a step belongs to the cycle before or after, never into it
+            self._before = self._goals.sent, self._poses.sent
             proven = self._prove(cycles, taken=taken)
             steps = proven and taken and self._controller_clock.take_step()
             if steps:
@@ -341,6 +343,19 @@ class CyclicRobot(ABC):
             self._stop_moved(f"this program stood still for {stood_s / MS:.0f} ms")
             self._stood_s, self._heard_s = max(self._stood_s, stood_s), now_s
             return True
+
+    def _outlived(self) -> bool:
+        """Tell whether this program stood still since its turn: the answer to a cycle of the past must not go out.
+
+        The step that was taken for it is taken back; the next turn finds the stand-still itself.
+        """
+        if not self._turns.since(self._clock.now_s()):
+            return False
+        with self._lock:
+            q, pose = self._before
+            self._goals.start(q)
+            self._poses.start(pose)
+        return True
 
     def _unheard_s(self) -> float:
         """Return for how long the controller was not heard: it was silent, or this program stood still."""

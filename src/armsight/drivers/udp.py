@@ -309,7 +309,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _answer(self, state: State, sender: Sender) -> None:
         """Answer a state with where the arm is told to go, where that can be said."""
         data = self._encode(state)
-        if data is None:
+        if data is None or self._outlived():
             return
         with contextlib.suppress(OSError):  # a controller that is gone is told by its silence
             self._socket.sendto(data, sender)

@@ -326,6 +326,8 @@ class AlterRobot(CyclicRobot):
             if tool:
                 way_m, turn = (start.rotation.inv().apply(vector) for vector in (way_m, turn))
             hold = bool(self._stopped)
+        if self._outlived():
+            return
         with contextlib.suppress(Inconsistent, serial.SerialException, OSError):
             # an answer that cannot go out is a late one to the controller; a port that is gone is told by reading
             self._line.write(

@@ -179,7 +179,7 @@ class RtdeRobot(CyclicRobot):
         self._tick(cycles, taken=taken)
         # noted before it is sent, so that the state that answers it finds it
         self._given.give(self._goals.sent)
-        if not self._lost:
+        if not self._lost and not self._outlived():
             self._worker.send(self._goals.sent.tolist())
         if self._measured():
             self._first.set()
