@@ -46,8 +46,9 @@ class CyclicRobot(ABC):
     """A robot behind a link with a cycle. A driver says how the link is opened, closed and kept going.
 
     The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, then _tick,
-    and _outlived before the answer goes out; _lose where the link is gone, _halt where the controller takes no motion just now, and _begin_anew where it takes it
-    in another session than that in which the arm moved. Nothing moves before the link is proven (proof.py).
+    and _outlived before the answer goes out; _lose where the link is gone, _halt where the controller takes no motion
+    just now, and _begin_anew where it takes it in another session than that in which the arm moved. Nothing moves
+    before the link is proven (proof.py).
     """
 
     takes_poses = False
