@@ -75,7 +75,10 @@ footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
 overflow-wrap:anywhere}.cards b{font-size:18px}.verdict,ul{overflow-wrap:anywhere}.plot{min-width:var(--least,0)}
 td.t{min-width:20ch}th:first-child,td:first-child{min-width:11ch}}
-@media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
+.still{position:absolute;inset:0;width:100%;height:100%}
+@page{size:A4;margin:14mm 12mm}
+@media print{body{background:#fff}main{max-width:none;padding:0}.verdict,figure,.plot,.cards div{break-inside:avoid}
+h2,section>p{break-after:avoid}
 table{font-size:11px}th{font-size:11px}th,td{padding:3px 5px}
 td.n~td.t{min-width:12ch}
 .scroll{overflow:visible;box-shadow:none}.more::before{display:none}tr{break-inside:avoid}
@@ -110,9 +113,14 @@ p.on('plotly_restyle',()=>Plotly.relayout(p,{'scene.aspectmode':'data','scene.xa
 'scene.yaxis.autorange':true,'scene.zaxis.autorange':true}))}}};
 const cue=()=>{for(const s of document.querySelectorAll('.scroll'))s.classList.toggle('more',
 s.scrollWidth>s.clientWidth+1)};
-const fit=()=>{for(const f of dressed()){Plotly.Plots.resize(f.id)}};
+const still=f=>{const s=document.getElementById(f.id)._fullLayout.scene?._scene;if(!s||s.glplot.stopped)return;
+s.glplot.redraw();const gl=s.glplot.canvas,c=document.createElement('canvas');c.width=gl.width;c.height=gl.height;
+c.getContext('2d').drawImage(gl,0,0);c.className='still';gl.after(c)};
+const fit=()=>{for(const f of dressed()){Plotly.Plots.resize(f.id);still(f)}};
+const go=()=>{for(const c of document.querySelectorAll('.still'))c.remove();for(const f of dressed())
+Plotly.Plots.resize(f.id)};
 (0,eval)(code);draw();cue();addEventListener('resize',cue);dark.addEventListener('change',draw);
-addEventListener('beforeprint',fit);addEventListener('afterprint',fit);document.documentElement.dataset.drawn='yes'});
+addEventListener('beforeprint',fit);addEventListener('afterprint',go);document.documentElement.dataset.drawn='yes'});
 """
 
 

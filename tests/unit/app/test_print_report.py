@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import zlib
 from datetime import datetime
 from pathlib import Path
 
@@ -45,7 +47,9 @@ def test_a_browser_prints_it_with_its_plot(report: Path) -> None:
     done = CliRunner().invoke(app, ["report", str(report.parent), "--pdf"])
     assert done.exit_code == 0, done.output
     pdf = report.with_suffix(".pdf").read_bytes()
-    assert pdf.startswith(b"%PDF") and b"/Subtype /Image" in pdf  # the view in space, drawn by WebGL
+    assert pdf.startswith(b"%PDF") and b"/MediaBox [0 0 594.95996 841.91998]" in pdf  # A4
+    drawn = [zlib.decompress(data) for data in re.findall(rb"/Subtype /Image.*?stream\r?\n(.*?)endstream", pdf, re.S)]
+    assert max(len(set(pixels)) for pixels in drawn) > 20, "the view in space, drawn by WebGL, is not blank"
     assert b"/Title (Title)" in pdf
 
 
