@@ -380,7 +380,9 @@ def _replacing(out: Path, names: tuple[str, ...], overwrite: bool, work: Callabl
         if ended.exit_code in (0, Cancelled.exit_code):
             earlier.settle()
         else:
-            earlier.put_back()
+            failed = earlier.put_back()
+            if failed is not None:
+                typer.echo(f"{out} holds the earlier results; what this run left is in {failed}", err=True)
         raise
     except BaseException:
         earlier.put_back()

@@ -14,12 +14,14 @@ from armsight.store.atomic import disk_errors
 
 ASIDE = ".armsight-earlier-"
 SHOWN = 4
+FAILED = "failed"
+"""In the folder of the earlier results: what a run left that failed while it was to replace them."""
 
 
 class EarlierResults:
     """Results of an earlier run with these names in a folder, put aside while a new run writes there.
 
-    `put_back` brings them back in place of what the new run left, `drop` deletes them. Names are of files or folders.
+    `put_back` brings them back in place of what the new run left, `settle` deletes them. Names are of files or folders.
     """
 
     def __init__(self, folder: Path, names: Collection[str]) -> None:
@@ -34,17 +36,25 @@ class EarlierResults:
             for name in there:
                 (folder / name).replace(self._aside / name)
 
-    def put_back(self) -> None:
-        """Bring the earlier results back; what the new run left under these names goes. Without any it stays."""
+    def put_back(self) -> Path | None:
+        """Bring the earlier results back; what the new run left under these names goes into FAILED.
+
+        Return that folder; None where it left nothing, or there were no earlier ones and it stays where it is.
+        """
         if self._aside is None:
-            return
+            return None
+        new, failed = found(self._folder, self._names), self._folder / FAILED
         with disk_errors(self._folder):
-            for name in found(self._folder, self._names):
-                _remove(self._folder / name)
+            if new and os.path.lexists(failed):
+                _remove(failed)
+            for name in new:
+                failed.mkdir(exist_ok=True)
+                (self._folder / name).replace(failed / name)
             for path in self._aside.iterdir():
                 path.replace(self._folder / path.name)
             self._aside.rmdir()
         self._aside = None
+        return failed if new else None
 
     def settle(self) -> None:
         """Delete the earlier results where the new run left any, else bring them back."""

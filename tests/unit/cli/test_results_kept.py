@@ -6,6 +6,7 @@ import base64
 import csv
 import gzip
 import re
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from armsight.app.simulate.run import simulate
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 from armsight.records import Silent
-from armsight.store.earlier_results import EarlierResults
+from armsight.store.earlier_results import FAILED, EarlierResults
 
 NAMES = ("poses.csv", "left", "report.html")
 
@@ -46,6 +47,12 @@ def test_measure_leaves_another_runs_results_alone_until_it_is_told_to_replace_t
     wrong[wrong.index("--target") + 1] = tmp_path / "nosuch.yaml"
     assert armsight(*wrong).code == 3
     assert content(out) == before, "a run that fails leaves what was there"
+    failed = armsight(*measure_words(scene, out), "--inverted", "--overwrite")
+    assert failed.code == 3 and f"{out} holds the earlier results" in failed.text
+    assert f"what this run left is in {out / 'failed'}" in failed.text
+    assert {name: data for name, data in content(out).items() if not name.startswith("failed")} == before
+    assert (out / "failed" / "report.html").exists()
+    shutil.rmtree(out / "failed")
     fewer = armsight(*measure_words(scene, out), "--frames", "1", "--overwrite")
     assert fewer.code == 0
     assert fewer.json["n_frames"] == 1
@@ -121,8 +128,9 @@ def test_earlier_results_come_back_or_go_as_a_whole(tmp_path: Path) -> None:
     earlier = EarlierResults(tmp_path, NAMES)
     assert not (tmp_path / "poses.csv").exists()
     (tmp_path / "report.html").write_text("half")
-    earlier.put_back()
-    assert content(tmp_path) == {"poses.csv": b"old", "left/0.png": b"old"}
+    assert earlier.put_back() == tmp_path / FAILED
+    assert content(tmp_path) == {"poses.csv": b"old", "left/0.png": b"old", f"{FAILED}/report.html": b"half"}
+    shutil.rmtree(tmp_path / FAILED)
     earlier = EarlierResults(tmp_path, NAMES)
     earlier.settle()
     assert content(tmp_path) == {"poses.csv": b"old", "left/0.png": b"old"}, "nothing new, nothing lost"
