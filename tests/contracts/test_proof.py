@@ -174,6 +174,16 @@ def test_packets_that_come_late_make_no_jump_of_the_clock_and_a_jump_is_one() ->
     assert "jumped" in clock.hear(8.0 + 0.5, 0, 8.0)
 
 
+@pytest.mark.parametrize(("cycle_s", "piled_up", "jitter_s"), [(0.028, 14, 0.0), (0.028, 0, 0.04), (0.014, 6, 0.0)])
+def test_a_computer_that_reads_late_is_no_other_cycle(cycle_s: float, piled_up: int, jitter_s: float) -> None:
+    clock, rng = ControllerClock(0.028, numbered=True, own=True), np.random.default_rng(2)
+    for i in range(36):
+        read_s = cycle_s * max(i, piled_up) + float(rng.uniform(0.0, jitter_s)) + 1e-4 * i
+        clock.hear(read_s, i, read_s)
+    assert clock.sure
+    assert bool(clock.wrong) is (cycle_s == 0.014)
+
+
 def test_an_arm_that_goes_on_though_it_is_told_to_stand_is_answered_no_more() -> None:
     link = opened("rsi")
     with link.robot as robot:

@@ -12,6 +12,7 @@ import pytest
 from armsight.app.identify.sweep_files import identified
 from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
+from armsight.calibrate.identify.sweeps import step_of
 from armsight.errors import Inconsistent
 from armsight.kinematics import Joint
 from armsight.optics import Camera, Rig, parallel_rig
@@ -139,3 +140,15 @@ def test_what_a_rig_does_not_know_is_in_the_table() -> None:
             inside[known] += within(identify(seen, rig=replace(wrong, covariance=covariance)), truth)
     assert np.mean(inside[True]) > 0.9
     assert np.mean(inside[False]) < 0.85
+
+
+def test_whole_steps_of_coarse_encoders_are_named_and_count_as_noise() -> None:
+    exact, step = swept(0.0, 2e-5), 2.0 * np.pi / 360.0
+    coarse = replace(exact, q=np.round(exact.q / step) * step)
+    with refuses(Inconsistent, f"{step:.3g} rad", "--sigma") as refusal:
+        identify(coarse)
+    sigma = float(str(refusal.value).split("--sigma ")[1].split(")")[0])
+    result = identify(coarse, sigma=sigma)
+    rms_m = np.sqrt(np.mean((result.predicted_m - exact.xyz_m) ** 2))
+    assert all(one.decided for one in result.joints) and rms_m < 0.3 * step
+    assert [step_of(values) for values in (exact.q[:12, 0], np.arange(5) * 0.3)] == [0.0, 0.0]

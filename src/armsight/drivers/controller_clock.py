@@ -52,9 +52,19 @@ class ControllerClock:
             return None
         if self._numbered:
             (first_s, first), (last_s, last) = self._packets[0], self._packets[-1]
-            return (last_s - first_s) / max(last - first, 1)
+            mean_s = (last_s - first_s) / max(last - first, 1)
+            return self._nearer(mean_s) if self._own else mean_s
         # the second: one stamp that is off makes no cycle
         return sorted(after - before for (before, _), (after, _) in pairwise(self._packets))[1]
+
+    def _nearer(self, mean_s: float) -> float:
+        """Return the mean or the median step, whichever is nearer to the cycle: a wrong one shows in both.
+
+        A computer that stood still reads what had piled up at once, which shortens the mean; one that reads late now
+        and then spoils the median.
+        """
+        steps = sorted((t1 - t0) / max(n1 - n0, 1) for (t0, n0), (t1, n1) in pairwise(self._packets))
+        return min(mean_s, steps[len(steps) // 2], key=lambda step_s: abs(step_s - self._cycle_s))
 
     @property
     def wrong(self) -> str:

@@ -13,7 +13,7 @@ from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_cha
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.kernels import axis_costs, settle_axis
 from armsight.calibrate.identify.path_fit import GROSS
-from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, background_shifts, rig_shifts
+from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, background_shifts, or_inexact, rig_shifts
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
 from armsight.optics import Rig
@@ -43,7 +43,7 @@ STARTED = 12
 """Combinations of axes fitted at most."""
 
 
-def check_slopes(found: Sequence[JointPath], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
+def check_slopes(found: Sequence[JointPath], seen: SweepResiduals, axes: Sequence[Sequence[Candidate]]) -> None:
     """Raise Inconsistent where a path does not go with the commanded values: another unit, or not exact.
 
     The lengths are compared only where no axis explains the path at those values: an arc whose centre the noise leaves
@@ -53,7 +53,7 @@ def check_slopes(found: Sequence[JointPath], sweeps: Sweeps, axes: Sequence[Sequ
         best = min((one.chi2 for one in possible), default=np.inf)
         if best < 3.0 * item.path.chi2 + PLAUSIBLE:
             continue
-        q = sweeps.q[item.main, j]
+        q = seen.sweeps.q[item.main, j]
         slope = abs(float(np.polyfit(q, item.path.phase, 1)[0]))
         if abs(slope - 1.0) < 4 * SLOPE_NEAR and slope > 0.2:
             continue
@@ -62,7 +62,7 @@ def check_slopes(found: Sequence[JointPath], sweeps: Sweeps, axes: Sequence[Sequ
         raise Inconsistent(
             f"joint {j + 1} moved {slope:.3g} times as far as its commanded values say",
             consequence="The arm is not identified",
-            cure=f"Correct the values ({why}), or use only their order (--increments order)",
+            cure=f"Correct the values ({why}){or_inexact(seen, j)}",
         )
 
 
@@ -108,7 +108,7 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
     type is not decided are tried as both. Raises NotConverged, Inconsistent where the paths contradict the values.
     """
     axes = [possible_axes(seen, item, j) for j, item in enumerate(found)]
-    check_slopes(found, seen.sweeps, axes)
+    check_slopes(found, seen, axes)
     rows = np.sort(np.concatenate([item.rows for item in found]))
     best: GlobalFit | None = None
     tried: list[GlobalFit] = []
@@ -147,8 +147,8 @@ def _check_dropped(
                 consequence="The arm is not identified",
                 cure=" ".join(
                     [
-                        "Another joint may have moved with it, or its commanded values are not exact: sweep again, or "
-                        "use only their order (--increments order)",
+                        "Another joint may have moved with it, or its commanded values are not exact: sweep again"
+                        + or_inexact(seen, j - 1),
                         *_suspected(seen.take(rows), arm_fit.model),
                     ]
                 ),

@@ -31,7 +31,14 @@ from armsight.calibrate.identify.result import (
     measured_entries,
     propagate_covariance,
 )
-from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, check_sweeps, placed, position_residuals
+from armsight.calibrate.identify.sweeps import (
+    SweepResiduals,
+    Sweeps,
+    check_sweeps,
+    one_home,
+    placed,
+    position_residuals,
+)
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry.lengths import check_spread
 from armsight.optics import PackedRig, Rig
@@ -264,14 +271,13 @@ def _home(sweeps: Sweeps) -> Array:
     """Return the pose in which joints rest while others move; Inconsistent where it is not one."""
     home = np.empty(sweeps.n)
     for j in range(sweeps.n):
-        held = sweeps.q[sweeps.joint != j, j] if sweeps.n > 1 else sweeps.q[:1, 0]
-        if np.ptp(held) > 0.02:
+        if not one_home(sweeps, j):
             raise Inconsistent(
                 f"joint {j + 1} rests at different values in the other joints' sweeps",
                 consequence="Without exact values the axes cannot be brought together",
                 cure="Begin every sweep from one pose, or give exact values (--increments known)",
             )
-        home[j] = held[0]
+        home[j] = sweeps.q[np.flatnonzero(sweeps.joint != j)[0] if sweeps.n > 1 else 0, j]
     return home
 
 

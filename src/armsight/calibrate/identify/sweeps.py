@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,6 +23,10 @@ HELD = 5e-3
 """Joints that hold still within a sweep may differ by so much (rad, m): what encoders and brakes leave."""
 UNEVEN = 1.8
 """Standard deviation of a reading's pixels over the median's from which it is left out; others come to 1.5."""
+ONE_HOME = 0.02
+"""Joints whose values are not exact rest in one pose where those differ by no more (rad, m)."""
+FINEST_STEP = 1e-6
+"""Steps of values (rad, m) below it are no encoder's."""
 MOVED = 1e-3
 """Least movement (rad, m) of a joint in its own sweep."""
 
@@ -150,6 +156,30 @@ def check_sweeps(sweeps: Sweeps) -> None:
             )
 
 
+def one_home(sweeps: Sweeps, joint: int) -> bool:
+    """Tell whether a joint (from 0) rests at one value while the others move."""
+    held = sweeps.q[sweeps.joint != joint, joint] if sweeps.n > 1 else sweeps.q[:1, 0]
+    return bool(np.ptp(held) <= ONE_HOME)
+
+
+def step_of(q: Array) -> float:
+    """Return the step of which all differences of values q (m,) are whole multiples, an encoder's or of rounding.
+
+    0 where there is none but the values' own spacing.
+    """
+    ways = np.diff(np.unique(q))
+    ways = ways[ways > FINEST_STEP]
+    step = functools.reduce(_common, ways.tolist(), 0.0)
+    return step if FINEST_STEP < step < 0.5 * ways.min(initial=np.inf) else 0.0
+
+
+def _common(a: float, b: float) -> float:
+    """Return the greatest common measure of two lengths, by Euclid, to FINEST_STEP."""
+    while b > FINEST_STEP:
+        a, b = b, a % b if b - a % b > FINEST_STEP else 0.0
+    return a
+
+
 # How far readings are from where a model puts the beacon, in standard deviations: by pixels of both cameras, or by
 # positions.
 
@@ -211,6 +241,21 @@ class SweepResiduals:
     def at(self, sigma: float) -> SweepResiduals:
         """Return the same readings with another noise."""
         return SweepResiduals(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
+
+
+def or_inexact(seen: SweepResiduals, joint: int) -> str:
+    """Return what else can be done, as the end of a sentence, where a joint's values (from 0) are not exact."""
+    sweeps, ways = seen.sweeps, []
+    if all(one_home(sweeps, j) for j in range(sweeps.n)):
+        ways.append("use only their order (--increments order)")
+    step, rows = step_of(sweeps.q[:, joint]), max(sweeps.sweeps(joint), key=len)
+    readings = sweeps.xyz_m if seen.rig is None or sweeps.uv_px is None else sweeps.uv_px.reshape(len(sweeps), 4)
+    moved = np.linalg.norm(np.diff(readings[rows], axis=0), axis=1) / np.abs(np.diff(sweeps.q[rows, joint]))
+    # rounding to a step is an error of step / sqrt(12), of each coordinate its share
+    sigma = step / math.sqrt(12.0) * float(np.median(moved)) / math.sqrt(readings.shape[1])
+    if sigma > 0.0:
+        ways.append(f"count the steps of its values, {step:.3g} rad or m, as noise (--sigma {sigma:.2g})")
+    return "".join(f", or {way}" for way in ways)
 
 
 def rig_shifts(kept: SweepResiduals, rig: Rig | None, xyz_m: Array) -> Array:
