@@ -167,14 +167,18 @@ def _joints_and_frames(face: CommandUI, done: VerifyOutput) -> None:
 
 def _iso_table(face: CommandUI, done: VerifyOutput) -> None:
     """Print the figures of ISO 9283 that are given, and why others are not."""
+    from armsight.report.iso_symbols import symbol_of
+
     given = {name: item for name, item in done.iso9283.items() if " " not in name and item.n}
     rows = []
     for name, item in given.items():
         if item.value is not None:
             repeats = f"{item.n} of {item.wanted}" if item.n < item.wanted else str(item.n)
-            rows.append([name, f"{item.value:.4g}", "-" if item.std is None else f"{item.std:.2g}", repeats])
+            symbol, unit, size = symbol_of(name)
+            shown = (figure(None if one is None else one / size) for one in (item.value, item.std))
+            rows.append([symbol, *shown, unit, repeats])
     if rows:
-        face.table("ISO 9283, the worst place, SI units", ["figure", "value", "+-", "repeats"], rows)
+        face.table("ISO 9283, the worst place", ["figure", "value", "+-", "unit", "repeats"], rows)
     why: dict[str, list[str]] = {}
     for name, item in given.items():
         if item.withheld is not None:

@@ -247,14 +247,22 @@ def as_html(title: str, rows: Sequence[Row]) -> str:
 
 
 def flat_rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[Row]:
-    """Yield each figure of a nested dictionary under its dotted name, in SI units as the name says."""
+    """Yield each figure of a nested dictionary under its dotted name, in SI units as the name says.
+
+    Figures that are withheld are counted: a hundred reasons would bury the verdict.
+    """
+    withheld = 0
     for name, value in content.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and value.get("withheld"):
+            withheld += 1
+        elif isinstance(value, Mapping):
             yield from flat_rows(value, f"{prefix}{name}.")
         elif isinstance(value, list) and (len(value) > FEW or any(isinstance(one, list | dict) for one in value)):
             yield f"{prefix}{name}", f"({len(value)})"
         elif value not in (None, "", []):
             yield f"{prefix}{name}", ", ".join(map(_digits, value)) if isinstance(value, list) else _digits(value)
+    if withheld:
+        yield f"{prefix}withheld", f"({withheld})"
 
 
 def _digits(value: object) -> str:

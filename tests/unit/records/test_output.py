@@ -18,7 +18,7 @@ from armsight.app.record.export import ExportOutput
 from armsight.calibrate.handeye import Part, RejectedPair
 from armsight.errors import BadFile
 from armsight.fields import Doc
-from armsight.records.output import Output, extended, figure, output
+from armsight.records.output import Output, extended, figure, flat_rows, output
 from armsight.records.result_parts import PointStd
 from armsight.store.atomic import write_json
 from armsight.store.codec import read_output
@@ -93,3 +93,9 @@ def test_a_result_that_was_written_is_read_again() -> None:
     assert read_output(RejectedPair, json.loads(known.to_json()), "a file") == known
     with refuses(BadFile, "rwo"):
         read_output(RejectedPair, {"rwo": 1, "name": "a", "why": "b"}, "a file")
+
+
+def test_withheld_figures_are_counted_and_bury_nothing() -> None:
+    iso = {f"RP_m P{i}": {"value": None, "withheld": "one visit"} for i in range(130)}
+    shown = dict(flat_rows({"verdict": "good", "iso9283": {**iso, "AP_m": {"value": 0.0005, "withheld": None}}}))
+    assert shown == {"verdict": "good", "iso9283.AP_m.value": "0.0005", "iso9283.withheld": "(130)"}
