@@ -123,3 +123,11 @@ def test_abb_quaternions_have_the_scalar_first(tmp_path):
     np.testing.assert_allclose(first.T_parent_target[:3, :3], want, atol=1e-12)
     assert read_poses(tmp_path / "p.csv", format_=TableFormat(robot="abb"), timed=False)[1].T_parent_target[0, 3] == 0.6
     assert OURS.maker is None
+
+
+@pytest.mark.parametrize(("scale", "q", "says"), [(1.0, 90, "--units deg"), (1000.0, 1, "x_mm")])
+def test_a_table_in_our_own_columns_is_held_to_their_units(tmp_path, armsight, scale, q, says):
+    rows = [f"{1 + i % 2},{q * i / 20},0.1,{0.5 * scale},{0.01 * i * scale},0.3" for i in range(20)]
+    (tmp_path / "sweep.csv").write_text("\n".join(["joint,q1,q2,x_m,y_m,z_m", *rows]) + "\n")
+    done = armsight("convert", "table", tmp_path / "sweep.csv", "--as", "sweep", "-o", tmp_path / "out.csv")
+    assert done.code == 3 and says in done.text and not (tmp_path / "out.csv").exists()

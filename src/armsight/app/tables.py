@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,14 @@ from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import write_text
-from armsight.store.interpret import OURS, TableFormat, interpret, kind_of_table
+from armsight.store.interpret import (
+    OURS,
+    TableFormat,
+    check_joint_values,
+    check_positions,
+    interpret,
+    kind_of_table,
+)
 from armsight.store.tables import bare, parse_table, word
 
 KINDS = ("joints", "poses", "points", "pairs", "robot_poses", "sweep")
@@ -69,6 +77,7 @@ def convert_table(
         blank=header,
         series="q",
     )
+    _check_units(table.numbers, str(source), format_)
     if out is not None:
         write_text(out, "\n".join(",".join(word(bare(cell)) for cell in row) for row in rows) + "\n")
     return ConvertTableOutput(
@@ -80,6 +89,16 @@ def convert_table(
         notes=list(found.notes),
         file=None if out is None else str(out),
     )
+
+
+def _check_units(columns: Mapping[str, NDArray[np.float64]], where: str, format_: TableFormat) -> None:
+    """Raise Inconsistent where joint values are degrees, or positions mm: columns of ours alone are not interpreted."""
+    joints = [values for name, values in columns.items() if name[0] == "q" and name[1:].isdecimal()]
+    if joints:
+        check_joint_values(np.stack(joints, axis=1), where, format_)
+    for first in (name for name in columns if name.endswith("x_m")):
+        names = [name for axis in "xyz" if (name := f"{first[:-3]}{axis}_m") in columns]
+        check_positions(np.stack([columns[name] for name in names], axis=1), names, where, format_)
 
 
 def _range(column: NDArray[np.float64]) -> tuple[float, float] | None:

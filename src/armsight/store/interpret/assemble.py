@@ -116,12 +116,16 @@ def angles_rad(found: Found, columns: Sequence[Column], unstated: float, what: s
     return out
 
 
+STATED = ("m", "mm", "cm", "rad", "deg")
+"""What a column's name may state its unit by."""
+
+
 def mm_for_metres(where: str, names: Sequence[str], xyz: Array) -> Inconsistent:
     """Return the refusal of positions that look like mm where metres are meant."""
     return Inconsistent(
         f"{where}: columns {', '.join(names)}: these look like mm or cm: the largest value is {largest(xyz):.4g}",
         consequence="Taken as metres they would be far from any arm",
-        cure=f"Name the columns {_with_unit(names[0], 'mm')}, ..., or give --units mm; --as-stated if they are metres",
+        cure=f"Name the columns {_in_unit(names[0], 'mm')}; --as-stated if they are metres",
     )
 
 
@@ -139,14 +143,19 @@ def degrees_for_radians(where: str, names: Sequence[str], values: Array) -> Inco
     return Inconsistent(
         f"{where}: columns {', '.join(names)[:120]}: {degrees_cause(values)}",
         consequence="Taken as radians they would be other angles",
-        cure=f"Name the columns {_with_unit(names[0], 'deg')}, ..., or give --units deg or --robot-format; --as-stated "
-        "if they are radians",
+        cure=f"Name the columns {_in_unit(names[0], 'deg', ' or --robot-format')}; --as-stated if they are radians",
     )
 
 
 def _with_unit(name: str, unit: str) -> str:
     stem, _, tail = name.rpartition("_")
-    return f"{stem if stem and tail in ('m', 'mm', 'cm', 'rad', 'deg') else name}_{unit}"
+    return f"{stem if stem and tail in STATED else name}_{unit}"
+
+
+def _in_unit(name: str, unit: str, other: str = "") -> str:
+    """Return how to say the unit: by the columns' names, and by flags where those state none, which flags obey."""
+    flags = "" if name.rpartition("_")[2] in STATED else f", or give --units {unit}{other}"
+    return f"{_with_unit(name, unit)}, ...{flags}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
