@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal
@@ -159,10 +161,11 @@ def read_path(path: PathText, *, frame: Literal["world", "base"] = "world") -> T
 
 
 @speaks_python()
-def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Array]:
+def read_joints(path: PathText, *, measured: bool = False, table: TableFormat = OURS) -> tuple[Array, Array]:
     """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile.
 
-    table: what a foreign table leaves open.
+    measured: it is the log of an arm: rows in which nothing was measured are left out, which a warning tells; else
+    every row was asked for, and counts. table: what a foreign table leaves open.
 
     Examples
     --------
@@ -171,7 +174,9 @@ def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Ar
     (2, 6)
     """
     require_kind("table", table, TableFormat)
-    motion = store.read_joints(as_path(path), table)
+    require_kind("measured", measured, bool)
+    told = replace(table, notify=lambda text: warnings.warn(text, stacklevel=6))
+    motion = store.read_joints(as_path(path), told, measured=measured)
     return np.asarray(motion.t_s), np.asarray(motion.q)
 
 

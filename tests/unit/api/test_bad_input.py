@@ -710,7 +710,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
     "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
     "read_camera": (armsight.read_camera, {"path": path(), "size": SIZE, "zoom": number(100.0)}),
-    "read_joints": (armsight.read_joints, {"path": path(), "table": TABLES}),
+    "read_joints": (
+        armsight.read_joints,
+        {"path": path(), "measured": Arg(good=True, wrong={"a text": "yes", "a number": 3}), "table": TABLES},
+    ),
     "read_hand_eye": (armsight.read_hand_eye, {"path": path()}),
     "read_tool_tip": (armsight.read_tool_tip, {"path": path()}),
     "read_world": (armsight.read_world, {"path": path()}),
