@@ -175,7 +175,7 @@ def read_joints(path: PathText, *, measured: bool = False, table: TableFormat = 
     """
     require_kind("table", table, TableFormat)
     require_kind("measured", measured, bool)
-    told = replace(table, notify=lambda text: warnings.warn(text, stacklevel=6))
+    told = replace(table, notify=lambda text: warnings.warn(text, stacklevel=7))
     motion = store.read_joints(as_path(path), told, measured=measured)
     return np.asarray(motion.t_s), np.asarray(motion.q)
 
