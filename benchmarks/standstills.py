@@ -248,7 +248,7 @@ class Bench:
     def moves(self) -> bool:
         until_s = monotonic_s() + 2.0
         while monotonic_s() < until_s:
-            last = rows(self.track, monotonic_s() - 0.05)
+            last = rows(self.track, monotonic_s() - 0.15)
             if len(last) > 2 and np.ptp(last[:, 1:], axis=0).max() > 1e-4:
                 return True
             time.sleep(0.01)
