@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from armsight.app.history.filing import Made, entry_of_result
 from armsight.app.history.moments import utc
 from armsight.app.history.parameters import parameters_of
 from armsight.kinematics import preset
 from armsight.records import NamedCovariance
-from armsight.store.history.entry import Entry
+from armsight.store.history.entry import Entry, Quantity
 
 START = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 DEG = np.pi / 180.0
@@ -68,3 +69,11 @@ def handeye_run(cell: str, xyz_m, rotation, when: datetime, std: float = 1e-4, *
     }
     made = Made(command="calibrate handeye", cell=cell, created=utc(when), inputs=())
     return entry_of_result(content, parameters_of(content, None), made)
+
+
+def baseline_runs(cell: str, values: Sequence[float], std: float | None) -> Iterator[Entry]:
+    """Yield weekly runs that tell a baseline, m; one whose deviation nobody tells is a figure alone."""
+    for i, value in enumerate(values):
+        number = (Quantity(name="baseline_m", value=value, std=std, unit="m"),)
+        entry = handeye_run(cell, [0.1, 0.0, 0.05], Rotation.identity(), START + timedelta(days=7 * i))
+        yield replace(entry, poses=(), figures=number, parameters=number if std else ())

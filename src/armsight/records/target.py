@@ -166,7 +166,8 @@ def board_target(
     if columns < 2 or rows < 2 or not pitch_m > 0.0:
         raise Inconsistent(
             f"a board of {columns}x{rows} points {pitch_m} m apart cannot be",
-            cure="Count the inner corners (or circles) and give the pitch in metres",
+            cure="Count the inner corners, circles, squares (ChArUco) or tags (AprilGrid), two or more each way, and "
+            "give the pitch in metres",
         )
     check_metres(pitch_m, PITCH_M, "the board's points are apart by")
     n_columns, n_rows = (columns - 1, rows - 1) if kind is TargetKind.CHARUCO else (columns, rows)

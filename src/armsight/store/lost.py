@@ -35,7 +35,10 @@ or m), away: a log that begins at the zero position moves on from there."""
 ROTATION_RARE = 0.5
 """Where a larger share of rows has a position only, the rotations are left out instead of the rows."""
 
-NOTHING_LEFT = "Check what was recorded; columns that are not used are named - in --columns"
+NOTHING_LEFT = (
+    "Check what was recorded; columns that are not used are named - in --columns (of one of two tables: write it anew, "
+    "armsight convert table FILE --columns ... -o NEW.csv)"
+)
 
 
 def lost_rows(table: Table, *, measured: bool = True, groups: Sequence[Sequence[str]] = ()) -> dict[int, str]:

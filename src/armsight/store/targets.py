@@ -257,7 +257,7 @@ def _check_marker(square_m: float, marker_m: float, where: str) -> None:
         raise BadFile(
             f"{where}: markers of {marker_m} m do not fit into squares of {square_m} m",
             consequence="The board cannot be",
-            cure="Give the square's side first, then the marker's, both in metres",
+            cure="Write a square's side as square_m and a marker's, which is smaller, as marker_m, both in metres",
         )
 
 

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import json
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import timedelta
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from armsight.app.history.filing import Made, entry_of_result
 from armsight.app.history.parameters import parameters_of
 from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
-from armsight.store.history.entry import Entry, Quantity
+from armsight.store.history.entry import Entry
 from armsight.store.history.place import place_of
 
 Run = Callable[..., object]
@@ -61,7 +61,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "pairs.csv"
 
 
-def fill(path: Path, entries: list[Entry]) -> None:
+def fill(path: Path, entries: Iterable[Entry]) -> None:
     for entry in entries:
         file_entry(place_of(str(path)), entry)
 
@@ -249,20 +249,13 @@ def test_few_runs_one_run_and_none(armsight, history, tmp_path):
     assert (none.code, none.json["error"]["kind"]) == (3, "NotEnoughData")
 
 
-def baselines(cell: str, values: list[float], std: float | None) -> list[Entry]:
-    """Return runs that tell a baseline; one whose deviation nobody tells is a figure alone."""
-    numbers = [(Quantity(name="baseline_m", value=value, std=std, unit="m"),) for value in values]
-    first = handeyes(cell, np.zeros((len(values), 3)))
-    return [
-        dataclasses.replace(one, poses=(), figures=number, parameters=number if std else ())
-        for one, number in zip(first, numbers, strict=True)
-    ]
-
-
 def test_nothing_is_steady_before_a_run_was_judged(armsight, history, tmp_path):
     for n, state in ((7, "few"), (8, "jump")):  # the last one is a metre off
         fill(
-            history, baselines(f"untold {n}", [0.5 + 1e-4 * k for k in (0, 2, 1, 3, 0, 1, 2, 1)[: n - 1]] + [1.5], None)
+            history,
+            histories.baseline_runs(
+                f"untold {n}", [0.5 + 1e-4 * k for k in (0, 2, 1, 3, 0, 1, 2, 1)[: n - 1]] + [1.5], None
+            ),
         )
         done = armsight("history", "trend", "--cell", f"untold {n}", "--figure", "baseline_m", "-o", tmp_path / str(n))
         assert [one["state"] for one in done.json["figures"]] == [state], done.text
@@ -270,7 +263,7 @@ def test_nothing_is_steady_before_a_run_was_judged(armsight, history, tmp_path):
 
 
 def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsight, history, tmp_path):
-    fill(history, baselines("wide", [1e300] * 9 + [2e300] * 3, 1e297))
+    fill(history, histories.baseline_runs("wide", [1e300] * 9 + [2e300] * 3, 1e297))
     done = armsight("history", "trend", "--cell", "wide", "-o", tmp_path / "t")
     assert (done.code, done.json["error"]["kind"]) == (3, "Inconsistent")
     assert "baseline_m" in done.json["error"]["cause"]
@@ -278,7 +271,7 @@ def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsig
 
 def test_a_change_after_few_runs_says_so(armsight, history, tmp_path):
     for n, told in ((3, True), (9, False)):
-        fill(history, baselines(f"after {n}", [0.5] * n + [0.6] * 3, 1e-3))
+        fill(history, histories.baseline_runs(f"after {n}", [0.5] * n + [0.6] * 3, 1e-3))
         notes = armsight("history", "trend", "--cell", f"after {n}", "-o", tmp_path / str(n)).json["notes"]
         assert any(f"only {n} runs came before" in note for note in notes) is told
 

@@ -65,7 +65,7 @@ def export(source: Path, out: Path, *, to: str = "files", progress: Progress | N
     if not any(done.values()):
         raise NotEnoughData(
             f"{source} holds nothing that could be written",
-            cure="Mend it with armsight record --repair, or give another",
+            cure="Give another, or record anew: nothing in it is whole, or nothing was recorded",
         )
     return ExportOutput(source=str(source), out=str(out), n=done)
 

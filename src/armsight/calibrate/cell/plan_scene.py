@@ -177,7 +177,7 @@ def _none(counts: NDArray[np.int_]) -> NotEnoughData:
         f"at none of {allowed} positions where the arm may be do both cameras see all lights",
         consequence="No motion is planned",
         cure="Check where the rig stands (--world) and how the target sits on the flange (--mount); turn the cameras "
-        "to the arm, or allow more (--facing-deg, --margin-px)",
+        "to the arm, allow more (--facing-deg), or say how well the rig's place is known (--rough-mm, --rough-deg)",
     )
 
 

@@ -160,9 +160,9 @@ def smoothed(
     positive("bound_m", bound_m)
     if not 0.0 < bound_rad <= math.pi:
         raise UsageError(
-            f"bound_rad is {bound_rad:g}, which is no bound",
+            f"a bound of {bound_rad / DEG:g} degrees is none",
             consequence="The path is left as it is",
-            cure="Give an angle in rad, below half a turn",
+            cure="Give more than 0 degrees, 180 (pi rad) at most",
         )
     s = moving(path)
     chosen = corners(path) if keep is None else keep

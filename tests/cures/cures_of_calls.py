@@ -1,0 +1,190 @@
+"""Cures of calls in Python: units and shapes of what is given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+import armsight
+from armsight.api.design import _mount, _size
+from armsight.api.files import image_size
+from armsight.control.guard import Box
+from armsight.control.guard.plausible import check_corners
+from armsight.control.paths.exports import krl, rapid
+from armsight.control.paths.program import Program, program_moves
+from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.play.path_source import _checked_override
+from armsight.control.play.weave import Weave
+from armsight.control.servo.law import chosen_gain, delay_cycles
+from armsight.control.servo.settings import on_axis
+from armsight.drivers.images import ImageReading, image_of_8_bits
+from armsight.drivers.opening import open_source
+from armsight.drivers.remote.wire import ServerAddress
+from armsight.kinematics import preset
+from armsight.kinematics.couplings import Coupling
+from armsight.measure.pace import Pace
+from armsight.optics import Camera, Plate
+from armsight.publish.options import mqtt_options
+from armsight.records import Motion, Spots, TaughtPath
+from armsight.records.checks import require_rigid
+from armsight.records.target import Colour, TargetKind, board_target
+from armsight.records.timing import CameraTiming
+from armsight.server.web_server import ServeOptions, check_options
+
+FILES: dict[str, str] = {}
+CERTIFICATE, KEY = Path("keys/opcua-cert.pem"), Path("keys/opcua-key.pem")
+IRB = preset("irb120")
+STILL = np.full((4, 6), 0.1)
+DEEP = np.full((2, 2), 4000, np.uint16)
+LIGHT = np.full((2, 2), 40, np.uint8)
+
+
+def each(*calls):
+    """Return a call of several."""
+    return lambda: [call() for call in calls]
+
+
+def coupled(share):
+    return lambda: armsight.Arm(name="a", joints=IRB.joints, couplings=(Coupling(joint="j3", by="j2", share=share),))
+
+
+def motion(override):
+    return lambda: JointMotionSource(Motion(t_s=np.arange(4.0), q=STILL), override=override)
+
+
+def program(**more):
+    rows = RigidTransform.from_translation([[0.3, 0.0, 0.3], [0.4, 0.0, 0.3]])
+    moves = program_moves(TaughtPath.of_poses(rows, speed_m_s=0.1, parent="base"))
+    return Program(**{"name": "a", "moves": moves, "acceleration_m_s2": 0.5, "turn_rad_s": 1.0, **more})
+
+
+def camera(width):
+    return lambda: Camera(width=width, height=480, intrinsics=np.array([500.0, 500, 320, 240, *[0.0] * 6]))
+
+
+TRIED = {
+    ("api/design.py", "Give (width, height) in px"): (lambda: _size((640,)), lambda: _size((640, 480))),
+    ("api/design.py", "Give (x, y, z) in m"): (
+        lambda: _mount((1.0, 2.0)),
+        each(lambda: _mount((0.0, 0.0, 0.1)), lambda: _mount((0.0, 0.0, 0.1, 0.0, 90.0, 0.0))),
+    ),
+    ("api/files.py", "Give (width, height) in px"): (lambda: image_size((0, 480)), lambda: image_size((640, 480))),
+    ("control/guard/plausible.py", "Write m (from mm"): (
+        lambda: check_corners(Box(lower_m=[-900.0, 0, 0], upper_m=[900.0, 500, 500]), "forbidden"),
+        lambda: check_corners(Box(lower_m=[-0.9, 0, 0], upper_m=[0.9, 0.5, 0.5]), "forbidden"),
+    ),
+    ("control/paths/exports.py", "the number of TOOL_DATA"): (lambda: krl(program()), lambda: krl(program(tool="1"))),
+    ("control/paths/exports.py", "the name of the tooldata"): (
+        lambda: rapid(program()),
+        lambda: rapid(program(tool="torch")),
+    ),
+    ("control/paths/program.py", "500 mm/s^2 are 0.5"): (
+        lambda: program(acceleration_m_s2=500.0),
+        lambda: program(acceleration_m_s2=0.5),
+    ),
+    ("control/play/joint_motion.py", "0.5 (--override)"): (motion(50.0), motion(0.5)),
+    ("control/play/path_source.py", "0.5 (--override)"): (
+        lambda: _checked_override(50),
+        lambda: _checked_override(0.5),
+    ),
+    ("control/play/weave.py", "Give metres, for instance"): (
+        lambda: Weave.parse("sine:2:8"),
+        lambda: Weave.parse("sine:0.002:0.008"),
+    ),
+    ("control/play/weave.py", "Give none, sine:"): (
+        lambda: Weave.parse("sine"),
+        each(lambda: Weave.parse("none"), lambda: Weave.parse("zigzag:0.002:0.008")),
+    ),
+    ("control/servo/law.py", "Give a delay of zero or more"): (
+        lambda: delay_cycles(-0.1, 0.008),
+        lambda: delay_cycles(0.1, 0.008),
+    ),
+    ("control/servo/law.py", "Give a gain up to"): (
+        lambda: chosen_gain(50.0, 0.008, 0.1),
+        lambda: chosen_gain(float(f"{chosen_gain(None, 0.008, 0.1).no_overshoot:.4g}"), 0.008, 0.1),
+    ),
+    ("control/servo/settings.py", "Give metres, zero or more"): (
+        lambda: on_axis(RigidTransform.identity(), -0.3),
+        lambda: on_axis(RigidTransform.identity(), 0.3),
+    ),
+    ("drivers/images.py", "Say it, such as --bits 12"): (
+        lambda: image_of_8_bits(DEEP, None, "a.png"),
+        lambda: image_of_8_bits(DEEP, 12, "a.png"),
+    ),
+    ("drivers/images.py", "Give --bits {} or more"): (
+        lambda: image_of_8_bits(DEEP, 10, "a.png"),
+        lambda: image_of_8_bits(DEEP, 12, "a.png"),
+    ),
+    ("drivers/images.py", "Leave --bits away, or take"): (
+        lambda: image_of_8_bits(LIGHT, 12, "a.png"),
+        lambda: image_of_8_bits(LIGHT, None, "a.png"),
+    ),
+    ("drivers/images.py", "Leave --bits away"): (
+        lambda: open_source("camera:0", reading=ImageReading(bits=12)),
+        lambda: open_source("camera:0"),
+    ),
+    ("drivers/opening.py", "Leave --times away"): (
+        lambda: open_source("camera:0", times_s=[0.0]),
+        lambda: open_source("camera:0"),
+    ),
+    ("drivers/remote/wire.py", "Use wss://, and a server"): (
+        lambda: ServerAddress(url="ws://cell.example:8767", token="t" * 20),
+        lambda: ServerAddress(url="wss://cell.example:8767", token="t" * 20),
+    ),
+    ("kinematics/arm.py", "and leave rows without a reading out"): (
+        lambda: IRB.fk([[0.1] * 6, [np.nan] * 6]),
+        lambda: IRB.fk([[0.1] * 6]),
+    ),
+    ("kinematics/arm.py", "Give radians: the numbers look"): (
+        lambda: IRB.fk([90.0, 0, 0, 0, 0, 0]),
+        lambda: IRB.fk(np.radians([90.0, 0, 0, 0, 0, 0])),
+    ),
+    ("kinematics/couplings.py", "Give a share of about one"): (coupled(57.3), coupled(1.0)),
+    ("kinematics/target.py", "Give metres: the numbers"): (
+        lambda: IRB.ik(RigidTransform.from_translation([300.0, 0.0, 400.0])),
+        lambda: IRB.ik(RigidTransform.from_translation([0.3, 0.0, 0.4])),
+    ),
+    ("measure/pace.py", "Give seconds, or none"): (
+        lambda: Pace(deadline_s=0.0),
+        each(lambda: Pace(deadline_s=0.01), Pace),
+    ),
+    ("optics/camera.py", "Give the thickness in metres"): (
+        lambda: Plate(thickness_m=1.0),
+        lambda: Plate(thickness_m=0.001, index=1.5),
+    ),
+    ("optics/camera.py", "Give its size in px"): (camera(0), camera(640)),
+    ("publish/options.py", "Give --mqtt-user"): (
+        lambda: mqtt_options("mqtts://a.example/cell", ca=None, user="", password_file=Path("password")),
+        lambda: mqtt_options("mqtts://a.example/cell", ca=None, user="me", password_file=Path("password")),
+    ),
+    ("records/checks.py", "Give [[R, t]"): (
+        lambda: require_rigid("T", np.full((1, 4, 4), 2.0)),
+        lambda: require_rigid("T", np.eye(4)[None]),
+    ),
+    ("records/measured.py", "such as 0.1**2"): (
+        lambda: Spots.of_centres(np.zeros((3, 2)), np.array([0.1, 0.1])),
+        lambda: Spots.of_centres(np.zeros((3, 2)), 0.1**2 * np.eye(2)),
+    ),
+    ("records/target.py", "Count the inner corners"): (
+        lambda: board_target(TargetKind.CHECKERBOARD, 1, 6, 0.025),
+        lambda: board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025),
+    ),
+    ("records/target.py", "Give (from, to) in degrees"): (
+        lambda: Colour(hue_deg=(-20.0, 20.0)),
+        lambda: Colour(hue_deg=(340.0, 20.0)),
+    ),
+    ("records/timing.py", "0.005 to 0.05"): (
+        lambda: CameraTiming(readout_s=20.0),
+        lambda: CameraTiming(readout_s=0.02),
+    ),
+    ("server/web_server.py", "Give both --tls-cert"): (
+        lambda: check_options(ServeOptions(tls_cert=CERTIFICATE)),
+        lambda: check_options(ServeOptions(tls_cert=CERTIFICATE, tls_key=KEY)),
+    ),
+    ("server/web_server.py", "or leave --bind away"): (
+        lambda: check_options(ServeOptions(bind="192.0.2.1")),
+        lambda: check_options(ServeOptions()),
+    ),
+}

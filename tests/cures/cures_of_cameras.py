@@ -1,0 +1,205 @@
+"""Cures of cameras: lenses, noise, zooms, mirrors, and measuring and recording with them."""
+
+from __future__ import annotations
+
+from armsight.drivers.opening import open_source
+
+LENS = "fx: {0}, fy: {0}, cx: 160.3, cy: 119.6, distortion: [0, 0, 0, 0, 0]"
+SMALL = "format: armsight/camera\nversion: 1\nwidth: 320\nheight: 240\n"
+PLAIN = "".join(f"{key}\n" for key in ["fx: 400", "fy: 400", "cx: 160.3", "cy: 119.6", "distortion: [0, 0, 0, 0, 0]"])
+
+
+def zooms(focals, pupils=()):
+    """Return the settings of a zoom lens by their focal lengths, with pupils where these are told."""
+    rows = ""
+    for zoom, focal in focals.items():
+        pupil = f", pupil_m: {pupils[zoom]}" if zoom in pupils else ""
+        known = "covariance: {names: [fx], matrix: [[0.01]]}"
+        rows += f"- {{zoom: {zoom}, {LENS.format(focal)}, {known}{pupil}}}\n"
+    return f"{SMALL}zoom:\n{rows}"
+
+
+FOCALS = {100: 400, 200: 460, 300: 540}
+SIDE = "width: 320, height: 240, " + LENS.format(400)
+TIMED = "".join(
+    f"  {side}: {{{SIDE}, T_rig_camera: {{xyz_m: [{x}, 0, 0], quat_xyzw: [0, 0, 0, 1]}},\n"
+    "    timing: {delay_s: 0.000001}}\n"
+    for side, x in (("left", 0.0), ("right", 0.1))
+)
+FILES = {
+    "lens640.yaml": "format: armsight/camera\nversion: 1\nwidth: 640\nheight: 480\n"
+    "fx: 520\nfy: 521\ncx: 321\ncy: 238\ndistortion: [0, 0, 0, 0, 0]\n",
+    "small.yaml": SMALL + PLAIN,
+    "lens.yaml": zooms(FOCALS),
+    "two.yaml": zooms({100: 400, 200: 460}),
+    "mixed.yaml": zooms(FOCALS, {100: 0.01}),
+    "timed.yaml": f"format: armsight/rig\nversion: 1\nkind: stereo\ncameras:\n{TIMED}",
+    "times12.csv": "t_s,q1\n" + "".join(f"{k / 30.0!r},0\n" for k in range(12)),
+    "later.csv": "t_s,q1\n" + "".join(f"{100.0 + k:.6f},0\n" for k in range(3)),
+    "board.yaml": "format: armsight/target\nversion: 1\nkind: checkerboard\ncolumns: 7\nrows: 5\nsquare_m: 0.02\n",
+    "empty.mcap": "",
+}
+BOARD = "--board checkerboard:7x5:0.02"
+BOARDS = f"{BOARD} -o c.yaml --frames 5"
+CAMERA = f"calibrate camera boards/left {BOARDS}"
+NOISE = "calibrate camera --noise stills -o"
+ZOOM_RIG = "calibrate zoom-rig --rig rig.yaml -o z.yaml"
+ZOOMED = f"{ZOOM_RIG} --left lens.yaml --zoom-left 100"
+SIDES = "--left left --right right"
+MEASURE = f"measure --rig rig.yaml --target target.yaml {SIDES} -o m"
+OF_TIMED = "measure --rig timed.yaml --target target.yaml -o m"
+RECORD = f"record {SIDES} -o a.mcap"
+MIRRORS = f"calibrate mirrors {BOARD} -o x.yaml"
+CHECK = "calibrate mirrors --check"
+LIT = "calibrate mirrors --image mirrors -o x.yaml --camera lens640.yaml --baseline-mm 160"
+
+
+TRIED = {
+    ("app/calibrate/camera_noise.py", "Give the camera.yaml or rig.yaml"): (
+        f"{NOISE} none.yaml",
+        f"{NOISE} small.yaml",
+    ),
+    ("app/calibrate/camera_noise.py", "Add --side left or"): (f"{NOISE} rig.yaml", "{} --side left"),
+    ("app/calibrate/camera_noise.py", "Leave --side away"): (f"{NOISE} small.yaml --side left", f"{NOISE} small.yaml"),
+    ("app/calibrate/camera_noise.py", "Add --side where the noise"): (
+        f"{NOISE} rig.yaml --side left && calibrate camera --noise rig.yaml -o small.yaml",
+        f"calibrate camera --noise rig.yaml -o pair320.yaml --side left && {NOISE} small.yaml",
+    ),
+    ("cli/calibrate_cameras.py", "Give SRC and --board"): (f"calibrate camera {BOARDS}", CAMERA),
+    ("cli/calibrate_cameras.py", "Leave --side away"): (f"{CAMERA} --side left", CAMERA),
+    ("app/requests/calibrate_cameras.py", "Give --zoom with the value"): (f"{CAMERA} --pupil 0.01", "{} --zoom 100"),
+    ("app/requests/calibrate_cameras.py", "Give --pupil"): (
+        f"{CAMERA} --zoom 100 --pupil-std 0.001",
+        "{} --pupil 0.01",
+    ),
+    ("app/requests/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
+    ("app/calibrate/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
+    ("optics/zoom_rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
+    ("optics/zoom_rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
+    ("optics/zoom_rig.py", "with the value that the lens stood at"): (
+        f"{ZOOMED} && {MEASURE.replace('rig.yaml', 'z.yaml')}",
+        f"{MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 && "
+        "convert rig z.yaml -o fixed.yaml --zoom-left 100 && doctor --rig fixed.yaml",
+    ),
+    ("optics/zoom_rig.py", "away, or add the settings"): (
+        f"{MEASURE} --zoom-left 100",
+        f"{MEASURE} && {ZOOMED} && {MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 --overwrite",
+    ),
+    ("optics/zoom.py", "Set the lens to {}"): (
+        "convert camera two.yaml --zoom 150 -o one.yaml",
+        "convert camera two.yaml --zoom 100 -o one.yaml",
+    ),
+    ("optics/zoom.py", "Set the lens within"): (
+        "convert camera lens.yaml --zoom 400 -o one.yaml",
+        "convert camera lens.yaml --zoom 250 -o one.yaml",
+    ),
+    ("optics/zoom.py", "Give pupil_m (--pupil)"): (
+        "convert camera mixed.yaml --zoom 100 -o one.yaml",
+        "convert camera lens.yaml --zoom 100 -o one.yaml",
+    ),
+    ("store/zoom.py", "Calibrate its settings into"): (
+        "convert camera small.yaml --zoom 100 -o one.yaml",
+        f"{CAMERA} --zoom 100 && convert camera c.yaml --zoom 100 -o one.yaml",
+    ),
+    ("store/rigs.py", "Make the file of one setting"): (
+        "convert camera lens.yaml --to opencv -o one.yml",
+        "convert camera lens.yaml --zoom 150 -o fixed.yaml && convert camera fixed.yaml --to opencv -o one.yml",
+    ),
+    ("cli/convert.py", "with --zoom-left"): (
+        f"{ZOOMED} && convert rig z.yaml -o a.yaml -o b.yaml --zoom-left 100",
+        "convert rig z.yaml -o a.yaml --zoom-left 100",
+    ),
+    ("app/calibrate/mirrors.py", "Give --board, for instance"): (
+        "calibrate mirrors -o x.yaml --image mirrors",
+        f"{MIRRORS} --image mirrors",
+    ),
+    ("app/calibrate/mirrors.py", "Give --image, or --left-only"): (MIRRORS, "{} --image mirrors"),
+    ("app/calibrate/mirrors.py", "Give {} too, with"): (f"{MIRRORS} --left-only left", f"{MIRRORS} --image mirrors"),
+    ("app/calibrate/mirrors.py", "or covered views with --board"): (
+        "calibrate mirrors -o x.yaml --target target.yaml --left-only left --right-only right",
+        f"{MIRRORS} --image mirrors",
+    ),
+    ("app/calibrate/mirrors_check.py", "or, to make the axes parallel"): (
+        f"{CHECK} --image mirrors {BOARD}",
+        "{} --rig mirrors.yaml && {} --camera lens640.yaml --baseline-mm 160",
+    ),
+    ("app/calibrate/mirrors_check.py", "Give --image, and --rig"): (
+        f"{CHECK} --rig mirrors.yaml {BOARD}",
+        "{} --image mirrors",
+    ),
+    ("app/calibrate/mirrors_check.py", "Leave --target out"): (
+        f"{CHECK} --rig mirrors.yaml --image mirrors --target target.yaml",
+        f"{CHECK} --rig mirrors.yaml --image mirrors {BOARD}",
+    ),
+    ("calibrate/mirrors/diagnosis.py", "Give the rig.yaml of"): (
+        f"{CHECK} --rig rig.yaml --image mirrors {BOARD}",
+        f"{CHECK} --rig mirrors.yaml --image mirrors {BOARD}",
+    ),
+    ("app/calibrate/mirrors_lit_target.py", "Give it as --board"): (
+        f"{LIT} --target board.yaml",
+        "calibrate mirrors --image mirrors -o x.yaml --board board.yaml",
+    ),
+    ("app/calibrate/mirrors_lit_target.py", "or calibrate with --board"): (
+        f"{LIT} --target labels.yaml",
+        f"{MIRRORS} --image mirrors",
+    ),
+    ("app/measure/run.py", "Leave --timing free away"): (f"{MEASURE} --stills --timing free", f"{MEASURE} --stills"),
+    ("app/measure/run.py", "in place of --left and --right"): (
+        "measure --rig mirrors.yaml --target board.yaml --left mirrors --right mirrors -o m",
+        "measure --rig mirrors.yaml --target board.yaml --image mirrors -o m",
+    ),
+    ("app/measure/run.py", "one recording as --left"): (
+        "measure --rig rig.yaml --target target.yaml -o m",
+        f"{MEASURE} && {RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap -o m --overwrite",
+    ),
+    ("app/measure/streams.py", "or --left-spots and"): (OF_TIMED, f"{{}} {SIDES}"),
+    ("app/measure/streams.py", "or one recording for both"): (
+        f"{OF_TIMED} --left left",
+        f"{OF_TIMED} {SIDES} && {RECORD} && {OF_TIMED} --left a.mcap --overwrite",
+    ),
+    ("app/measure/streams.py", "or use --timing pairs"): (f"{MEASURE} --timing free", f"{MEASURE} --timing pairs"),
+    ("app/measure/free_running.py", "or use --timing pairs"): (
+        f"{OF_TIMED} {SIDES} --target labels.yaml",
+        "{} --timing pairs",
+    ),
+    ("app/measure/free_output.py", "are those of the left camera's"): (
+        f"{OF_TIMED} {SIDES} --at later.csv",
+        f"{OF_TIMED} {SIDES} --at times12.csv",
+    ),
+    ("app/record/record.py", "Give --left and --right, or --cell"): (
+        "record -o a.mcap",
+        f"{RECORD} && record --cell hand-cell --frames 2 -o b.mcap",
+    ),
+    ("store/recording/mcapfile.py", "or give --overwrite"): (f"{RECORD} && {RECORD}", f"{RECORD} --overwrite"),
+    ("app/record/export.py", "Give --to with one of"): (
+        f"{RECORD} && convert recording a.mcap -o f --to zip",
+        "convert recording a.mcap -o f --to files",
+    ),
+    ("store/recording/record_reader.py", "or another MCAP program"): (
+        "convert recording empty.mcap -o f",
+        f"{RECORD} && convert recording a.mcap -o f",
+    ),
+    ("drivers/opening.py", "armsight convert recording"): (
+        (RECORD, lambda: open_source("a.mcap")),
+        ("convert recording a.mcap -o f", lambda: list(open_source("f/left").__enter__())),
+    ),
+    ("drivers/opening.py", "Give each camera's own source"): (
+        "measure --rig rig.yaml --target target.yaml --left left --right left -o m",
+        MEASURE,
+    ),
+    ("app/sources/frames.py", "Leave --times and --fps away"): (
+        f"{RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap --fps 30 -o m",
+        "measure --rig rig.yaml --target target.yaml --left a.mcap -o m",
+    ),
+    ("app/sources/frames.py", "or one recording for both"): ("record --left left -o a.mcap", RECORD),
+    ("app/doctor.py", "Give --rig with it"): ("doctor --depth 1", "{} --rig rig.yaml"),
+    ("app/doctor.py", "Give --rig and --depth"): ("doctor --accuracy 1", "{} --rig rig.yaml --depth 1"),
+    ("app/simulate/run.py", "Leave --room and --zoom"): (
+        "simulate arm-points --room dark -o s",
+        "simulate arm-points -o s",
+    ),
+    ("app/reproduce/stage.py", "Give --frames {} or more"): (
+        "reproduce kapucu2005 --frames 9 -o r",
+        "reproduce kapucu2005 -o r",
+    ),
+}

@@ -1,0 +1,130 @@
+"""Cures of robots: moving, playing, following, supervising, serving, publishing. Times pass by a clock set by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from armsight.app.requests.motion import HandJogJob, JogJob, settings_of
+from armsight.app.requests.plant import PlantFlags
+from armsight.app.robot.guarding import arm_model, guard_for
+from armsight.app.robot.jog import jog_robot
+from armsight.app.robot.jog_by_hand import _check as check_hand
+from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.clock import ManualClock
+from armsight.drivers.jog_inputs import KeyboardInput
+from armsight.kinematics import preset
+
+SIM = "sim:webcam-cell"
+URL = "opc.tcp://127.0.0.1:4840"
+CERTIFICATE, KEY, TOKENS = Path("keys/opcua-cert.pem"), Path("keys/opcua-key.pem"), Path("tokens.yaml")
+BOX = "forbidden:\n- {name: wall, lower_m: [-2, -0.3, -1], upper_m: [0, -0.2, 1]}\n"
+LIMITS = "format: armsight/limits\nversion: 1\n"
+FILES = {
+    "box.yaml": LIMITS + BOX,
+    "free.yaml": LIMITS,
+    "narrow.yaml": f"{LIMITS}joints: [{{lower: -0.2, upper: 0.2}}, {{}}, {{}}, {{}}, {{}}, {{}}]\n",
+    "aside.yaml": f"{LIMITS}joints: [{{lower: 0.2, upper: 1.0}}, {{}}, {{}}, {{}}, {{}}, {{}}]\n",
+}
+
+
+def jog(*, yes=True, **job):
+    def go():
+        clock = ManualClock()
+        robot = open_robot(SIM, clock)
+        return jog_robot(JogJob(robot=SIM, **{"joint": 1, "by": 0.1, **job}), lambda _: yes, clock=clock, opened=robot)
+
+    return go
+
+
+def plant(**flags):
+    return lambda: PlantFlags(**flags).made(print)
+
+
+SAFE = {"opcua": URL, "opcua_certificate": CERTIFICATE, "opcua_key": KEY}
+
+
+class Bare:
+    """A robot of whose arm nothing is known."""
+
+    name, n_joints, cycle_s = "bare", 6, 0.008
+
+
+TRIED = {
+    ("app/robot/jog.py", "Give one of them (--joint)"): (jog(joint=7), jog(joint=6)),
+    ("app/robot/jog.py", "Give rad or m (--by)"): (jog(by=0.0), jog(by=0.1)),
+    ("app/robot/jog.py", "Give radians (--by"): (jog(by=5.0), jog(by=0.0873)),
+    ("app/robot/jog.py", "Ask for a shorter way (--by)"): (
+        jog(by=0.5, limits=Path("narrow.yaml")),
+        jog(by=0.1, limits=Path("narrow.yaml")),
+    ),
+    ("app/robot/jog.py", "Go back within them (--by"): (
+        jog(by=-0.1, limits=Path("aside.yaml")),
+        jog(by=0.2, limits=Path("aside.yaml")),
+    ),
+    ("app/robot/jog.py", "or look at the limits (--limits)"): (
+        jog(by=0.5, limits=Path("box.yaml"), speed=1.0),
+        jog(by=0.02, limits=Path("box.yaml"), speed=1.0),
+    ),
+    ("app/robot/jog.py", "Give --yes to move"): (jog(yes=False), jog()),
+    ("app/robot/jog_by_hand.py", "Give joints, base or tool"): (
+        lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="wrist"), True, SIM),
+        lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="tool"), True, SIM),
+    ),
+    ("app/robot/jog_by_hand.py", "or --frame joints"): (
+        lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="tool"), False, "egm"),
+        lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="joints"), False, "egm"),
+    ),
+    ("drivers/jog_inputs.py", "Use --joint and --by"): (lambda: KeyboardInput(0, 9), jog(joint=1, by=0.1)),
+    ("app/robot/opening.py", "Omit --robot-set"): (
+        lambda: driver_settings(SIM, {"cycle_s": "0.01"}),
+        lambda: driver_settings(SIM),
+    ),
+    ("app/robot/opening.py", "Give it with --arm"): (
+        lambda: driver_settings("alter:1.2.3.4", {"arm": "ur10"}),
+        lambda: driver_settings("alter:1.2.3.4", arm=preset("ur10")),
+    ),
+    ("app/robot/opening.py", "Omit --rsi-config"): (
+        lambda: driver_settings("egm:6510", rsi_config=Path("a.xml")),
+        lambda: [driver_settings("egm:6510"), driver_settings("rsi:49152", rsi_config=Path("a.xml"))],
+    ),
+    ("app/requests/motion.py", "each key once"): (
+        lambda: settings_of(["controller"]),
+        lambda: settings_of(["controller=192.168.0.10"]),
+    ),
+    ("app/robot/guarding.py", "Give the arm of this robot"): (
+        lambda: guard_for(Bare(), preset("panda"), None),
+        lambda: guard_for(Bare(), preset("ur10"), None),
+    ),
+    ("app/robot/guarding.py", "or limits without boxes"): (
+        lambda: guard_for(Bare(), None, Path("box.yaml")),
+        lambda: [guard_for(Bare(), preset("ur10"), Path("box.yaml")), guard_for(Bare(), None, Path("free.yaml"))],
+    ),
+    ("app/robot/guarding.py", "Give --arm with its arm.yaml"): (
+        lambda: arm_model("egm:6510", None),
+        lambda: arm_model("egm:6510", "irb120"),
+    ),
+    ("app/requests/plant.py", "Give --opcua, --mqtt or"): (
+        plant(stale_after_s=5.0),
+        lambda: [plant(stale_after_s=5.0, foxglove="8765")(), plant()()],
+    ),
+    ("app/requests/plant.py", "Give --opcua-certificate and"): (
+        plant(opcua=URL, opcua_users=TOKENS, opcua_anonymous=True),
+        plant(**SAFE, opcua_users=TOKENS, opcua_anonymous=True),
+    ),
+    ("publish/options.py", "Give both --opcua-certificate"): (
+        plant(opcua=URL, opcua_certificate=CERTIFICATE, opcua_anonymous=True),
+        plant(**SAFE, opcua_anonymous=True),
+    ),
+    ("publish/options.py", "makes a pair"): (
+        plant(opcua=URL),
+        lambda: plant(**SAFE, opcua_users=TOKENS)(),
+    ),
+    ("publish/options.py", "or --opcua-anonymous to let"): (
+        plant(**SAFE),
+        lambda: [plant(**SAFE, opcua_users=TOKENS)(), plant(**SAFE, opcua_anonymous=True)()],
+    ),
+    ("publish/options.py", "and the password in a file"): (
+        plant(mqtt="mqtts://me:secret@a.example/cell"),
+        plant(mqtt="mqtts://a.example/cell", mqtt_user="me", mqtt_password_file=Path("password")),
+    ),
+}
