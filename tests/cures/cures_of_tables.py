@@ -140,7 +140,10 @@ TRIED = {
         f"{TABLE} bare.csv --as points -o a.csv",
         "{} --columns q1..q6_deg,xyz_mm",
     ),
-    ("store/interpret/assemble.py", "--units deg or"): (f"{TABLE} degrees.csv --as joints -o a.csv", "{} --units deg"),
+    ("store/interpret/assemble.py", "--as-stated if they are radians"): (
+        f"{TABLE} degrees.csv --as joints -o a.csv",
+        "{} --units deg",
+    ),
     ("store/interpret/assemble.py", "--euler with the order"): (
         f"{TABLE} angles.csv --as poses -o a.csv",
         "{} --euler xyz-fixed",
@@ -149,7 +152,10 @@ TRIED = {
         f"{TABLE} degrees.csv --as nothing -o a.csv",
         f"{TABLE} degrees.csv --as joints --units deg -o a.csv",
     ),
-    ("store/interpret/assemble.py", "or give --units mm"): (f"{TABLE} unnamed-mm.csv --as poses", "{} --units mm"),
+    ("store/interpret/assemble.py", "--as-stated if they are metres"): (
+        f"{TABLE} unnamed-mm.csv --as poses",
+        "{} --units mm",
+    ),
     ("store/interpret/assemble.py", "um is 0.001 mm"): (
         f"{TABLE} um-as-mm.csv --as poses",
         f"{TABLE} um.csv --as poses && {TABLE} um-as-mm.csv --as poses --as-stated",
