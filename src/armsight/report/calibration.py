@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from datetime import datetime
 
-import cv2
 import numpy as np
 
+from armsight.calibrate.cameras.preconditions import COVERED, image_share
 from armsight.report.boards import add_boards
 from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
 from armsight.report.run import CalibrationRun, CameraFit
 from armsight.units import MM
-
-COVERED = 0.5
-"""Share of the image around which points lie from which the lens is called known: 70 % of its width and height."""
 
 OVERFITTED = 1.5
 """Left-out error over fitted error: above it the fit follows its own images more than the camera."""
@@ -64,10 +61,7 @@ def _noun(run: CalibrationRun) -> str:
 
 def coverage(fit: CameraFit) -> float:
     """Return the share of the image that lies between the points (their convex hull)."""
-    if not len(fit.uv_px):
-        return 0.0
-    hull = cv2.convexHull(fit.uv_px.astype(np.float32))
-    return float(cv2.contourArea(hull)) / (fit.camera.width * fit.camera.height)
+    return image_share(fit.uv_px, fit.camera.width, fit.camera.height)
 
 
 def _doubts(run: CalibrationRun) -> list[str]:

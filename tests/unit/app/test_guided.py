@@ -147,6 +147,18 @@ def test_a_corner_of_the_picture_without_board_is_asked_for_first(boards: Any, t
     assert step.coverage()[hint.side][3 * row + column] == 0
 
 
+def test_pictures_whose_parts_are_all_reached_but_not_covered_lack_a_corner(boards: Any, tmp_path: Path) -> None:
+    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
+    at = np.array([(x, y) for x in (0.28, 0.5, 0.72) for y in (0.28, 0.5, 0.72)])
+    view = BoardView(
+        index=np.arange(9), uv_px=at * [640, 480] + [-40.0, 0.0], sigma_px=0.1, width=640, height=480, source=""
+    )
+    step._views.append((view, view))
+    assert min(step.coverage()["left"]) > 0
+    hint = step.hint()
+    assert hint.what is Next.TO_CELL and hint.cell in {(2, 0), (2, 2)}, "the points lie to the left"
+
+
 def test_a_dropped_board_is_gone_with_its_pictures(boards: Any, tmp_path: Path) -> None:
     step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
     station: Any = Pictures(boards.folder)

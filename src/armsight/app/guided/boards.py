@@ -18,6 +18,7 @@ from armsight.app.requests.calibrate_cameras import CameraJob, StereoJob
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
+from armsight.calibrate.cameras.preconditions import COVERED, image_share
 from armsight.drivers import read_image
 from armsight.errors import BadImage, DataRefused, NotEnoughData
 from armsight.optics import SIDES
@@ -86,6 +87,8 @@ class BoardCalibration:
             if cells.min() == 0:
                 row, column = np.unravel_index(int(np.argmin(cells)), cells.shape)
                 return Hint(what=Next.TO_CELL, side=side, cell=(int(column), int(row)))
+            if self._share(i) < COVERED:  # each part is reached, its outer half is not
+                return Hint(what=Next.TO_CELL, side=side, cell=self._bare_corner(i))
         board = parse_board(self.board)
         tilted = np.mean([tilt(views[0], board) > TILTED for views in self._views])
         if tilted < TILTED_SHARE:
@@ -205,8 +208,8 @@ class BoardCalibration:
             for name, (words, scale, unit) in self._shown().items()
             if name in std
         ]
-        cells = np.array([self._cells(i) for i in range(len(self.sides))])
-        return (*out, Figure(name="picture covered", value=100.0 * float((cells > 0).mean()), unit="%"))
+        covered = min(self._share(i) for i in range(len(self.sides)))
+        return (*out, Figure(name="picture covered", value=100.0 * covered, unit="%"))
 
     def _shown(self) -> dict[str, tuple[str, float, str]]:
         if len(self.sides) > 1:
@@ -235,6 +238,20 @@ class BoardCalibration:
             except DataRefused as error:
                 self._solved = names, str(error.cause)
         return self._solved[1]
+
+    def _share(self, i: int) -> float:
+        """Return the share of a camera's image that lies between all points, as its report tells it."""
+        views = [views[i] for views in self._views]
+        return image_share(np.concatenate([view.uv_px for view in views]), views[0].width, views[0].height)
+
+    def _bare_corner(self, i: int) -> tuple[int, int]:
+        """Return the cell (column, row) of the corner that is farthest from all points."""
+        view = self._views[0][i]
+        uv = np.concatenate([views[i].uv_px for views in self._views]) / [view.width, view.height]
+        corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
+        far = int(np.linalg.norm(uv[None] - corners[:, None], axis=2).min(axis=1).argmax())
+        column, row = (CELLS - 1) * corners[far]
+        return int(column), int(row)
 
     def _cells(self, i: int) -> NDArray[np.int64]:
         count = np.zeros((CELLS, CELLS), dtype=np.int64)

@@ -22,6 +22,7 @@ from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.cameras import BoardOptions
+from armsight.calibrate.cameras.preconditions import image_share
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, LEAST_LIT, VAGUE, mirrors_from_target
 from armsight.drivers import read_image
@@ -157,7 +158,8 @@ class MirrorsStep:
         std = parallelism(solved.pair.rig).std or {}
         if "convergence_rad" in std:
             out.append(Figure(name="± convergence", value=1e3 * std["convergence_rad"], unit="mrad"))
-        covered = float((self._cells() > 0).mean())
+        uv = np.concatenate([view.uv_px for one in self._views for view in one.pair])
+        covered = image_share(uv, self._views[0].pair[0].width, self._views[0].pair[0].height)
         return (*out, Figure(name="picture covered", value=100.0 * covered, unit="%"))
 
     def accept(self, station: Station) -> Sample:

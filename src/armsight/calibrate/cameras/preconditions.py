@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +25,8 @@ LEAST_TILT_DEG = 5.0
 DOUBTFUL_TILT_DEG = 15.0
 """Where the fit fails and the starting poses, which take a lens's distortion for tilt, differ by less, that is why."""
 ENOUGH_TILT_DEG = 20.0
+COVERED = 0.5
+"""Share of the image around which points lie from which the lens is called known: 70 % of its width and height."""
 LEAST_SPREAD = 0.5
 """Points within less than half the image's width and half its height say nothing about the lens elsewhere."""
 ENOUGH_SPREAD = 0.7
@@ -112,6 +115,13 @@ def check_spread(observations: Observations, c: int, name: str) -> list[str]:
             "height; outside them the lens is extrapolated"
         ]
     return []
+
+
+def image_share(uv_px: NDArray[np.float64], width: int, height: int) -> float:
+    """Return the share of an image that lies between points (n, 2): their convex hull."""
+    if not len(uv_px):
+        return 0.0
+    return float(cv2.contourArea(cv2.convexHull(uv_px.astype(np.float32)))) / (width * height)
 
 
 def check_count(n: int) -> list[str]:

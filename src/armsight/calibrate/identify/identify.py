@@ -296,7 +296,7 @@ def _from_paper(
         else:
             point, direction = pair_line(sweeps.xyz_m[rows], sweeps.q[rows, j])
             seen_axes.append(Axis(point_m=point, direction=direction, revolute=False))
-    check_slopes(found, sweeps, [possible_axes(seen, item, j) for j, item in enumerate(found)])
+    check_slopes(found, seen, [possible_axes(seen, item, j) for j, item in enumerate(found)])
     notes = notes + _notes(found, [axis.revolute for axis in seen_axes])
     axes = at_home(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
     beacon = beacon_at_zero(axes, sweeps, np.arange(len(sweeps)))
