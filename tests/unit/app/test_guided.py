@@ -151,7 +151,7 @@ def test_pictures_whose_parts_are_all_reached_but_not_covered_lack_a_corner(boar
     step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
     at = np.array([(x, y) for x in (0.28, 0.5, 0.72) for y in (0.28, 0.5, 0.72)])
     view = BoardView(
-        index=np.arange(9), uv_px=at * [640, 480] + [-40.0, 0.0], sigma_px=0.1, width=640, height=480, source=""
+        index=np.arange(9), uv_px=at * [640, 480] - [15.0, 0.0], sigma_px=0.1, width=640, height=480, source=""
     )
     step._views.append((view, view))
     assert min(step.coverage()["left"]) > 0
