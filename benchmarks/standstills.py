@@ -51,6 +51,8 @@ REST_S = 0.45
 """After which an arm stands whose enable ended: its age, and the way to rest."""
 AGE_S = 0.15
 WATCH_S = 0.8
+SETTINGS = {"rtde": {"cycle_s": 0.008}}
+"""A CB3's cycle: two processes of 2 ms that go first leave a web server on two cores no turn."""
 SWING = 0.15
 """The first joint goes to and fro by so much, rad."""
 FIRST = 20
@@ -67,7 +69,11 @@ def controller(kind: str, track: JointTrack, goals: JointTrack, address: Any, ov
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIRST))
     clock = SystemClock()
-    ports = {"rsi": {"connect": "127.0.0.1:49252"}, "egm": {"connect": "127.0.0.1:6610"}}
+    ports: dict[str, dict[str, Any]] = {
+        "rsi": {"connect": "127.0.0.1:49252"},
+        "egm": {"connect": "127.0.0.1:6610"},
+        "rtde": SETTINGS["rtde"],
+    }
     maker = {"alter": AlterTwin, "rsi": RsiTwin, "egm": EgmTwin, "rtde": RtdeTwin}[kind]
     with maker(clock=clock, **ports.get(kind, {})) as twin:
         address.send(twin.address)
@@ -177,7 +183,7 @@ class Bench:
         self.address, self.arm = near.recv(), ARM
 
     def serve(self) -> None:
-        spec = RobotSpec(robot=self.address, arm=self.arm, settings=driver_settings(self.address, arm=self.arm))
+        spec = RobotSpec(robot=self.address, arm=self.arm, settings=self.settings())
         track = self.track if self.kind == "sim" else None
         for _ in range(5):  # a busy computer may take a controller's first packets too late to know its cycle
             near, far = self.context.Pipe()
@@ -200,6 +206,10 @@ class Bench:
             with contextlib.suppress(armsight.ArmsightError):
                 return armsight.connect(self.url)
         raise RuntimeError("the server does not answer")
+
+    def settings(self) -> dict[str, Any]:
+        """Return the driver's settings."""
+        return driver_settings(self.address, SETTINGS.get(self.kind), arm=self.arm)
 
     def unserve(self) -> None:
         self.client.kill()
@@ -261,6 +271,9 @@ class Bench:
             write_arm(arm, self.arm)
         words = ["robot", "jog", "--robot", self.address, "--joint", "1", "--by", "0.6", "--yes"]
         own = [] if self.kind == "sim" else ["--arm", str(arm)]
+        own += [
+            word for name, value in SETTINGS.get(self.kind, {}).items() for word in ("--robot-set", f"{name}={value}")
+        ]
         jog = subprocess.Popen(
             [sys.executable, "-m", "armsight", *words, *own],
             stderr=subprocess.PIPE,

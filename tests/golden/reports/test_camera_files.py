@@ -68,3 +68,37 @@ def test_a_rational_lens_is_read_as_the_nearest_and_how_near_is_told(tmp_path):
     off = np.linalg.norm(load_rig([tmp_path / "rig.yaml"]).left.project(rays) - right, axis=1)[inside]
     told = float(done.note.split("at most ")[1].split(" px")[0])
     assert off.max() <= 1.1 * told and np.sqrt((off**2).mean()) < 1.0
+
+
+@pytest.mark.parametrize("kind", ["r", "e", "f"])
+def test_camera_info_is_read_from_files_messages_and_streams(kind):
+    folder = case("camera-files")
+    rig = load_rig([folder / f"{kind}_l.yaml", folder / f"{kind}_r.yaml"])
+    assert 1e3 * rig.baseline_m == pytest.approx(120.0, abs=1e-6)
+    assert rig.left.intrinsics[:4].tolist() == [700.0, 701.0, 640.0, 360.0]
+    assert rig.left.intrinsics[[5, 6, 7, 8]].tolist() == [-0.17, 0.026, 0.0003, -0.0002]
+
+
+def test_a_stream_of_two_cameras_and_binned_images_are_refused(tmp_path):
+    folder = case("camera-files")
+    one, other = ((folder / f"f_{side}.yaml").read_text() for side in "lr")
+    for text, says in (
+        (f"{one}---\n{other}", "Keep one message"),
+        (one.replace("binning_x: 0", "binning_x: 2"), "binned"),
+    ):
+        (tmp_path / "info.yaml").write_text(text)
+        with refuses(BadFile, says):
+            load_camera(tmp_path / "info.yaml")
+    (tmp_path / "info.yaml").write_text(f"{one}---\n{one}")
+    assert load_camera(tmp_path / "info.yaml").width == 1280
+    ros1 = one.replace("\nd:", "\nD:").replace("\nk:", "\nK:").replace("\nr:", "\nR:").replace("\np:", "\nP:")
+    (tmp_path / "info.yaml").write_text(ros1)
+    assert load_camera(tmp_path / "info.yaml").height == 720
+
+
+def test_a_rotation_vector_is_one_and_a_zed_without_rays_is_refused_by_cause():
+    folder = case("camera-files")
+    rig = load_rig([folder / "tr_r.yml"])
+    assert 0.0 < np.linalg.norm(rig.T_rig_right.rotation.as_rotvec()) < 0.2
+    with refuses(BadFile, "D_LEFT", "without rays"):
+        convert_rig([folder / "zed_calibration_1234.yml"], [folder / "never.yaml"], unit_m=0.001)

@@ -1,7 +1,8 @@
 """OpenCV FileStorage YAML of calibrated cameras and pairs.
 
 OpenCV fixes no names; these are read: of a pair `M1 D1 M2 D2 R T` (the stereo_calib sample, in one or two files),
-`cameraMatrix1 distCoeffs1 ...` (the names of the function's arguments) or `K1 D1 K2 D2 R T`; of one camera
+`cameraMatrix1 distCoeffs1 ...` (the names of the function's arguments), `K1 D1 K2 D2 R T` or the ZED's `K_LEFT D_LEFT
+K_RIGHT D_RIGHT R T`, whose R is a rotation vector; of one camera
 `camera_matrix` or `cameraMatrix` or `K`, with `distortion_coefficients`, `distCoeffs`, `dist_coeffs` or `D`. The
 image size is `image_width` and `image_height`, or a list `imageSize`, `image_size` or `size` (width, height); the
 stereo sample leaves it out, then it must be given. p_right = R p_left + T. T is in the unit of the board's squares at
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
@@ -47,12 +48,16 @@ from armsight.store.foreign.storage import read_storage
 Array = NDArray[np.float64]
 
 PAIR_NAMES = (("M1", "D1", "M2", "D2"), ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))
-PAIR_NAMES_ALSO = (("K1", "D1", "K2", "D2"), ("cameraMatrix1", "D1", "cameraMatrix2", "D2"))
+PAIR_NAMES_ALSO = (
+    ("K1", "D1", "K2", "D2"),
+    ("cameraMatrix1", "D1", "cameraMatrix2", "D2"),
+    ("K_LEFT", "D_LEFT", "K_RIGHT", "D_RIGHT"),
+)
 CAMERA_NAMES = ("camera_matrix", "cameraMatrix", "K", "M")
 DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D")
 FISHEYE_NAMES = ("fisheye", "equidistant", "kannala_brandt", "opencv_fisheye")
 PINHOLE_NAMES = ("pinhole", "plumb_bob", "radtan", "brown_conrady", "opencv", "rational_polynomial")
-SIZE_NAMES = ("imageSize", "image_size", "size")
+SIZE_NAMES = ("imageSize", "image_size", "size", "Size")
 
 Size = tuple[int, int]
 
@@ -118,7 +123,7 @@ def opencv_rig(
             cure="Wanted: " + " or ".join(" ".join(names) for names in sets) + ", with R and T",
         )
     wh = _size(content, size, where)
-    R = rotation_of(matrix_at(content, "R", (3, 3), where), "R", where)
+    R = _rotation(content, where, told)
     t = matrix_at(content, "T", (3, 1), where).ravel()
     return Rig(
         kind=RigKind.STEREO,
@@ -127,6 +132,16 @@ def opencv_rig(
         T_rig_left=RigidTransform.identity(),
         T_rig_right=placed(R, t, where, unit_m),
     )
+
+
+def _rotation(content: Mapping[str, Any], where: str, told: list[str] | None) -> Array:
+    """Return R (3, 3); three numbers are a rotation vector, as cv2.Rodrigues and the ZED's tools write it."""
+    given = array_of(value_at(content, "R", where), "R", where)
+    if given.size != 3:
+        return rotation_of(matrix_at(content, "R", (3, 3), where), "R", where)
+    if told is not None:
+        told.append(f"{where}: R has three numbers, taken as a rotation vector in radians")
+    return np.asarray(Rotation.from_rotvec(given.ravel()).as_matrix())
 
 
 def camera_to_opencv(path: Path, camera: Camera) -> None:

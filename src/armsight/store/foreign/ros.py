@@ -34,7 +34,8 @@ from armsight.store.foreign.numbers import (
     value_at,
 )
 from armsight.store.foreign.rectification import rectification
-from armsight.store.yamls import dump_yaml, read_yaml
+from armsight.store.foreign.storage import read_storage
+from armsight.store.yamls import dump_yaml
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ ROS_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "equidistant"}
 
 def camera_from_ros(path: Path, *, told: list[str] | None = None) -> Camera:
     """Return the camera of a camera_info YAML; BadFile where it is none or has another lens model."""
-    return ros_camera(read_yaml(path), str(path), told)
+    return ros_camera(read_storage(path), str(path), told)
 
 
 def ros_camera(content: Mapping[str, Any], where: str, told: list[str] | None = None) -> Camera:
@@ -80,7 +81,7 @@ def rig_from_ros(left: Path, right: Path, *, unit_m: float | None = None, told: 
     unit_m: the length of the baseline's unit in metres. told: takes what is to be said. Raises BadFile where a file is
     none, Inconsistent where they are no stereo pair or are swapped.
     """
-    return ros_rig(read_yaml(left), read_yaml(right), str(left), str(right), unit_m=unit_m, told=told)
+    return ros_rig(read_storage(left), read_storage(right), str(left), str(right), unit_m=unit_m, told=told)
 
 
 def ros_rig(

@@ -1,4 +1,7 @@
-"""OpenCV's FileStorage as a mapping: YAML and JSON, which is YAML, and XML."""
+"""Calibrations of other programs as a mapping: YAML and JSON, which is YAML, and FileStorage's XML.
+
+A camera_info message, as `ros2 topic echo` prints it, becomes what camera_calibration writes to a file.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,73 @@ from xml.etree import ElementTree
 
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
-from armsight.store.yamls import MAX_BYTES, parse_yaml
+from armsight.store.yamls import MAX_BYTES, parse_yaml, parse_yaml_documents
 
 ROOT = "opencv_storage"
 
+MESSAGE = {"distortion_model", "d", "k", "r", "p", "width", "height"}
+"""Fields of sensor_msgs/CameraInfo, in small letters: ROS 1 writes D, K, R, P."""
+
 
 def read_storage(path: Path) -> dict[str, Any]:
-    """Return the mapping in a YAML file or in FileStorage's XML; BadFile, naming place and reason, where it is none."""
-    data = read_bytes(path, limit=MAX_BYTES)
-    return (
-        _of_xml(data, str(path))
-        if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<"
-        else parse_yaml(data, str(path))
-    )
+    """Return the mapping in a YAML file or in FileStorage's XML; BadFile, naming place and reason, where it is none.
+
+    Of a stream of camera_info messages the first is taken, where all are of one calibration.
+    """
+    data, where = read_bytes(path, limit=MAX_BYTES), str(path)
+    if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
+        return _of_xml(data, where)
+    try:
+        content = parse_yaml(data, where)
+    except BadFile:
+        messages = [_message(one) for one in parse_yaml_documents(data, where)]
+        if not messages or None in messages:
+            raise
+        content = _one_of(messages, where)
+    message = _message(content)
+    return content if message is None else _camera_info(message, where)
+
+
+def _one_of(messages: list[dict[str, Any] | None], where: str) -> dict[str, Any]:
+    """Return the first of camera_info messages. Raises BadFile where they differ in more than time."""
+    calibrations = [{key: one[key] for key in MESSAGE} for one in messages if one is not None]
+    if any(one != calibrations[0] for one in calibrations):
+        raise BadFile(
+            f"{where}: {len(messages)} camera_info messages that are not of one camera and calibration",
+            consequence="It is not read",
+            cure="Keep one message of the camera that is meant",
+        )
+    return messages[0] or {}
+
+
+def _message(content: Any) -> dict[str, Any] | None:
+    """Return a camera_info message with its fields in small letters, None for anything else."""
+    if not isinstance(content, dict):
+        return None
+    lower = {str(key).lower(): value for key, value in content.items()}
+    return lower if lower.keys() >= MESSAGE else None
+
+
+def _camera_info(message: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a message as the file of camera_calibration. Raises BadFile where its images are a part, or binned."""
+    region = message.get("roi") or {}
+    cut = isinstance(region, dict) and any(region.get(key) for key in ("x_offset", "y_offset"))
+    if cut or any(message.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y")):
+        raise BadFile(
+            f"{where}: its images are binned, or a part of the sensor, and the calibration is of the whole one",
+            consequence="It is not read: every pixel would be another",
+            cure="Calibrate with images as they are measured",
+        )
+    head = message.get("header")
+    name = head.get("frame_id", "") if isinstance(head, dict) else ""
+    told = {"image_width": message["width"], "image_height": message["height"], "camera_name": str(name)}
+    return told | {
+        "camera_matrix": message["k"],
+        "distortion_model": message["distortion_model"],
+        "distortion_coefficients": message["d"],
+        "rectification_matrix": message["r"],
+        "projection_matrix": message["p"],
+    }
 
 
 def _of_xml(data: bytes, where: str) -> dict[str, Any]:
