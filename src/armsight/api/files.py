@@ -63,10 +63,19 @@ def read_rig(
     """
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
     if zoom_left is None and zoom_right is None:
-        return load_rig(files, size=image_size(size), unit_m=unit_m)
+        told: list[str] = []
+        rig = load_rig(files, size=image_size(size), unit_m=unit_m, told=told)
+        _warn(told)
+        return rig
     with Given(name="rig.yaml") as given:
         fix_rig(files[0], given.out, (zoom_left, zoom_right))
         return store.read_rig(given.out)
+
+
+def _warn(told: list[str]) -> None:
+    """Tell the caller of a function of this module what is to be said of its file."""
+    for text in told:
+        warnings.warn(text, stacklevel=4)  # past the function and what speaks_python wraps it in
 
 
 @speaks_python()
@@ -82,7 +91,10 @@ def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: fl
     640
     """
     if zoom is None:
-        return load_camera(as_path(path), size=image_size(size))
+        told: list[str] = []
+        camera = load_camera(as_path(path), size=image_size(size), told=told)
+        _warn(told)
+        return camera
     require_number("zoom", zoom)
     with Given(name="camera.yaml") as given:
         fix_camera(as_path(path), given.out, zoom)
@@ -175,8 +187,9 @@ def read_joints(path: PathText, *, measured: bool = False, table: TableFormat = 
     """
     require_kind("table", table, TableFormat)
     require_kind("measured", measured, bool)
-    told = replace(table, notify=lambda text: warnings.warn(text, stacklevel=7))
-    motion = store.read_joints(as_path(path), told, measured=measured)
+    told: list[str] = []
+    motion = store.read_joints(as_path(path), replace(table, notify=told.append), measured=measured)
+    _warn(told)
     return np.asarray(motion.t_s), np.asarray(motion.q)
 
 

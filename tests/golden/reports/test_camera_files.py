@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import armsight
 from armsight.app.convert import convert_rig, load_camera, load_rig
 from armsight.errors import BadFile
 from armsight.optics import LensKind
@@ -102,3 +103,9 @@ def test_a_rotation_vector_is_one_and_a_zed_without_rays_is_refused_by_cause():
     assert 0.0 < np.linalg.norm(rig.T_rig_right.rotation.as_rotvec()) < 0.2
     with refuses(BadFile, "D_LEFT", "without rays"):
         convert_rig([folder / "zed_calibration_1234.yml"], [folder / "never.yaml"], unit_m=0.001)
+
+
+def test_python_warns_of_what_the_command_tells():
+    folder = case("cameras-20")
+    with pytest.warns(UserWarning, match="nearest|rational"):
+        armsight.read_rig([folder / "left.yaml", folder / "right.yaml"])
