@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import NotEnoughData
+from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
+from armsight.calibrate.arm.points import ArmPoints
+from armsight.calibrate.arm.senses import other_senses
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
 from armsight.records.output import Output, output
@@ -85,7 +88,13 @@ def verify(
         raise NotEnoughData("no row is left to compare", cure="See the rows rejected")
     use, F = paired.measured.take(known), paired.F[known]
     check_spread(use, F)
-    aligned = align(F, use, nominal, how)
+    try:
+        aligned = align(F, use, nominal, how)
+    except Inconsistent:
+        _check_senses(arm, paired, known)
+        raise
+    if exceeded(np.linalg.norm(aligned.fitted.residual[:, :3], axis=1)) > MOST_SHARE * spread_m(use.xyz_m):
+        _check_senses(arm, paired, known)
     cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
     restored = _restored(arm, paired, known, aligned, cause)
     if restored is not None:
@@ -114,6 +123,16 @@ def verify(
         rejected=tuple(sorted((*paired.rejected, *copies, *aligned.rejected))),
         doubts=(*_caveats(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
     )
+
+
+def _check_senses(arm: Arm | None, paired: Paired, known: NDArray[np.intp]) -> None:
+    """Raise Inconsistent where the arm explains the rows once some of its joints count the other way."""
+    if arm is None or paired.q is None:
+        return
+    measured = paired.measured.take(known)
+    found = other_senses(arm, ArmPoints(q=paired.q[known], xyz_m=measured.xyz_m, point=measured.point))
+    if found is not None:
+        raise found[0].refusal(arm, found[1])
 
 
 def _nominal(arm: Arm | None, measured: Measured) -> Mounts:

@@ -35,3 +35,11 @@ def test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works(points, j
     done = calibrated(tmp_path, points, tmp_path / "irb120.yaml")
     assert done.after.mean_m < 2e-3
     assert np.isfinite(done.after.max_m)
+
+
+@pytest.mark.parametrize(("points", "joint"), [("points-j6.csv", "j6"), ("points.csv", "j2, j5")])
+def test_verify_names_it_too(points, joint, armsight, tmp_path):
+    words = ["verify", "--measured", case("arms-27") / points, "--arm", "irb120", "-o", tmp_path / "v"]
+    refused = armsight(*words)
+    assert refused.code == 3 and f"with {joint} counted the other way" in refused.text
+    assert not (tmp_path / "v" / "verify.json").exists()
