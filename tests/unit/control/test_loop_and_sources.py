@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import pickle
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocit
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
+from armsight.control.session.loop_side import Channels, OrderSource
 from armsight.control.sources import ClientSource, Enable, GoalSource, JogFrame, JogSource
 from armsight.control.status import Jitter
 from armsight.drivers.cyclic import CyclicRobot
@@ -331,6 +333,21 @@ def test_each_cycle_of_the_controller_takes_one_step_however_often_the_loop_runs
         ask()
         assert [cycle() for _ in range(3)] == [False, True, True]
     assert np.diff(robot.goals).max() == pytest.approx(0.001)
+
+
+def test_a_controller_that_takes_no_more_steps_is_stopped_and_left_all_the_same(paced) -> None:
+    _, loop, ask, cycle = paced
+    channels = Channels()
+    source = OrderSource(channels, loop._clock, None, 0.15)
+    source.attach(loop)
+    loop.exchange(source)
+    loop._enabled = source.enabled
+    ask()
+    cycle()
+    channels.orders.put(pickle.dumps(("stop", "by hand")))
+    assert cycle() and loop.status.guard is GuardState.STOPPED, "no step is taken any more"
+    channels.orders.put(pickle.dumps(("end", None)))
+    assert cycle() and loop._ending
 
 
 def test_a_step_that_was_not_taken_goes_out_again_and_none_is_added(paced) -> None:

@@ -161,11 +161,7 @@ class OrderSource:
 
     def next(self, now: CycleState) -> SetPoint:
         """Take the orders that came, and return what is wanted."""
-        for queue in (self._line_orders, self._orders):  # a stop before all that a server may have piled up
-            while (data := queue.get()) is not None:
-                self._obey(*pickle.loads(data))
-        if self._parent is not None and os.getppid() != self._parent:
-            self._leave()  # the server's process died
+        self._hear()
         # an enable that ends takes its set point along: one given anew must not continue the old motion
         if not self._alive():
             self.drop()
@@ -176,10 +172,19 @@ class OrderSource:
         return self._client.next(now)
 
     def enabled(self) -> bool:
-        """Return whether the driver lives and allows motion."""
+        """Return whether the driver lives and allows motion; asked in cycles too in which nothing is wanted."""
+        self._hear()
         enabled = not self._off and self._alive()
         self._off = max(0, self._off - 1)
         return enabled
+
+    def _hear(self) -> None:
+        """Do the orders that came. A controller that is lost takes no more steps, and is left all the same."""
+        for queue in (self._line_orders, self._orders):  # a stop before all that a server may have piled up
+            while (data := queue.get()) is not None:
+                self._obey(*pickle.loads(data))
+        if self._parent is not None and os.getppid() != self._parent:
+            self._leave()  # the server's process died
 
     def drop(self) -> None:
         """Forget what was asked."""

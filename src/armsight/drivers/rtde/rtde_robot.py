@@ -88,7 +88,13 @@ class RtdeRobot(CyclicRobot):
         settings = self.settings
         with contextlib.ExitStack() as undo:
             # one program at a time: of two the controller would take the goals in turn
-            undo.enter_context(DeviceLock(f"rtde-{self.host}-{self.port}"))
+            lock = DeviceLock(
+                self.name,
+                key=f"rtde-{self.host}-{self.port}",
+                consequence="The robot is not opened: one program at a time may drive it",
+                cure="Stop the other program",
+            )
+            undo.enter_context(lock)
             numbers = (self.cycle_s, settings.lookahead_s, settings.gain, settings.watchdog_hz)
             self._worker = Worker(self.host, self.port, numbers)
             undo.callback(lambda: self._worker.close(at_once=bool(self._lost) or self._reading is None))
