@@ -46,8 +46,10 @@ def given_files(tmp_path_factory, scene, boards, mirror_boards):
     views = ("--image", folder / "mirrors", "--board", mirror_boards.board)
     done("calibrate", "mirrors", *views, "-o", folder / "mirrors.yaml")
     _, *rows = (folder / "poses.csv").read_text().splitlines()
-    places = [",".join(row.split(",")[1:8]) + 6 * "," for row in rows]
-    (folder / "unread.csv").write_text("\n".join(["x_m,y_m,z_m,qx,qy,qz,qw,q1,q2,q3,q4,q5,q6", *places]) + "\n")
+    head, places = "x_m,y_m,z_m,qx,qy,qz,qw", [",".join(row.split(",")[1:8]) for row in rows]
+    (folder / "places.csv").write_text("\n".join([head, *places]) + "\n")
+    unread = [f"{head},q1,q2,q3,q4,q5,q6", *(place + 6 * "," for place in places)]
+    (folder / "unread.csv").write_text("\n".join(unread) + "\n")
     return folder
 
 

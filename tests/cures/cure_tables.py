@@ -5,11 +5,20 @@ from __future__ import annotations
 import cures_of_arms
 import cures_of_calls
 import cures_of_cameras
+import cures_of_motions
 import cures_of_robots
 import cures_of_runs
 import cures_of_tables
 
-PARTS = (cures_of_tables, cures_of_runs, cures_of_cameras, cures_of_calls, cures_of_arms, cures_of_robots)
+PARTS = (
+    cures_of_tables,
+    cures_of_runs,
+    cures_of_cameras,
+    cures_of_calls,
+    cures_of_arms,
+    cures_of_robots,
+    cures_of_motions,
+)
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}
 """By module and words of the cure: what is refused, and the same as the cure has it. Commands stand as text, several

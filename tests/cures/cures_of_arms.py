@@ -31,6 +31,12 @@ def path(*, out=(0, 0.0), shift_m=0.0, tags=(), based=False):
     return text
 
 
+def walled(lower, upper):
+    """Return limits with a forbidden box."""
+    box = f"{{name: wall, lower_m: {lower}, upper_m: {upper}}}"
+    return f"format: armsight/limits\nversion: 1\nforbidden: [{box}]\n"
+
+
 def swinging():
     """Return 12 s in which one turning comes again and again."""
     turns = [[0.02 * k] + [0.4 * math.sin(2.0 * math.pi * 0.02 * k / 2.0 + j) for j in range(6)] for k in range(600)]
@@ -47,6 +53,8 @@ FILES = {
     "wide.yaml": "format: armsight/limits\nversion: 1\njoints: ["
     + ", ".join(["{lower: -3.0, upper: 3.0}"] * 6)
     + "]\n",
+    "tool.yaml": walled([-1.0, -0.3, 0.1], [-0.8, 0.0, 0.4]),
+    "elbow.yaml": walled([-0.4, -0.2, 0.72], [-0.2, 0.2, 0.9]),
     "short.csv": "t_s," + HEAD + "".join(row([0.02 * k, *(0.01 * k * j for j in range(6))]) for k in range(20)),
 }
 
@@ -79,6 +87,19 @@ def in_angles(goal):
             turn = Rotation.from_quat([float(cell) for cell in cells[at : at + 4]]).as_euler("ZYX", degrees=True)
             lines.append(",".join([*cells[:at], *(f"{angle:.9f}" for angle in turn), *cells[at + 4 :]]))
         Path(goal).write_text("\n".join(lines) + "\n")
+
+    return step
+
+
+def with_covariance(goal, cov_x_y):
+    """Return a step that writes the poses with deviations of 0.1 mm and 1 mrad, and with a covariance of x and y."""
+
+    def step():
+        head, *rows = Path("poses.csv").read_text().splitlines()
+        names, cells = head.split(","), [line.split(",") for line in rows]
+        told = {f"s{k}_m": "1e-4" for k in "xyz"} | {f"sr{k}_rad": "1e-3" for k in "xyz"} | {"cov_x_y": str(cov_x_y)}
+        lines = [",".join(told.get(name, cell) for name, cell in zip(names, line, strict=True)) for line in cells]
+        Path(goal).write_text("\n".join([head, *lines]) + "\n")
 
     return step
 
@@ -200,6 +221,18 @@ TRIED = {
             untimed("short.csv", "q.csv"),
             f"verify --measured m.csv {ON_ARM} --joints q.csv -o v",
         ),
+    ),
+    ("store/covariances.py", "Write covariances in m and rad"): (
+        (with_covariance("wrong.csv", 9.0), f"{VERIFY.replace('poses.csv', 'wrong.csv')} {OF_ARM}"),
+        (with_covariance("right.csv", 1e-9), f"{VERIFY.replace('poses.csv', 'right.csv')} {OF_ARM}"),
+    ),
+    ("app/calibrate/cell_plan.py", "(--link-radius-mm)"): (
+        plan(limits=Path("elbow.yaml")),
+        lambda: [plan(limits=Path("elbow.yaml"), link_radius_m=0.01)(), plan()()],
+    ),
+    ("calibrate/cell/plan.py", "or correct the boxes (--limits)"): (
+        plan(limits=Path("tool.yaml")),
+        plan(limits=Path("free.yaml")),
     ),
     ("app/calibrate/cell_plan.py", "or none of them, for small moves"): (plan(rig=Path("cell/rig.yaml")), plan()),
     ("calibrate/cell/plan.py", "Give one value for each joint"): (plan(start="0,-1,1.6"), plan()),

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import socket
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import armsight
 from armsight.api.design import _mount, _size
 from armsight.api.files import image_size
+from armsight.app.batch.cluster import Workers
+from armsight.app.calibrate.cell_plan import _extent
+from armsight.app.requests.design import mount_of
+from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Box
 from armsight.control.guard.plausible import check_corners
 from armsight.control.paths.exports import krl, rapid
@@ -31,11 +38,16 @@ from armsight.records import Motion, Spots, TaughtPath
 from armsight.records.checks import require_rigid
 from armsight.records.target import Colour, TargetKind, board_target
 from armsight.records.timing import CameraTiming
+from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, check_options
+from armsight.store import read_rig, read_target
+from armsight.store.arm_file import write_arm
+from armsight.store.urdf_writer import urdf_text
 
 FILES: dict[str, str] = {}
 CERTIFICATE, KEY = Path("keys/opcua-cert.pem"), Path("keys/opcua-key.pem")
 IRB = preset("irb120")
+AT = np.array([0.1, 0.2, 0.1, 0.2, 0.9, 0.3])
 STILL = np.full((4, 6), 0.1)
 DEEP = np.full((2, 2), 4000, np.uint16)
 LIGHT = np.full((2, 2), 40, np.uint8)
@@ -64,7 +76,57 @@ def camera(width):
     return lambda: Camera(width=width, height=480, intrinsics=np.array([500.0, 500, 320, 240, *[0.0] * 6]))
 
 
+def followed(*t_s):
+    """Return a call that tracks a target over frames of these times."""
+
+    def go():
+        tracker = armsight.PoseTracker(read_rig(Path("rig.yaml")), read_target(Path("target.yaml")))
+        views = [cv2.imread(f"{side}/frame0.png", cv2.IMREAD_GRAYSCALE) for side in ("left", "right")]
+        return [tracker.update(*views, t_s=t) for t in t_s]
+
+    return go
+
+
+def listens(*, taken):
+    """Return a call that listens at a port that another program holds, or at another one."""
+
+    def go():
+        with (
+            socket.create_server(("127.0.0.1", 0)) as other,
+            listening("127.0.0.1", other.getsockname()[1] if taken else 0),
+        ):
+            pass
+
+    return go
+
+
+def soft(compliance):
+    """Return an arm whose joints give way under its links."""
+    joints = tuple(replace(one, compliance=compliance, mass_kg=40.0, com_m=(0.3, 0.0, 0.0)) for one in IRB.joints)
+    return replace(IRB, joints=joints)
+
+
 TRIED = {
+    ("api/pose.py", "Give the times of the exposures"): (followed(1.0, 0.5), followed(0.5, 1.0)),
+    ("app/batch/cluster.py", "Give --jobs from 1"): (lambda: Workers(n=0), lambda: Workers(n=1)),
+    ("app/requests/design.py", "Write for instance --mount"): (
+        lambda: mount_of("0,0"),
+        each(lambda: mount_of("0,0,0.1"), lambda: mount_of("0,0,0.1,0,90,0")),
+    ),
+    ("app/calibrate/cell_plan.py", "Write for instance --volume"): (
+        lambda: _extent(((0.3, 0.3), (-0.2, 0.2), (0.1, 0.4))),
+        lambda: _extent(((0.3, 0.6), (-0.2, 0.2), (0.1, 0.4))),
+    ),
+    ("app/simulate/scenarios.py", "Known are: {}; or give"): (
+        lambda: load_scenario("hand-cell"),
+        lambda: load_scenario("webcam-cell"),
+    ),
+    ("kinematics/arm.py", "Check compliance"): (lambda: soft(5.0).sagged(AT), lambda: soft(1e-5).sagged(AT)),
+    ("store/urdf_writer.py", "armsight convert arm FILE"): (
+        lambda: urdf_text(soft(1e-5)),
+        (lambda: write_arm(Path("soft.yaml"), soft(1e-5)), "convert arm soft.yaml -o arm.urdf"),
+    ),
+    ("server/waiting.py", "Choose another port with --port"): (listens(taken=True), listens(taken=False)),
     ("api/design.py", "Give (width, height) in px"): (lambda: _size((640,)), lambda: _size((640, 480))),
     ("api/design.py", "Give (x, y, z) in m"): (
         lambda: _mount((1.0, 2.0)),

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
+import numpy as np
+
 from armsight.drivers.opening import open_source
 
 LENS = "fx: {0}, fy: {0}, cx: 160.3, cy: 119.6, distortion: [0, 0, 0, 0, 0]"
@@ -23,10 +28,13 @@ FOCALS = {100: 400, 200: 460, 300: 540}
 SIDE = "width: 320, height: 240, " + LENS.format(400)
 TIMED = "".join(
     f"  {side}: {{{SIDE}, T_rig_camera: {{xyz_m: [{x}, 0, 0], quat_xyzw: [0, 0, 0, 1]}},\n"
-    "    timing: {delay_s: 0.000001}}\n"
+    "    timing: {delay_s: 0.0002}}\n"
     for side, x in (("left", 0.0), ("right", 0.1))
 )
 FILES = {
+    "rational.yml": "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
+    "camera_matrix: [[300, 0, 320], [0, 300, 240], [0, 0, 1]]\n"
+    "distortion_coefficients: [40, -30, 0, 0, 5, 41, -20, 9]\n",
     "lens640.yaml": "format: armsight/camera\nversion: 1\nwidth: 640\nheight: 480\n"
     "fx: 520\nfy: 521\ncx: 321\ncy: 238\ndistortion: [0, 0, 0, 0, 0]\n",
     "small.yaml": SMALL + PLAIN,
@@ -34,8 +42,6 @@ FILES = {
     "two.yaml": zooms({100: 400, 200: 460}),
     "mixed.yaml": zooms(FOCALS, {100: 0.01}),
     "timed.yaml": f"format: armsight/rig\nversion: 1\nkind: stereo\ncameras:\n{TIMED}",
-    "times12.csv": "t_s,q1\n" + "".join(f"{k / 30.0!r},0\n" for k in range(12)),
-    "later.csv": "t_s,q1\n" + "".join(f"{100.0 + k:.6f},0\n" for k in range(3)),
     "board.yaml": "format: armsight/target\nversion: 1\nkind: checkerboard\ncolumns: 7\nrows: 5\nsquare_m: 0.02\n",
     "empty.mcap": "",
 }
@@ -49,9 +55,20 @@ SIDES = "--left left --right right"
 MEASURE = f"measure --rig rig.yaml --target target.yaml {SIDES} -o m"
 OF_TIMED = "measure --rig timed.yaml --target target.yaml -o m"
 RECORD = f"record {SIDES} -o a.mcap"
-MIRRORS = f"calibrate mirrors {BOARD} -o x.yaml"
-CHECK = "calibrate mirrors --check"
+MIRRORS = f"calibrate mirrors {BOARD} -o x.yaml --every 2"
+CHECK = "calibrate mirrors --check --frames 2"
 LIT = "calibrate mirrors --image mirrors -o x.yaml --camera lens640.yaml --baseline-mm 160"
+
+
+STEREO = f"calibrate stereo --left boards/left --right boards/right {BOARDS}"
+
+
+def beside():
+    """Write the images of both cameras side by side."""
+    Path("beside").mkdir()
+    for path in Path("boards/left").iterdir():
+        both = [cv2.imread(str(Path("boards", side, path.name)), cv2.IMREAD_GRAYSCALE) for side in ("left", "right")]
+        cv2.imwrite(f"beside/{path.name}", np.hstack(both))
 
 
 TRIED = {
@@ -110,7 +127,7 @@ TRIED = {
         "convert rig z.yaml -o a.yaml --zoom-left 100",
     ),
     ("app/calibrate/mirrors.py", "Give --board, for instance"): (
-        "calibrate mirrors -o x.yaml --image mirrors",
+        "calibrate mirrors -o x.yaml --image mirrors --every 2",
         f"{MIRRORS} --image mirrors",
     ),
     ("app/calibrate/mirrors.py", "Give --image, or --left-only"): (MIRRORS, "{} --image mirrors"),
@@ -137,7 +154,7 @@ TRIED = {
     ),
     ("app/calibrate/mirrors_lit_target.py", "Give it as --board"): (
         f"{LIT} --target board.yaml",
-        "calibrate mirrors --image mirrors -o x.yaml --board board.yaml",
+        "calibrate mirrors --image mirrors -o x.yaml --every 2 --board board.yaml",
     ),
     ("app/calibrate/mirrors_lit_target.py", "or calibrate with --board"): (
         f"{LIT} --target labels.yaml",
@@ -152,23 +169,14 @@ TRIED = {
         "measure --rig rig.yaml --target target.yaml -o m",
         f"{MEASURE} && {RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap -o m --overwrite",
     ),
-    ("app/measure/streams.py", "or --left-spots and"): (OF_TIMED, f"{{}} {SIDES}"),
-    ("app/measure/streams.py", "or one recording for both"): (
-        f"{OF_TIMED} --left left",
-        f"{OF_TIMED} {SIDES} && {RECORD} && {OF_TIMED} --left a.mcap --overwrite",
-    ),
     ("app/measure/streams.py", "or use --timing pairs"): (f"{MEASURE} --timing free", f"{MEASURE} --timing pairs"),
     ("app/measure/free_running.py", "or use --timing pairs"): (
         f"{OF_TIMED} {SIDES} --target labels.yaml",
         "{} --timing pairs",
     ),
-    ("app/measure/free_output.py", "are those of the left camera's"): (
-        f"{OF_TIMED} {SIDES} --at later.csv",
-        f"{OF_TIMED} {SIDES} --at times12.csv",
-    ),
     ("app/record/record.py", "Give --left and --right, or --cell"): (
         "record -o a.mcap",
-        f"{RECORD} && record --cell hand-cell --frames 2 -o b.mcap",
+        RECORD,
     ),
     ("store/recording/mcapfile.py", "or give --overwrite"): (f"{RECORD} && {RECORD}", f"{RECORD} --overwrite"),
     ("app/record/export.py", "Give --to with one of"): (
@@ -192,6 +200,22 @@ TRIED = {
         "measure --rig rig.yaml --target target.yaml --left a.mcap -o m",
     ),
     ("app/sources/frames.py", "or one recording for both"): ("record --left left -o a.mcap", RECORD),
+    ("store/foreign/numbers.py", "Calibrate it with armsight calibrate camera"): (
+        "convert camera rational.yml -o c.yaml",
+        CAMERA,
+    ),
+    ("calibrate/cameras/stereo.py", "Exchange the sources"): (
+        f"calibrate stereo --left boards/right --right boards/left {BOARDS}",
+        STEREO,
+    ),
+    ("app/calibrate/mirrors_lit_target.py", "Cut the images in two"): (
+        (beside, LIT.replace("mirrors -o", "beside -o") + " --target lit.yaml"),
+        STEREO,
+    ),
+    ("calibrate/mirrors/calibration.py", "Cut every image in two"): (
+        (beside, f"{MIRRORS} --image beside"),
+        STEREO,
+    ),
     ("app/doctor.py", "Give --rig with it"): ("doctor --depth 1", "{} --rig rig.yaml"),
     ("app/doctor.py", "Give --rig and --depth"): ("doctor --accuracy 1", "{} --rig rig.yaml --depth 1"),
     ("app/simulate/run.py", "Leave --room and --zoom"): (

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import random
+import sqlite3
 from pathlib import Path
 
 from armsight.app.batch.jobs import check_inputs, check_names
@@ -12,6 +14,8 @@ from armsight.app.requests.batch import BatchJob
 from armsight.cli.batch import _listed
 from armsight.cli.batch_commands import checked_job
 from armsight.cli.batch_jobs import jobs_of_file, jobs_of_pattern
+from armsight.store.history.database import VERSION_TABLE, writing
+from armsight.store.history.place import place_of
 
 HEAD = "q1,q2,q3,q4,q5,q6\n"
 
@@ -98,7 +102,35 @@ DESIGN = "design --target target.yaml --volume=-0.1:0.1,-0.1:0.1,0.5:0.7 --cells
 BOARD = "--board checkerboard:9x6:0.025 --views 20"
 CAMERAS = "--size 1280x720 --focal-mm 4 --pixel-um 3 --baseline 0.2"
 TREND = "history trend -o t --cell"
-FIND = f"join --measured poses.csv {OF_ARM} -o x.csv && calibrate arm --model irb120 --points x.csv -o arm.yaml"
+FIND = f"join --measured poses.csv {OF_ARM} -o x.csv && calibrate robot-world --arm irb120 --points x.csv -o w.yaml"
+
+MEASURE = "measure --rig rig.yaml --target target.yaml --left left --right right -o"
+
+
+def empty_history():
+    with writing(place_of("empty.db")):
+        pass
+
+
+def foreign():
+    """Write a database of another program."""
+    with contextlib.closing(sqlite3.connect("foreign.db")) as other:
+        other.execute("CREATE TABLE songs (name TEXT)")
+        other.commit()
+
+
+def newer():
+    """Write a history of a schema to come."""
+    empty_history()
+    with contextlib.closing(sqlite3.connect("empty.db")) as history:
+        history.execute(f"UPDATE {VERSION_TABLE} SET version_num = 'later'")
+        history.commit()
+    Path("empty.db").rename("newer.db")
+
+
+def spoil():
+    Path("m2/measure.json").write_text('{"made_with": 3}')
+
 
 TRIED = {
     ("app/join.py", "Leave --still away"): (f"{MOVING}{IN_TIME} moving.csv --still", f"{MOVING}{IN_TIME} moving.csv"),
@@ -114,8 +146,8 @@ TRIED = {
     ),
     ("app/verify/run.py", "Give --arm with --joints joints.csv, --commanded"): (VERIFY, f"{{}} {OF_ARM}"),
     ("app/verify/run.py", "and verify twice for both"): (
-        f"{VERIFY} {OF_ARM} --commanded poses.csv",
-        f"{VERIFY} {OF_ARM} && {VERIFY}2 --commanded poses.csv",
+        f"{VERIFY} {OF_ARM} --commanded places.csv",
+        f"{VERIFY} {OF_ARM} && {VERIFY}2 --commanded places.csv",
     ),
     ("app/verify/run.py", "Give --arm with the arm they are of"): (f"{VERIFY} --joints j.csv", "{} --arm irb120"),
     ("app/verify/run.py", "Give --joints joints.csv: t_s"): (f"{VERIFY} --arm irb120", "{} --joints j.csv"),
@@ -126,7 +158,7 @@ TRIED = {
     ("app/verify/plan.py", "Give --arm with its file"): ("verify --plan -o p", PLANNED),
     ("cli/verify.py", "Give --measured FILE, or"): ("verify -o p", PLANNED),
     ("cli/verify.py", "Give --arm FILE.urdf"): (
-        f"{VERIFY} --commanded poses.csv --tip tool0",
+        f"{VERIFY} --commanded places.csv --tip tool0",
         "convert arm irb120 -o arm.urdf && verify --measured poses.csv -o v --joints j.csv --arm arm.urdf --tip tool",
     ),
     ("cli/verify.py", "Add --plan, or leave it out"): (f"{VERIFY} {OF_ARM} --side 0.2", f"{VERIFY} {OF_ARM}"),
@@ -176,7 +208,7 @@ TRIED = {
         f"{DESIGN} {BOARD} {CAMERAS} --volume=1:2",
         f"{DESIGN} {BOARD} {CAMERAS} --volume=-0.2:0.2,-0.1:0.1,0.6:1.0",
     ),
-    ("app/history/adding.py", "Give --cell NAME"): (f"{FIND} && history add arm.yaml", "history add arm.yaml --cell a"),
+    ("app/history/adding.py", "Give --cell NAME"): (f"{FIND} && history add w.yaml", "history add w.yaml --cell a"),
     ("cli/command.py", "Add --cell NAME"): (f"{FIND} --history b.db", f"{FIND} --history b.db --cell NAME"),
     ("store/history/database.py", "File a run with --cell NAME"): (
         "history list --history none.db",
@@ -199,6 +231,30 @@ TRIED = {
     ("app/history/trend.py", "Ask for more with --since"): (f"{TREND} a --since 2030-01-01", f"{TREND} a"),
     ("app/history/trend.py", "Name other figures with --figure"): (f"{TREND} untold", "{} --figure baseline_m"),
     ("app/history/trend.py", "name the other figures with"): (f"{TREND} wide", f"{TREND} untold --figure baseline_m"),
+    ("app/history/looking.py", "File one with --cell NAME"): (
+        (empty_history, "history list --cell a --history empty.db"),
+        f"{FIND} --cell a --history empty.db && history list --cell a --history empty.db",
+    ),
+    ("store/history/database.py", "Give another file with --history"): (
+        (foreign, "history list --history foreign.db"),
+        "history list --history history.db",
+    ),
+    ("store/history/database.py", "Update armsight, or give another"): (
+        (newer, "history list --history newer.db"),
+        "history list --history history.db",
+    ),
+    ("store/history/database.py", "bring a copy back"): (
+        "history list --history list.json",
+        "history list --history history.db",
+    ),
+    ("app/compare/runs.py", "Give the folder that `armsight measure -o`"): (
+        (f"{MEASURE} m1 && {MEASURE} m2", spoil, "compare m1 m2 -o c"),
+        f"{MEASURE} m2 --overwrite && compare m1 m2 -o c",
+    ),
+    ("app/compare/calibrations.py", "Give two calibrations of one arm"): (
+        "convert arm ur10 -o a.yaml && convert arm panda -o b.yaml && compare a.yaml b.yaml -o c",
+        "compare a.yaml a.yaml -o c",
+    ),
     ("app/batch/jobs.py", "with --each by --name"): (named("{name}"), named("{parent}-{name}")),
     ("app/batch/jobs.py", "with another folder (-o)"): (reads("batch"), reads("second")),
     ("app/batch/run.py", "--resume to do what is missing"): (held(), held(resume=True)),

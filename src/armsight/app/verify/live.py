@@ -28,6 +28,7 @@ from armsight.report.live_report import live_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.atomic import write_json
 from armsight.store.worlds import World
+from armsight.units import DEG
 from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Expectation
 
@@ -130,7 +131,9 @@ def _check(job: LiveVerifyJob) -> None:
     if job.blind_stop_s is not None and not job.blind_stop_s > 0.0:
         raise UsageError(f"--stop-blind {job.blind_stop_s:g} is no time", cure="Give seconds, more than zero")
     if not (np.isfinite(job.joint_std) and job.joint_std >= 0.0):
-        raise UsageError(f"--joint-std {job.joint_std:g} is no standard deviation", cure="Give degrees, zero or more")
+        raise UsageError(
+            f"--joint-std {job.joint_std / DEG:g} is no standard deviation", cure="Give degrees, zero or more"
+        )
 
 
 def _check_arm(arm: Arm, devices: Supervised) -> None:

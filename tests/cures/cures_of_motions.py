@@ -1,0 +1,311 @@
+"""Cures of what runs along: paths played, targets followed, taught and identified, arms supervised."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from cures_of_arms import HANDEYE, PAIRS, START
+from cures_of_robots import SIM, jog
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.identify.live import _check as check_identify
+from armsight.app.identify.live import read_limits
+from armsight.app.play.play_job import _check_speeds
+from armsight.app.play.play_job import check as check_play
+from armsight.app.play.play_path import Opened, run_play
+from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.requests.identify import LiveJob, joint_numbers
+from armsight.app.requests.motion import HandJogJob, PlayJob, ServoJob
+from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
+from armsight.app.robot.guarding import arm_of
+from armsight.app.robot.jog_by_hand import jog_by_hand
+from armsight.app.robot.opening import open_robot
+from armsight.app.robot.run_motion import run_motion
+from armsight.app.servo.run_servo import _check as check_servo
+from armsight.app.servo.run_servo import _handeye, _turning, measuring
+from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.vision import open_servo
+from armsight.app.verify.live import _check as check_live
+from armsight.app.verify.live import open_supervised
+from armsight.app.verify.mastering import _middle, run_mastering
+from armsight.calibrate.identify.plan import checked_limits
+from armsight.clock import ManualClock
+from armsight.control.guard import Limits
+from armsight.control.play import PlaySettings, Weave, plan_path
+from armsight.control.teach import PathRecorder, StandingRig
+from armsight.drivers.jog_inputs import JogAxes, open_jog_input
+from armsight.kinematics import preset
+from armsight.records import TaughtPath
+from armsight.store import read_rig, read_target
+from armsight.store.path_file import write_path
+
+FILES: dict[str, str] = {
+    "motion.csv": "t_s,q1,q2,q3,q4,q5,q6\n"
+    + "".join(f"{0.1 * k},{0.01 * k},-1.05,1.6,-0.5,1.7,0.1\n" for k in range(8)),
+}
+UR = preset("ur10")
+AT = np.array([0.0, -1.0, 1.5, -0.5, 1.5, 0.0])
+STAND = UR.T_world_base.inv() * RigidTransform.from_matrix(UR.fk(AT))
+
+
+def through(places, turns_rad=(), arm=UR, stand=STAND):
+    """Return a path through places in the tool's axes as it stands, turned about its x axis."""
+    turns = [*turns_rad, *[0.0] * (len(places) - len(turns_rad))]
+    rows = [
+        (stand * RigidTransform.from_components(place, Rotation.from_rotvec([turn, 0.0, 0.0]))).as_matrix()
+        for place, turn in zip(places, turns, strict=True)
+    ]
+    return TaughtPath.of_poses(RigidTransform.from_matrix(np.array(rows)), parent="base")
+
+
+CORNER = through([[0, 0, 0.01], [0.03, 0, 0.01], [0.03, 0.03, 0.01]])
+ALONG_AXIS = through([[0, 0, 0.01], [0, 0, 0.04]])
+TURNING = through([[0, 0, 0.01], [0, 0, 0.01], [0.03, 0, 0.01]], [0.0, 1.0, 1.0])
+WEAVE = Weave.parse("sine:0.002:0.008")
+
+
+def planned(path, arm=UR, at=AT, **more):
+    settings = PlaySettings(**{"speed_m_s": 0.05, "approach_speed_m_s": 0.1, "retract_m": 0.01, **more})
+    return lambda: plan_path(path, arm, Limits(), at, settings)
+
+
+def play(**more):
+    return PlayJob(**{"robot": SIM, "path": Path("path.csv"), "out": Path("played"), **more})
+
+
+def servo(**more):
+    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target", "handeye")}
+    return ServoJob(**{"robot": SIM, "out": Path("followed"), **files, **more})
+
+
+def supervised(**more):
+    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target", "world")}
+    eyes = {side: f"camera:{SIM}:{side}" for side in ("left", "right")}
+    return LiveVerifyJob(**{"robot": SIM, "arm": "ur10", "out": Path("watched"), **files, **eyes, **more})
+
+
+def identified(**more):
+    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target")}
+    eyes = {side: f"camera:{SIM}:{side}" for side in ("left", "right")}
+    return LiveJob(**{"robot": SIM, "out": Path("a.yaml"), "limits": np.ones((6, 2)), **files, **eyes, **more})
+
+
+def moved(*, yes=True, **more):
+    """Return a call that runs a short motion."""
+
+    def go():
+        clock = ManualClock()
+        job = RunMotionJob(**{"robot": SIM, "motion": Path("motion.csv"), "out": Path("moved"), **more})
+        return run_motion(job, lambda _: yes, clock=clock, opened=open_robot(SIM, clock))
+
+    return go
+
+
+def by_hand(yes):
+    """Return a call that moves by a hand that lets go at once."""
+
+    class Hand:
+        def help(self):
+            return ""
+
+        def wait(self, timeout_s):
+            return JogAxes((0.0,) * 6, enabled=False, ended=True)
+
+    @contextmanager
+    def inputs(name, n):
+        yield Hand()
+
+    def go():
+        clock = ManualClock()
+        job = HandJogJob(robot=SIM, hand="keyboard")
+        return jog_by_hand(job, lambda _: yes, clock=clock, opened=open_robot(SIM, clock), inputs=inputs)
+
+    return go
+
+
+def pressed(name):
+    def go():
+        with open_jog_input(name, 6):
+            pass
+
+    return go
+
+
+def around(**more):
+    job = MasteringJob(**{"out": Path("m"), "arm": "irb120", "around": "0.1,0.2,0.1,0.2,0.9,0.3", **more})
+    return lambda: _middle(job, preset("irb120"))
+
+
+def recorder(every):
+    return lambda: PathRecorder(StandingRig(T_world_rig=STAND), RigidTransform.identity(), every=every)
+
+
+def lights(target, rig="cell/rig.yaml", *, overlaid=False):
+    from armsight.app.measure.run import target_of
+
+    devices = ServoDevices(robot=None, pairs=None, clock=None, overlaid=overlaid)
+    return lambda: measuring(read_rig(Path(rig)), target_of(Path(target)), devices)
+
+
+def eyes(**more):
+    return lambda: open_servo(
+        servo(robot="egm:6510", **more), read_rig(Path("rig.yaml")), read_target(Path("lit.yaml"))
+    )
+
+
+def target():
+    return read_target(Path("lit.yaml"))
+
+
+def played(*, yes=True):
+    """Return a call that plays a path of 10 mm before the flange of the cell's robot."""
+
+    def go():
+        clock = ManualClock()
+        robot = open_robot(SIM, clock)
+        with robot:
+            clock.advance(0.04)
+            arm = arm_of(robot, None)
+            stand = RigidTransform.from_matrix(arm.fk(arm.values(robot.read().q)))
+        path = through([[0.0, 0.0, 0.005], [0.01, 0.0, 0.005]], stand=stand)
+        clock = ManualClock()
+        job = play(path=Path("seam.csv"), approach_speed_m_s=0.05, retract_m=0.004, path_speed_m_s=0.05)
+        write_path(job.path, path)
+        return run_play(job, lambda _: yes, opened=Opened(open_robot(SIM, clock), clock))
+
+    return go
+
+
+TEACH = "teach --rig cell/rig.yaml --target cell/target.yaml -o taught"
+VIEWS = "--left cell/left --right cell/right"
+LIVE_EYES = {"left": "camera:0", "right": "camera:2"}
+MASTERING = "verify --mastering --arm irb120 -o m"
+IN_CELL = (
+    "verify --mastering --arm cell/arm.yaml --rig cell/rig.yaml --target cell/target.yaml --world cell/world.yaml -o m"
+)
+
+TRIED = {
+    ("app/play/play_job.py", "Give {} (--frame)"): (
+        lambda: check_play(play(frame="tool")),
+        lambda: [check_play(play(frame=name)) for name in ("world", "base")],
+    ),
+    ("app/play/play_job.py", "Give m: {} mm are"): (
+        lambda: check_play(play(stop_m=10.0)),
+        lambda: check_play(play(stop_m=0.01)),
+    ),
+    ("app/play/play_job.py", "Give m/s: "): (
+        lambda: _check_speeds(play(path_speed_m_s=50.0), Limits()),
+        lambda: _check_speeds(play(path_speed_m_s=0.05), Limits()),
+    ),
+    ("control/play/shape.py", "Round them less (--blend"): (
+        planned(CORNER, blend_m=0.04),
+        planned(CORNER, blend_m=0.005),
+    ),
+    ("control/play/shape.py", "Tilt the tool (armsight path angle)"): (
+        planned(ALONG_AXIS, weave=WEAVE),
+        planned(ALONG_AXIS),
+    ),
+    ("control/play/shape.py", "Leave --weave out"): (planned(TURNING, weave=WEAVE), planned(TURNING)),
+    ("control/play/plan.py", "Move the path or the arm's stand"): (
+        planned(through([[0, 0, 0], [0, 0, 3]])),
+        planned(CORNER),
+    ),
+    ("app/robot/run_motion.py", "Give --yes to move"): (moved(yes=False), moved()),
+    ("app/robot/run_motion.py", "the limits that it is run with"): (
+        moved(limits=Path("aside.yaml")),
+        moved(limits=Path("wide.yaml")),
+    ),
+    ("app/robot/jog_by_hand.py", "Give --yes to move"): (by_hand(False), by_hand(True)),
+    ("drivers/jog_inputs.py", "Give keyboard, gamepad or"): (pressed("joystick"), pressed("gamepad:/dev/null")),
+    ("drivers/jog_inputs.py", "Plug it in, look"): (pressed("gamepad:/dev/input/js99"), pressed("gamepad:/dev/null")),
+    ("drivers/jog_inputs.py", "Run it in a terminal"): (pressed("keyboard"), jog(joint=1, by=0.02)),
+    ("cli/robot.py", "Give --joint and --by"): (f"robot jog --robot {SIM} --yes --joint 1", jog(joint=1, by=0.02)),
+    ("app/servo/run_servo.py", "Give seconds, more than zero"): (
+        lambda: check_servo(servo(seconds_s=-1.0)),
+        lambda: check_servo(servo(seconds_s=1.0)),
+    ),
+    ("app/servo/run_servo.py", "Make it with: armsight calibrate handeye"): (
+        lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool")),
+        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool"))),
+    ),
+    ("app/requests/motion.py", "Make it with: armsight calibrate handeye"): (
+        lambda: play(rig=Path("rig.yaml"), target=Path("target.yaml"), handeye=Path("h.yaml")).cameras(),
+        (
+            PAIRS,
+            f"{HANDEYE} --pairs pairs.csv",
+            lambda: play(rig=Path("rig.yaml"), target=Path("target.yaml"), handeye=Path("h.yaml")).cameras(),
+        ),
+    ),
+    ("app/servo/run_servo.py", "Give --at tool"): (
+        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: _handeye(servo(handeye=Path("h.yaml"), at="camera"))),
+        lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool")),
+    ),
+    ("app/servo/run_servo.py", "(--rotation)"): (lambda: _turning("x"), lambda: _turning("align")),
+    ("app/servo/run_servo.py", "Give a target of lights"): (lights("board.yaml"), lights("cell/target.yaml")),
+    ("app/servo/run_servo.py", "Give --image"): (
+        lights("lit.yaml", "mirrors.yaml"),
+        lights("lit.yaml", "mirrors.yaml", overlaid=True),
+    ),
+    ("app/servo/vision.py", "or --image for a mirror rig"): (eyes(), eyes(**LIVE_EYES)),
+    ("app/verify/live.py", "Give seconds, more than zero"): (
+        lambda: check_live(supervised(blind_stop_s=0.0)),
+        lambda: check_live(supervised(blind_stop_s=0.5)),
+    ),
+    ("app/verify/live.py", "Give degrees, zero or more"): (
+        lambda: check_live(supervised(joint_std=-1.0)),
+        lambda: check_live(supervised(joint_std=0.0)),
+    ),
+    ("app/verify/live.py", "Give seconds, zero or more"): (
+        lambda: check_live(supervised(latency_s=-1.0)),
+        lambda: check_live(supervised(latency_s=0.0)),
+    ),
+    ("app/verify/live.py", "Leave --play away"): (
+        lambda: open_supervised(supervised(robot="egm:6510", play=True, **LIVE_EYES), target(), ManualClock(), UR),
+        lambda: open_supervised(supervised(robot="egm:6510", **LIVE_EYES), target(), ManualClock(), UR),
+    ),
+    ("app/verify/live.py", "Give camera:NAME for"): (
+        lambda: open_supervised(supervised(robot="egm:6510"), target(), ManualClock(), UR),
+        lambda: open_supervised(supervised(robot="egm:6510", **LIVE_EYES), target(), ManualClock(), UR),
+    ),
+    ("app/verify/mastering.py", "Give --around q1"): (MASTERING, "{} --around 0.1,0.2,0.1,0.2,0.9,0.3"),
+    ("app/verify/mastering.py", "Give degrees above 0"): (around(span_rad=0.0), around(span_rad=0.3)),
+    ("app/verify/mastering.py", "Give --measured poses.csv"): (
+        lambda: run_mastering(MasteringJob(out=Path("m"), arm="irb120")),
+        f"{MASTERING} --measured poses.csv --joints j.csv",
+    ),
+    ("app/verify/mastering.py", "Give a pose before both cameras"): (
+        f"{IN_CELL} --around=0,-1.57,0,0,0,0",
+        f"{IN_CELL} --around={START}",
+    ),
+    ("app/identify/live.py", "Write for instance --limits"): (
+        lambda: read_limits("0..3"),
+        lambda: read_limits("0:3.1,-1:1"),
+    ),
+    ("app/identify/live.py", "Give radians, or a unit"): (
+        lambda: read_limits("-28:298,0:90"),
+        lambda: [read_limits("-28deg:298deg,0mm:500mm"), read_limits("-0.49:5.2,0:1.57")],
+    ),
+    ("app/identify/live.py", "Give --world beside --model"): (
+        lambda: check_identify(identified(model=Path("cell/arm.yaml"))),
+        lambda: check_identify(identified(model=Path("cell/arm.yaml"), world=Path("cell/world.yaml"))),
+    ),
+    ("app/requests/identify.py", "Write their numbers"): (lambda: joint_numbers("x"), lambda: joint_numbers("5,6")),
+    ("calibrate/identify/plan.py", "Write lo:hi for every joint"): (
+        lambda: checked_limits([[0.0, 1.0]], [0.1, 0.2]),
+        lambda: checked_limits([[0.0, 1.0], [0.0, 1.0]], [0.1, 0.2]),
+    ),
+    ("calibrate/identify/plan.py", "Bring the arm to a pose within"): (
+        lambda: checked_limits([[0.0, 1.0]], [2.0]),
+        lambda: [checked_limits([[0.0, 1.0]], [0.5]), checked_limits([[0.0, 3.0]], [2.0])],
+    ),
+    ("control/teach.py", "Give 1 or more (--every)"): (recorder(0), recorder(1)),
+    ("cli/motion.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
+    ("app/teach.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
+    ("app/teach.py", "--image for a mirror rig, or"): (
+        f"{TEACH} --left cell/left --world cell/world.yaml",
+        f"{TEACH} {VIEWS} --world cell/world.yaml && teach --from poses.csv -o other",
+    ),
+    ("app/play/play_path.py", "Give --yes to move"): (played(yes=False), played()),
+}
