@@ -32,8 +32,8 @@ def by_chance(seed, count):
 def over_time(rest_s=0.0):
     """Return 6 s of joints that never repeat, which rest for some of it after 3 s."""
     lines = ["t_s," + HEAD]
-    for step in range(300):
-        t = 0.02 * step
+    for step in range(150):
+        t = 0.04 * step
         moved = min(t, 3.0) + max(0.0, t - 3.0 - rest_s)
         slow = [
             0.3 * math.sin((0.7 + 0.31 * k) * moved + k) + 0.2 * math.sin(1.713 * moved * (k + 1)) for k in range(6)
@@ -97,7 +97,7 @@ IN_TIME = "join --offset 0 --measured measured.csv --arm irb120 -o x.csv --joint
 JOIN = "join --measured poses.csv -o x.csv"
 OF_ARM = "--arm irb120 --joints j.csv"
 VERIFY = "verify --measured poses.csv -o v"
-PLANNED = "verify --plan --arm irb120 -o p"
+PLANNED = "verify --plan --arm irb120 --side 0.25 -o p"
 DESIGN = "design --target target.yaml --volume=-0.1:0.1,-0.1:0.1,0.5:0.7 --cells 2 -o d"
 BOARD = "--board checkerboard:9x6:0.025 --views 20"
 CAMERAS = "--size 1280x720 --focal-mm 4 --pixel-um 3 --baseline 0.2"
