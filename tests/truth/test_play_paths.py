@@ -47,7 +47,7 @@ def swaying() -> Case:
     return case(SWAYING, lambda k: float(EVERY_CYCLE[k % 4096]), {60: True, 110: False}, speed_m_s=0.06)
 
 
-@pytest.mark.parametrize("seed", [91, 1000, 1002, 1004, 1007, 1008, 1010, 1011, 1014])
+@pytest.mark.parametrize("seed", [91, 171, 176, 186, 1000, 1002, 1004, 1007, 1008, 1010, 1011, 1014])
 def test_what_is_told_is_what_runs(seed: int) -> None:
     ran = run(cases(seed))
     assert not ran.faults and not ran.limited, ran
@@ -106,6 +106,18 @@ def test_an_override_that_changes_at_once_is_seen(monkeypatch: pytest.MonkeyPatc
 def test_a_plan_that_leaves_no_room_to_brake_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timing, "REMOVAL", 0.0)  # speed still grows while accelerations are taken away
     assert run(cases(91)).limited
+
+
+def test_a_change_of_rate_that_goes_on_into_the_next_way_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    arrived = PathSource._arrived
+
+    def carried(self: PathSource) -> None:
+        before = self._clock
+        arrived(self)
+        self._clock = (self._clock[0], self._clock[1], before[2])
+
+    monkeypatch.setattr(PathSource, "_arrived", carried)
+    assert run(cases(186)).limited
 
 
 def test_corners_that_are_not_told_are_seen() -> None:

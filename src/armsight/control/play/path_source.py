@@ -221,7 +221,8 @@ class PathSource:
             self._clock = (self._kept_s, 0.0, 0.0)
             return
         self._stage += 1
-        self._clock, self._kept_s = (0.0, *self._clock[1:]), 0.0
+        # the rate goes on, as both ways rest here; how it changes was within the limits of this way, not of the next
+        self._clock, self._kept_s = (0.0, self._clock[1], 0.0), 0.0
 
     def _welds_at(self, s_m: float) -> bool:
         on = False

@@ -73,13 +73,14 @@ def shaped(path: TaughtPath, blend_m: float, weave: Weave, speed_m_s: float) -> 
     turned = Rotation.from_matrix(T[:, :3, :3]) * Rotation.from_quat(drawn[:, 3:7]).inv()
     row = np.clip(np.searchsorted(at_rows, u + 1e-12, side="right") - 1, 0, len(at_rows) - 2)
     own = path.speed_m_s[row]
+    woven, turned_m = _woven(T, drawn[:, :3], u, s, weave, _welded(path, s))
     return Shape(
         u=u,
-        T=_woven(T, u, s, weave, _welded(path, s)),
+        T=woven,
         s_m=s,
         seam_m=T[:, :3, 3],
         wanted_m_s=np.where(np.isfinite(own), own, speed_m_s),
-        rounded_m=_apart(path.xyz_m, at_rows, smooth[:, :3], drawn[:, :3], u[1], 3 * width),
+        rounded_m=_apart(path.xyz_m, at_rows, smooth[:, :3], drawn[:, :3], u[1], 3 * width) + turned_m,
         rounded_rad=float(turned.magnitude().max()),
         turns=_turns(path, way, turn),
     )
@@ -190,14 +191,19 @@ def _welded(path: TaughtPath, s: Array) -> Array:
     return on.astype(np.float64)
 
 
-def _woven(T: Array, u: Array, s: Array, weave: Weave, welded: Array) -> Array:
-    """Return the poses woven across the path in the tool's plane; it grows and fades where welds are switched."""
+def _woven(T: Array, drawn: Array, u: Array, s: Array, weave: Weave, welded: Array) -> tuple[Array, float]:
+    """Return the poses woven across the path in the tool's plane; it grows and fades where welds are switched.
+
+    And how far, at most, rounding has turned the weave away from that across the path as drawn (n, 3), in m.
+    """
     if weave.kind is WeaveKind.NONE:
-        return T
+        return T, 0.0
     tangent = np.gradient(T[:, :3, 3], u, axis=0)
     along = np.linalg.norm(tangent, axis=1)
     across = np.cross(T[:, :3, 2], tangent)
     size = np.linalg.norm(across, axis=1)
+    given = np.cross(T[:, :3, 2], np.gradient(drawn, u, axis=0))
+    given /= np.maximum(np.linalg.norm(given, axis=1), 1e-12)[:, None]
     worst = int(np.argmin(size))
     if size[worst] < 0.2 * along.max():
         stands = along[worst] < 0.2 * along.max()
@@ -213,5 +219,7 @@ def _woven(T: Array, u: Array, s: Array, weave: Weave, welded: Array) -> Array:
     for _ in range(3):
         share = uniform_filter1d(share, width, mode="nearest")
     out = T.copy()
-    out[:, :3, 3] += (share * weave.offset_m(s) / size)[:, None] * across
-    return out
+    offset_m = share * weave.offset_m(s)
+    out[:, :3, 3] += (offset_m / size)[:, None] * across
+    turned = np.linalg.norm(across / size[:, None] - given, axis=1)
+    return out, float((np.abs(offset_m) * turned).max())
