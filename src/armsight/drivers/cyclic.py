@@ -33,11 +33,8 @@ Array = NDArray[np.float64]
 
 END_S = 1.5
 """Closing a link that something is wrong with waits so long at most for the arm to stand."""
-
 REST = 2e-4
 """Joints nearer to their goal than this, in rad or m, are at rest: encoders and servos keep a little off."""
-
-
 ROUNDING = 1e-9
 """A pose this near to another, in m and rad, is the same."""
 
@@ -45,10 +42,9 @@ ROUNDING = 1e-9
 class CyclicRobot(ABC):
     """A robot behind a link with a cycle. A driver says how the link is opened, closed and kept going.
 
-    The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, then _tick,
-    and _outlived before the answer goes out; _lose where the link is gone, _halt where the controller takes no motion
-    just now, and _begin_anew where it takes it in another session than that in which the arm moved. Nothing moves
-    before the link is proven (proof.py).
+    The link's thread calls _stood_still in each of its turns, _heard and _hear_clock for each good reading, _tick, and
+    _outlived before its answer; _lose where the link is gone, _halt where the controller takes no motion just now,
+    _begin_anew where it takes it in another session than that in which the arm moved. Proven first (proof.py).
     """
 
     takes_poses = False
@@ -223,8 +219,7 @@ class CyclicRobot(ABC):
             return False
         if asks and self._proof.state is ProofState.NEEDED:
             self._proof.begin(self._probe())
-        running = self._proof.state is ProofState.RUNNING
-        if running:
+        if running := self._proof.state is ProofState.RUNNING:
             self._hold()
         return running
 
@@ -332,31 +327,28 @@ class CyclicRobot(ABC):
     def _stood_still(self) -> bool:
         """Note a turn of the link's thread; tell whether it stood still before, so that what has come is of the past.
 
-        What was asked before counts no more; an arm that was set in motion is stopped. The controller was not silent
-        meanwhile, but may have ended its session: _unheard_s tells for how long.
+        What was asked counts no more, an arm in motion is stopped. The controller may have ended its session.
         """
         with self._lock:
             now_s = self._clock.now_s()
             stood_s = self._turns.turn(now_s)
-            if not stood_s:
-                return False
-            self._hold()
-            self._stop_moved(f"this program stood still for {stood_s / MS:.0f} ms")
-            self._stood_s, self._heard_s = max(self._stood_s, stood_s), now_s
-            return True
+            if stood_s:
+                self._hold()
+                self._stop_moved(f"this program stood still for {stood_s / MS:.0f} ms")
+                self._stood_s, self._heard_s = max(self._stood_s, stood_s), now_s
+            return bool(stood_s)
 
     def _outlived(self) -> bool:
-        """Tell whether this program stood still since its turn: the answer to a cycle of the past must not go out.
+        """Tell whether this program stood still since its turn: the answer must not go out, and its step is taken back.
 
-        The step that was taken for it is taken back; the next turn finds the stand-still itself.
+        The next turn finds the stand-still itself.
         """
-        if not self._turns.since(self._clock.now_s()):
-            return False
-        with self._lock:
-            q, pose = self._before
-            self._goals.start(q)
-            self._poses.start(pose)
-        return True
+        stood = bool(self._turns.since(self._clock.now_s()))
+        if stood:
+            with self._lock:
+                self._goals.start(self._before[0])
+                self._poses.start(self._before[1])
+        return stood
 
     def _unheard_s(self) -> float:
         """Return for how long the controller was not heard: it was silent, or this program stood still."""

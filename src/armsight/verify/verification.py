@@ -88,13 +88,7 @@ def verify(
         raise NotEnoughData("no row is left to compare", cure="See the rows rejected")
     use, F = paired.measured.take(known), paired.F[known]
     check_spread(use, F)
-    try:
-        aligned = align(F, use, nominal, how)
-    except Inconsistent:
-        _check_senses(arm, paired, known)
-        raise
-    if exceeded(np.linalg.norm(aligned.fitted.residual[:, :3], axis=1)) > MOST_SHARE * spread_m(use.xyz_m):
-        _check_senses(arm, paired, known)
+    aligned = _aligned(arm, paired, known, nominal, how)
     cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
     restored = _restored(arm, paired, known, aligned, cause)
     if restored is not None:
@@ -123,6 +117,19 @@ def verify(
         rejected=tuple(sorted((*paired.rejected, *copies, *aligned.rejected))),
         doubts=(*_caveats(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
     )
+
+
+def _aligned(arm: Arm | None, paired: Paired, known: NDArray[np.intp], nominal: Mounts, how: Align) -> Aligned:
+    """Return the alignment of known rows. Raises Inconsistent where they are not of this arm, with what would fit."""
+    measured = paired.measured.take(known)
+    try:
+        aligned = align(paired.F[known], measured, nominal, how)
+    except Inconsistent:
+        _check_senses(arm, paired, known)
+        raise
+    if exceeded(np.linalg.norm(aligned.fitted.residual[:, :3], axis=1)) > MOST_SHARE * spread_m(measured.xyz_m):
+        _check_senses(arm, paired, known)
+    return aligned
 
 
 def _check_senses(arm: Arm | None, paired: Paired, known: NDArray[np.intp]) -> None:
