@@ -137,8 +137,7 @@ class CyclicRobot(ABC):
     def read(self) -> JointReading:
         """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
         reading = self._linked("read")
-        age_s = self._clock.now_s() - reading.t_s
-        if age_s > self._times.stale_s:
+        if (age_s := self._clock.now_s() - reading.t_s) > self._times.stale_s:
             raise StaleData(
                 f"{self.name}: the newest reading is {age_s:.3f} s old",
                 consequence="Where the arm is now is not known",
