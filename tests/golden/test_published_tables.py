@@ -131,3 +131,9 @@ def test_a_table_in_our_own_columns_is_held_to_their_units(tmp_path, armsight, s
     (tmp_path / "sweep.csv").write_text("\n".join(["joint,q1,q2,x_m,y_m,z_m", *rows]) + "\n")
     done = armsight("convert", "table", tmp_path / "sweep.csv", "--as", "sweep", "-o", tmp_path / "out.csv")
     assert done.code == 3 and says in done.text and not (tmp_path / "out.csv").exists()
+
+
+def test_an_empty_column_is_told(tmp_path, armsight):
+    (tmp_path / "j.csv").write_text("t_s,q1,q2\n" + "".join(f"{i / 10},{i / 10},\n" for i in range(9)))
+    done = armsight("convert", "table", tmp_path / "j.csv", "--as", "joints")
+    assert done.code == 0 and [note for note in done.json["notes"] if "q2" in note and "empty" in note]

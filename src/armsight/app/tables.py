@@ -78,15 +78,16 @@ def convert_table(
         series="q",
     )
     _check_units(table.numbers, str(source), format_)
+    ranges = {name: _range(column) for name, column in table.numbers.items()}
     if out is not None:
         write_text(out, "\n".join(",".join(word(bare(cell)) for cell in row) for row in rows) + "\n")
     return ConvertTableOutput(
         kind=kind,
         how=found.how,
         columns=header,
-        ranges={name: _range(column) for name, column in table.numbers.items()},
+        ranges=ranges,
         n=len(table),
-        notes=list(found.notes),
+        notes=[*found.notes, *(f"{name}: every cell is empty" for name, range_ in ranges.items() if range_ is None)],
         file=None if out is None else str(out),
     )
 

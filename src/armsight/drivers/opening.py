@@ -90,7 +90,7 @@ def open_pairs(
         raise UsageError(
             f"left and right are both {left}",
             consequence="The same image twice has no depth",
-            cure="Give each camera's own source, or --image where one image holds both views",
+            cure="Give each camera's own source; where a command has --image, one that holds both views goes there",
         )
     left_settings, right_settings = by_side(settings)
     if is_live(left):
