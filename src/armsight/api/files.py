@@ -53,7 +53,8 @@ def read_rig(
     """Return the rig in a rig.yaml, or in a file of OpenCV or Kalibr, or in the two files of ROS or OpenCV.
 
     size (width, height) and unit_m (length of its unit): of an OpenCV file that leaves them open. zoom_left,
-    zoom_right: of a rig with zoom lenses, where they stand. Raises BadFile, naming the key.
+    zoom_right: of a rig with zoom lenses, where they stand. Warns of a lens that is read as the nearest one. Raises
+    BadFile, naming the key.
 
     Examples
     --------

@@ -86,6 +86,7 @@ def test_a_stream_of_two_cameras_and_binned_images_are_refused(tmp_path):
     for text, says in (
         (f"{one}---\n{other}", "Keep one message"),
         (one.replace("binning_x: 0", "binning_x: 2"), "binned"),
+        (one.replace("  height: 0\n  width: 0", "  height: 480\n  width: 640"), "part"),
     ):
         (tmp_path / "info.yaml").write_text(text)
         with refuses(BadFile, says):

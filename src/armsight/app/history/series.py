@@ -100,10 +100,10 @@ def courses(found: Found, asked: Sequence[str] | None) -> list[Course]:
 
 def _in_full(given: str, choices: Sequence[str]) -> str:
     """Return the choice that is given, also where its unit, `.value` or the words before its last are left out."""
+    if given in choices:
+        return given
     alike = [name for name in choices if f".{_stem(name)}".endswith(f".{_stem(given)}")]
-    if given not in choices and len(alike) == 1:
-        return alike[0]
-    return one_of(given, alike if given not in choices and alike else choices, "figure", "Give --figure with one of")
+    return alike[0] if len(alike) == 1 else one_of(given, alike or choices, "figure", "Give --figure with one of")
 
 
 def _stem(name: str) -> str:

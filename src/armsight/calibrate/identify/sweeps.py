@@ -250,7 +250,8 @@ def or_inexact(seen: SweepResiduals, joint: int) -> str:
         ways.append("use only their order (--increments order)")
     step, rows = step_of(sweeps.q[:, joint]), max(sweeps.sweeps(joint), key=len)
     readings = sweeps.xyz_m if seen.rig is None or sweeps.uv_px is None else sweeps.uv_px.reshape(len(sweeps), 4)
-    moved = np.linalg.norm(np.diff(readings[rows], axis=0), axis=1) / np.abs(np.diff(sweeps.q[rows, joint]))
+    by = np.abs(np.diff(sweeps.q[rows, joint]))
+    moved = (np.linalg.norm(np.diff(readings[rows], axis=0), axis=1) / np.where(by > 0.0, by, np.inf))[by > 0.0]
     # rounding to a step is an error of step / sqrt(12), of each coordinate its share
     sigma = step / math.sqrt(12.0) * float(np.median(moved)) / math.sqrt(readings.shape[1])
     if sigma > 0.0:

@@ -61,7 +61,8 @@ def _message(content: Any) -> dict[str, Any] | None:
 def _camera_info(message: dict[str, Any], where: str) -> dict[str, Any]:
     """Return a message as the file of camera_calibration. Raises BadFile where its images are a part, or binned."""
     region = message.get("roi") or {}
-    cut = isinstance(region, dict) and any(region.get(key) for key in ("x_offset", "y_offset"))
+    whole = {"x_offset": 0, "y_offset": 0, "width": message["width"], "height": message["height"]}  # 0: all of it
+    cut = isinstance(region, dict) and any(region.get(key) not in (None, 0, size) for key, size in whole.items())
     if cut or any(message.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y")):
         raise BadFile(
             f"{where}: its images are binned, or a part of the sensor, and the calibration is of the whole one",
