@@ -194,3 +194,16 @@ def test_stabilisation_time_and_overshoot():
     assert found["t_s"].std == pytest.approx(sqrt((time**2 / 2 + 0.01 / 6) / 2), rel=1e-9)
     assert found["OV_m"].value == pytest.approx(3 * MM, rel=1e-9)
     assert found["OV_m"].repeats == "2 of 3"
+
+
+def test_visits_that_drift_have_no_deviation_and_the_drift_is_a_figure():
+    # 40 visits move by 0.01 mm each along x, with +-0.01 mm in y: the last ten lie 0.30 mm from the first ten
+    points = np.array([[0.01 * k, 0.01 * (-1) ** k, 0.0] for k in range(40)])
+    drifting = figures(poses=[visits("P1", points, commanded_xyz_m=[-1e-3, 0.0, 0.0])])
+    assert drifting["dAP_m"].value == pytest.approx(0.30 * MM, rel=1e-6)
+    assert drifting["dRP_m"].value == pytest.approx(0.0, abs=1e-9)
+    for name in ("AP_m", "RP_m"):
+        assert drifting[name].std is None
+        assert "0.36 mm" in drifting[name].note  # 4 of 40 at each end
+    mixed = points[np.random.default_rng(0).permutation(40)]
+    assert figures(poses=[visits("P1", mixed)])["RP_m"].std > 0.0

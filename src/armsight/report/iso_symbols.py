@@ -12,6 +12,8 @@ FIGURES: Mapping[str, str] = {
     "AP": "accuracy of a pose: the mean of the visits less what was commanded",
     "RP": "repeatability of a pose: distance from the mean, mean and three standard deviations",
     "vAP": "variation of accuracy between directions of approach",
+    "dAP": "drift of accuracy, from the first visits of a pose to the last",
+    "dRP": "drift of repeatability, from the first visits of a pose to the last",
     "AD": "accuracy of a distance",
     "RD": "repeatability of a distance",
     "AT": "accuracy of a path",

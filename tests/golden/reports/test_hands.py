@@ -38,3 +38,12 @@ def test_a_board_that_looks_the_same_turned_is_read_as_the_robot_says(tmp_path):
     off = np.abs(1e3 * np.asarray(done.T_parent_camera.translation) - right)
     assert off.max() < 0.3
     assert [text for text in done.advice if names_it(text, "8x6", "turned")]
+
+
+def test_the_pairs_of_camodocals_program_are_read(tmp_path):
+    pairs = case("cameras-03") / "TransformPairsInput.yml"
+    done = calibrate_handeye(HandEyeJob(pairs=pairs, setup="eye-to-hand", out=tmp_path / "he.yaml"))
+    off = np.asarray(done.T_parent_camera.translation) - [1.3, -0.25, 0.7]
+    assert np.abs(off).max() < 2.5e-3
+    part = [done.covariance.names.index(f"camera.{axis}_m") for axis in "xyz"]
+    assert off @ np.linalg.inv(done.covariance.matrix[np.ix_(part, part)]) @ off < 11.3  # chi-square of three, 99 %

@@ -9,6 +9,7 @@ from armsight.errors import Inconsistent
 from armsight.store.verify_files import CommandedFile, MeasuredFile
 from armsight.verify import Align, Measured, Reported, Verification
 from armsight.verify.iso9283 import CommandedPath, evaluate
+from armsight.verify.iso9283.drift import trend
 from armsight.verify.repeats import PATH, Command, iso9283_test, polyline
 from armsight.verify.results import IsoFigure
 
@@ -28,7 +29,9 @@ def iso_figures(
     band_m: the limit band of arrivals in m; without it the pose repeatability of the same pose.
     """
     test, notes = iso9283_test(measured, file.repeats, command, band_m)
-    return evaluate(test).results(), notes
+    drifting = [(visits.place, found) for visits in test.poses if (found := trend(visits)) is not None]
+    told = tuple(f"ISO 9283, {place}: {found.told()}" for place, found in drifting)
+    return evaluate(test).results(), (*notes, *told)
 
 
 def by_name(file: MeasuredFile, commanded: CommandedFile) -> bool:

@@ -164,11 +164,11 @@ def _track(
 ) -> tuple[_Track, TimingEstimate | None]:
     """Filter and smooth with a given jerk, and with the timing that this itself finds where there is a prior of it."""
     q = lines.shape[1]
-    run, (ds, dp) = Filtered.empty(rows, rig, X), (np.empty((len(rows.t), N, q)) for _ in range(2))
+    run, (ds, dp) = Filtered.empty(rows, rig, X, jerk), (np.empty((len(rows.t), N, q)) for _ in range(2))
     change, timing = np.zeros(q), None
     for _ in range(TIMING_ROUNDS):
         L, g = np.zeros((q, q)), np.zeros(q)
-        run.fill(jerk, begin, (lines, change), (ds, dp), (L, g))
+        run.fill(begin, (lines, change), (ds, dp), (L, g))
         if prior is None:
             break
         timing = estimate_timing(prior, L, g, change)
@@ -182,7 +182,10 @@ def _track(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Filtered:
-    """What one filter over n rows leaves, as smooth wants it: states xs (n, 24), Cs, predictions xp, Cp, and Fs."""
+    """What one filter over n rows leaves, as smooth wants it: states xs (n, 24), Cs, predictions xp, Cp, and Fs.
+
+    jerk (n,): the strength of the motion that it is for.
+    """
 
     rows: _Columns
     rig: _Rig
@@ -192,6 +195,7 @@ class Filtered:
     Cs: Array
     Cp: Array
     Fs: Array
+    jerk: Array
 
     @classmethod
     def of(
@@ -200,18 +204,18 @@ class Filtered:
         """Return the filter of a motion of strength jerk (n,) over n views. See smooth."""
         t = np.array([view.t_s for view in views])
         rows, order = _columns(views, t, np.zeros(0))
-        run, none = cls.empty(rows, packed.arrays, np.ascontiguousarray(positions_m)), np.zeros((len(t), N, 0))
+        run, none = cls.empty(rows, packed.arrays, np.ascontiguousarray(positions_m), jerk), np.zeros((len(t), N, 0))
         lines = np.zeros((len(rows.tau), 0)), np.zeros(0)
-        run.fill(jerk, _begin(len(t), order, starts, t), lines, (none, none), (np.zeros((0, 0)), np.zeros(0)))
+        run.fill(_begin(len(t), order, starts, t), lines, (none, none), (np.zeros((0, 0)), np.zeros(0)))
         return run
 
     @classmethod
-    def empty(cls, rows: _Columns, rig: _Rig, positions_m: Array) -> Filtered:
+    def empty(cls, rows: _Columns, rig: _Rig, positions_m: Array, jerk: Array) -> Filtered:
         """Return room for the filter of these rows."""
         n = len(rows.t)
         xs, xp = (np.empty((n, STATE)) for _ in range(2))
         Cs, Cp, Fs = (np.empty((n, N, N)) for _ in range(3))
-        return cls(rows=rows, rig=rig, positions_m=positions_m, xs=xs, xp=xp, Cs=Cs, Cp=Cp, Fs=Fs)
+        return cls(rows=rows, rig=rig, positions_m=positions_m, xs=xs, xp=xp, Cs=Cs, Cp=Cp, Fs=Fs, jerk=jerk)
 
     def states(self, ds: Array, dp: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         """Return filtered and predicted states as kernels take them; ds, dp: how they depend on unknowns."""
@@ -219,7 +223,6 @@ class Filtered:
 
     def fill(
         self,
-        jerk: Array,
         begin: _Begin,
         late: tuple[Array, Array],
         by_timing: tuple[Array, Array],
@@ -229,13 +232,13 @@ class Filtered:
         lines, change = late
         light, uv, cov, tau = self.rows.spots
         late_s = frozen_array("late_s", tau + lines @ change, (None,))
-        spots, motion = (light, uv, cov, late_s), (jerk, ANGULAR_RATIO)
+        spots, motion = (light, uv, cov, late_s), (self.jerk, ANGULAR_RATIO)
         at = self.rig, self.positions_m
         smoothing.run_filter(self.rows.views, spots, lines, *at, motion, begin, *self.states(*by_timing), sums)
 
     def smooth(self, ds: Array, dp: Array) -> None:
         """Smooth xs and Cs in place, and how they depend on unknowns: ds of filtered and dp of predicted states."""
-        smoothing.smooth(*self.states(ds, dp))
+        smoothing.smooth(self.rows.t, (self.jerk, ANGULAR_RATIO), *self.states(ds, dp))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

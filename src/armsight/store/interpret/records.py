@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,8 @@ ROTVECS = frozenset(("rotvec", "rvec", "rotation_vector", "rotvec_rad"))
 UNORDERED = frozenset(("quat", "quaternion", "orientation", "rotation", "q"))
 LISTS = ("samples", "poses", "data", "frames", "measurements", "points", "transforms")
 """Keys under which a file holds its rows."""
+NUMBERED_PAIRS: Mapping[str, str] = {"T1": "base_flange", "T2": "camera_target"}
+"""Keys T1_0, T2_0, T1_1, ... of handeye_calib_camodocal: base to tip, and camera to marker."""
 
 
 def records_table(documents: Sequence[Any], where: str) -> RawTable:
@@ -40,6 +43,9 @@ def _entries(documents: Sequence[Any]) -> tuple[list[Any], str]:
         for key in LISTS:
             if isinstance(content.get(key), list) and content[key] and isinstance(content[key][0], Mapping | list):
                 return content[key], f"the list '{key}'"
+        pairs = _numbered_pairs(content)
+        if pairs:
+            return pairs, "numbered pairs of matrices"
         values = list(content.values())
         if len(values) > 1 and all(_is_pose(value) for value in values):
             return [{"file": key, "": value} for key, value in content.items()], "a mapping by name"
@@ -47,6 +53,16 @@ def _entries(documents: Sequence[Any]) -> tuple[list[Any], str]:
     if isinstance(content, list) and content and all(isinstance(item, int | float) for item in content):
         return [content], "a list of numbers"
     return (content, "a list") if isinstance(content, list) else ([content], "a value")
+
+
+def _numbered_pairs(content: Mapping[Any, Any]) -> list[dict[str, Any]]:
+    """Return a row for each number of NUMBERED_PAIRS; none where the file is another."""
+    rows: dict[int, dict[str, Any]] = {}
+    for key, value in content.items():
+        named = re.fullmatch(r"(T[12])_([0-9]+)", str(key))
+        if named is not None:
+            rows.setdefault(int(named[2]), {})[NUMBERED_PAIRS[named[1]]] = value
+    return [rows[number] for number in sorted(rows)] if len(rows) > 1 else []
 
 
 def _is_pose(value: Any) -> bool:

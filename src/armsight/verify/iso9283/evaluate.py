@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 
 from armsight.errors import Inconsistent
-from armsight.verify.iso9283 import arrival, path, pose
+from armsight.verify.iso9283 import arrival, drift, path, pose
 from armsight.verify.iso9283.figure import Estimate, Figure, Figures, magnitude, noted, too_few, withheld
 from armsight.verify.iso9283.observations import ArrivalTest, PathTest, PoseVisits
 from armsight.verify.iso9283.pose import MIN_ACCURACY, TURNS, VISITS, barycentre_covariance, figure_of, turns_from
@@ -70,14 +70,17 @@ def _all(test: Iso9283Test) -> Iterator[Figure]:
             *pose.REPEATABILITY,
             *pose.REPEATABILITY_ROTATION,
             *VARIATION,
+            *drift.DRIFTS,
             *outer,
         )
         yield from withheld(symbols, "no visits of a commanded pose were given", n=0, wanted=pose.VISITS)
         yield from withheld(EXCHANGEABILITY, "no visits were given", n=0, wanted=ROBOTS)
     for visits in test.poses:
-        yield from pose.pose_figures(visits)
+        yield from drift.told_of_trend(pose.pose_figures(visits), [visits])
     for visits in test.poses:
         yield from variation(visits)
+    for visits in test.poses:
+        yield from drift.drift_figures(visits)
     yield from _distances(test)
     yield from _arrivals(test)
     yield from _exchanged(test)
@@ -93,7 +96,8 @@ def _distances(test: Iso9283Test) -> Iterator[Figure]:
             names = [(f"{kind}{tail}", unit) for kind in ("AD", "RD") for tail, unit in pose.OUTER]
             yield from withheld(names, "two commanded poses are needed", n=0, wanted=pose.VISITS, place=robot)
         else:
-            yield from pose.distance_figures(own[pair[0]], own[pair[1]])
+            ends = [own[name] for name in pair]
+            yield from drift.told_of_trend(pose.distance_figures(*ends), ends)
 
 
 def _farthest(own: dict[str, PoseVisits]) -> tuple[str, str] | None:

@@ -9,7 +9,16 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
-from armsight.measure.motion.kernels.state import N, difference, move, multiply, multiply_t, predict, transposed
+from armsight.measure.motion.kernels.state import (
+    N,
+    add_jerk,
+    difference,
+    move,
+    multiply,
+    multiply_t,
+    predict,
+    transposed,
+)
 from armsight.measure.motion.kernels.views import ViewK, innovation_covariance, observe, select, update
 from armsight.optics.kernels.camera import RigK
 
@@ -187,61 +196,88 @@ def carry_by_gain(H, A, C, cov, d):
 
 
 @kernel
-def smooth(filtered, predicted):
+def smooth(t, motion, filtered, predicted):
     """Smooth the filtered states in place, backwards (Rauch, Tung and Striebel 1965); as Filtered and Predicted.
 
-    False where a covariance cannot be inverted.
+    t (n,) in s; motion: jerk (n,) and ratio, as run_filter had them. False where a covariance cannot be inverted.
     """
     xs, Cs, ds = filtered
     xp, Cp, dp, Fs = predicted
+    jerk, ratio = motion
     n = xs.shape[0]
-    G = np.empty((N, N))
-    inverse = np.empty((N, N))
     K = np.empty((N, N))
-    D = np.empty((N, N))
-    E = np.empty((N, N))
     d = np.empty(N)
     g = np.empty(N)
-    scaled = np.empty((N, N))
-    s = np.empty(N)
     for k in range(n - 2, -1, -1):
         F = Fs[k + 1]
         if F[0, 0] == 0.0:
             continue
-        # scaled to a unit diagonal: metres beside rad/s^2, whose squares are 1e12 apart, would not be inverted
-        for i in range(N):
-            s[i] = 1.0 / sqrt(Cp[k + 1, i, i])
-        for i in range(N):
-            for j in range(N):
-                scaled[i, j] = Cp[k + 1, i, j] * s[i] * s[j]
-        if not invert_spd(scaled, inverse):
+        if not smoothing_gain(F, Cs[k], Cp[k + 1], K):
             return False
-        for i in range(N):
-            for j in range(N):
-                inverse[i, j] *= s[i] * s[j]
-        # K = C F' Cp^-1: how much of what later views changed in the next state goes back to this one
-        multiply(F, Cs[k], E)
-        transposed(E, G)
-        multiply(G, inverse, K)
         difference(xs[k + 1], xp[k + 1], d)
         for i in range(N):
-            t = 0.0
+            g[i] = 0.0
             for j in range(N):
-                t += K[i, j] * d[j]
-            g[i] = t
+                g[i] += K[i, j] * d[j]
         move(xs[k], g)
         for i in range(N):
             for p in range(ds.shape[2]):
-                t = 0.0
+                s = 0.0
                 for j in range(N):
-                    t += K[i, j] * (ds[k + 1, j, p] - dp[k + 1, j, p])
-                ds[k, i, p] += t
-        for i in range(N):
-            for j in range(N):
-                D[i, j] = Cs[k + 1, i, j] - Cp[k + 1, i, j]
-        multiply(K, D, E)
-        multiply_t(E, K, D)
-        for i in range(N):
-            for j in range(N):
-                Cs[k, i, j] += D[i, j]
+                    s += K[i, j] * (ds[k + 1, j, p] - dp[k + 1, j, p])
+                ds[k, i, p] += s
+        smooth_covariance(F, K, t[k + 1] - t[k], (jerk[k + 1], ratio * jerk[k + 1]), Cs[k], Cs[k + 1])
     return True
+
+
+@inner_kernel
+def smoothing_gain(F, C, Cp, K):
+    """Fill K = C F' Cp^-1 (18, 18): how much of what later views changed in the next state goes back to this one.
+
+    False where the covariance Cp of the next state's prediction cannot be inverted.
+    """
+    scaled = np.empty((N, N))
+    inverse = np.empty((N, N))
+    E = np.empty((N, N))
+    G = np.empty((N, N))
+    s = np.empty(N)
+    # scaled to a unit diagonal: metres beside rad/s^2, whose squares are 1e12 apart, would not be inverted
+    for i in range(N):
+        s[i] = 1.0 / sqrt(Cp[i, i])
+    for i in range(N):
+        for j in range(N):
+            scaled[i, j] = Cp[i, j] * s[i] * s[j]
+    if not invert_spd(scaled, inverse):
+        return False
+    for i in range(N):
+        for j in range(N):
+            inverse[i, j] *= s[i] * s[j]
+    multiply(F, C, E)
+    transposed(E, G)
+    multiply(G, inverse, K)
+    return True
+
+
+@inner_kernel
+def smooth_covariance(F, K, tau, jerks, C, C_next):
+    """Make C (18, 18) of the filter that of all views, C_next being that of the state tau later.
+
+    (1 - K F) C (1 - K F)' + K (Q + C_next) K', as Joseph's form of the filter's update: a sum of squares. What is the
+    same on paper, C + K (C_next - Cp) K', takes two large numbers from each other where a stretch begins.
+    """
+    E = np.empty((N, N))
+    G = np.empty((N, N))
+    D = np.empty((N, N))
+    multiply(K, F, E)
+    for i in range(N):
+        for j in range(N):
+            E[i, j] = (1.0 if i == j else 0.0) - E[i, j]
+            D[i, j] = C_next[i, j]
+    add_jerk(D, tau, jerks[0], jerks[1])
+    multiply(E, C, G)
+    multiply_t(G, E, C)
+    multiply(K, D, G)
+    multiply_t(G, K, D)
+    for i in range(N):
+        for j in range(N):
+            C[i, j] += D[i, j]

@@ -1,0 +1,132 @@
+"""Whether visits of a pose drift: a test of their order, what it costs the other figures, and dAP, dRP (ISO 9283:1998,
+7.2.4) from the first visits to the last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.units import MM
+from armsight.verify.iso9283.figure import (
+    Estimate,
+    Figure,
+    magnitude,
+    noted,
+    radial_repeatability,
+    too_few,
+    withheld,
+)
+from armsight.verify.iso9283.observations import PoseVisits
+from armsight.verify.iso9283.pose import barycentre_covariance, figure_of
+
+Array = NDArray[np.float64]
+
+GROUP = 10
+"""Visits at the beginning, and as many at the end, between which dAP and dRP are taken."""
+MIN_VISITS = 10
+"""Visits below which their order tells nothing: the ratio of fewer is far from normal."""
+CHANCE = 3.4
+"""Deviations of the largest of three ratios above which the visits follow each other: by chance in 1 of 10,000 poses
+of 30 visits, in 7 of 10,000 of 50 (30,000 drawn)."""
+FLAT = 1e-9
+"""Share of the largest variance below which a direction counts as one in which nothing scatters."""
+
+DRIFTS = (("dAP", "m"), ("dRP", "m"))
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """What visits that follow each other do: way of their place from the first to the last, and RP between neighbours.
+
+    moved_m: distance of the means of the first and the last tenth, of three visits at least. neighbours_m: RP of the
+    differences of visits that follow each other, in which a slow drift is not.
+    """
+
+    moved_m: float
+    neighbours_m: float
+
+    def told(self) -> str:
+        """Return what to know of a figure of such visits."""
+        return (
+            f"the visits drift by {self.moved_m / MM:.3g} mm from first to last, without which RP is "
+            f"{self.neighbours_m / MM:.3g} mm; no deviation is given: the visits are not independent"
+        )
+
+
+def trend(visits: PoseVisits) -> Trend | None:
+    """Return the trend of visits in the order of their numbers; None where chance explains how they follow.
+
+    By von Neumann's ratio of the squares of successive differences to the variance, which is 2 for independent visits
+    (von Neumann 1941), in each direction in which they scatter.
+    """
+    n = len(visits)
+    if n < MIN_VISITS:
+        return None
+    xyz = visits.xyz_m[np.argsort(visits.visit)]
+    residuals = xyz - xyz.mean(axis=0)
+    size, axes = np.linalg.eigh(residuals.T @ residuals)
+    z = (residuals @ axes)[:, size > FLAT * max(size[-1], np.finfo(float).tiny)]
+    if not z.shape[1]:
+        return None
+    ratio = (np.diff(z, axis=0) ** 2).sum(axis=0) / (z**2).sum(axis=0)
+    if (1.0 - 0.5 * ratio.min()) / sqrt((n - 2) / (n**2 - 1)) < CHANCE:
+        return None
+    few = max(n // 10, 3)
+    moved = float(np.linalg.norm(xyz[-few:].mean(axis=0) - xyz[:few].mean(axis=0)))
+    steps = np.diff(xyz, axis=0) / sqrt(2.0)
+    return Trend(moved_m=moved, neighbours_m=radial_repeatability(steps - steps.mean(axis=0), None).value)
+
+
+def told_of_trend(figures: Sequence[Figure], visits: Sequence[PoseVisits]) -> list[Figure]:
+    """Return figures of these visits, without deviations and with the reason where the visits drift."""
+    found = [one for one in map(trend, visits) if one is not None]
+    if not found:
+        return list(figures)
+    worst = max(found, key=lambda one: one.moved_m)
+    return [
+        figure if figure.value is None else noted(replace(figure, std=None, corrected_std=None), worst.told())
+        for figure in figures
+    ]
+
+
+def drift_figures(visits: PoseVisits) -> list[Figure]:
+    """Return dAP and dRP of one robot at one pose: how AP and RP of the last visits differ from those of the first.
+
+    What the measurement errs alike in all visits cancels. n counts the visits.
+    """
+    n, place = len(visits), visits.place
+    if n < 2 * GROUP:
+        return withheld(DRIFTS, too_few("visits", n, 2 * GROUP, 2 * GROUP), n=n, wanted=2 * GROUP, place=place)
+    if len(visits.directions) > 1:
+        why = f"approached from {len(visits.directions)} directions; a drift is of visits from one"
+        return withheld(DRIFTS, why, n=n, wanted=2 * GROUP, place=place)
+    order = np.argsort(visits.visit)
+    first, last = visits.take(order[:GROUP]), visits.take(order[-GROUP:])
+    return [_accuracy(first, last, n), _repeatability(first, last, n)]
+
+
+def _accuracy(first: PoseVisits, last: PoseVisits, n: int) -> Figure:
+    if first.commanded_xyz_m is None or not first.in_measuring_frame:
+        why = "no commanded pose is known in the measuring frame"
+        return withheld(DRIFTS[:1], why, n=n, wanted=2 * GROUP, place=first.place)[0]
+    ends = [
+        magnitude(one.xyz_m.mean(axis=0) - one.commanded_xyz_m, barycentre_covariance(one)) for one in (first, last)
+    ]
+    return _difference("dAP", ends, n, first.place)
+
+
+def _repeatability(first: PoseVisits, last: PoseVisits, n: int) -> Figure:
+    ends = [radial_repeatability(one.xyz_m - one.xyz_m.mean(axis=0), None) for one in (first, last)]
+    return _difference("dRP", ends, n, first.place)
+
+
+def _difference(symbol: str, ends: Sequence[Estimate], n: int, place: str) -> Figure:
+    """Return the size of the difference of two estimates that are independent."""
+    first, last = ends
+    estimate = Estimate(value=abs(last.value - first.value), std=sqrt(first.std**2 + last.std**2))
+    note = f"from the first {GROUP} visits to the last"
+    return figure_of(symbol, "m", estimate, n=n, wanted=2 * GROUP, place=place, note=note)
