@@ -15,7 +15,8 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import dh_arm, fk
 from armsight.store.arm_points import read_arm_points
 from armsight.store.verify_files import read_measured
-from refusals import refuses
+from armsight.verify import Align, Measured, Reported, verify
+from refusals import names_it, refuses
 
 Array = NDArray[np.float64]
 
@@ -28,19 +29,24 @@ BASE, BASE_M = Rotation.from_rotvec([0.1, 0.2, 0.9]), np.array([1.0, 2.0, 0.3])
 TOOL, TOOL_M = Rotation.from_rotvec([0.3, -0.2, 0.5]), np.array([0.05, 0.02, 0.12])
 
 
+def chain(lengths: Array, zeros: Array, q: Array) -> tuple[Array, Rotation]:
+    """Return where the tool is (m, 3) and how it is turned, in the frame that is measured in."""
+    R, x = BASE, np.tile(BASE_M, (len(q), 1))
+    for (a, alpha, d), zero, values in zip(lengths, zeros, q.T, strict=True):
+        x = x + R.apply([0.0, 0.0, d])
+        R = R * Rotation.from_rotvec((values + zero)[:, None] * [0.0, 0.0, 1.0])
+        x = x + R.apply([a, 0.0, 0.0])
+        R = R * Rotation.from_rotvec([alpha, 0.0, 0.0])
+    return x + R.apply(TOOL_M), R * TOOL
+
+
 def simulated(seed: int, noise_rad: float, m: int = 60, held: int = 200) -> tuple[ArmPoints, Array, Array]:
     """Return measurements of an arm off by 0.3 mm, 0.03 and 0.2 degrees, then readings and true places left out."""
     rng = np.random.default_rng(seed)
     lengths = UR10 + rng.normal(0.0, 1.0, UR10.shape) * [3e-4, 5e-4, 3e-4]
     zeros = rng.normal(0.0, 3e-3, 6)
     q = rng.uniform(-1.5, 1.5, (m + held, 6))
-    R, x = BASE, np.tile(BASE_M, (m + held, 1))
-    for (a, alpha, d), zero, values in zip(lengths, zeros, q.T, strict=True):
-        x = x + R.apply([0.0, 0.0, d])
-        R = R * Rotation.from_rotvec((values + zero)[:, None] * [0.0, 0.0, 1.0])
-        x = x + R.apply([a, 0.0, 0.0])
-        R = R * Rotation.from_rotvec([alpha, 0.0, 0.0])
-    x, R = x + R.apply(TOOL_M), R * TOOL
+    x, R = chain(lengths, zeros, q)
     turned = (R * Rotation.from_rotvec(rng.normal(0.0, noise_rad, (m + held, 3)))).as_matrix()[:m]
     seen = x[:m] + rng.normal(0.0, 5e-5, (m, 3))
     return ArmPoints(q=q[:m], xyz_m=seen, rotation=turned), q[m:], x[m:]
@@ -54,6 +60,30 @@ def test_rotations_better_than_any_arm_turns_its_tool_do_not_rule_the_positions(
     off, off_alone = (np.linalg.norm(fk(x.arm, q)[:, :3, 3] - truth, axis=1).mean() for x in (result, alone))
     assert off < off_alone < 4e-5  # weighed as they claim they left 0.29 to 0.87 mm
     assert any("any arm" in note for note in result.notes)
+
+
+def computed(points: ArmPoints) -> ArmPoints:
+    """Return the points with rotations that the controller computed: the nominal arm's, to six digits."""
+    quat = np.round(chain(UR10, np.zeros(6), points.q)[1].as_quat(), 6)
+    return replace(points, rotation=Rotation.from_quat(quat).as_matrix())
+
+
+def test_rotations_that_the_controller_computed_prove_nothing() -> None:
+    points, q, truth = simulated(2, 1e-4)
+    result = calibrate_arm(NOMINAL, computed(points))
+    alone = calibrate_arm(NOMINAL, replace(points, rotation=None))
+    assert [note for note in result.notes if names_it(note, "computed", "left out")]
+    assert np.allclose(result.fitted.p, alone.fitted.p)
+    assert np.linalg.norm(fk(result.arm, q)[:, :3, 3] - truth, axis=1).mean() < 1e-4
+
+
+def test_an_arm_is_not_verified_by_rotations_that_it_computed_itself() -> None:
+    """Its zeros are off by some tenths of a degree; taken as measured the rotations blame the measurement."""
+    points, _, _ = simulated(2, 1e-4)
+    seen = computed(points)
+    found = verify(NOMINAL, Reported(q=points.q), Measured(xyz_m=seen.xyz_m, rotation=seen.rotation), Align.BOTH)
+    assert [doubt for doubt in found.doubts if names_it(doubt, "computed", "left out")]
+    assert found.cause is not None and found.cause.cause != "measurement"
 
 
 def wrong(points: ArmPoints, how: str) -> ArmPoints:

@@ -34,7 +34,7 @@ from armsight.calibrate.arm.plausibility import (
 )
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
-from armsight.calibrate.arm.rotations import check_rotations, rotation_notes, turn_note
+from armsight.calibrate.arm.rotations import check_rotations, rotation_notes, turn_note, without_computed
 from armsight.calibrate.arm.rows import in_order, of_places
 from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
@@ -72,6 +72,10 @@ def calibrate_arm(
     check_points(nominal, points)
     check_one_position(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
+    measured, told = without_computed(model, points)
+    if told:
+        done = calibrate_arm(nominal, measured, holdout=holdout, tolerance=tolerance, scale=scale)
+        return replace(done, notes=(*told, *done.notes))
     check_rotations(model, points)
     if holdout is not None:
         check_points(nominal, holdout)

@@ -38,6 +38,10 @@ FRAME_MISSES = 0.1
 two are of different frames: nominal arms miss by 0.04 at most."""
 GROSS_TURN = float(np.sqrt(chi2_ppf(0.99999, 3)))
 """Rotations beyond so many standard deviations are gross."""
+COMPUTED_RAD = 1e-5
+"""Rotations that follow the nominal arm to two arc seconds are its own, not a measurement's: no arm has such zeros."""
+COMPUTED_M = 2e-5
+"""Positions that miss the nominal arm by less do not tell an exact arm (a simulation's) from computed rotations."""
 TOLD_ROWS = 8
 """Rows named; more are counted."""
 
@@ -75,6 +79,32 @@ def check_rotations(model: ArmModel, points: ArmPoints) -> None:
         )
     _check_given(
         given, turn, same=float(Rotation.from_matrix(measured[0].T @ measured).magnitude().max()) < LEAST_TURN_RAD
+    )
+
+
+def without_computed(model: ArmModel, points: ArmPoints) -> tuple[ArmPoints, tuple[str, ...]]:
+    """Return the points without rotations that are the nominal arm's own at these readings, and what to say of it."""
+    bare = replace(model.arm, T_world_base=RigidTransform.identity(), T_flange_tool=RigidTransform.identity())
+    told = "" if points.rotation is None else computed(fk(bare, points.q), points)
+    return (replace(points, rotation=None), (told,)) if told else (points, ())
+
+
+def computed(F: Array, points: ArmPoints) -> str:
+    """Return what to say of rotations that are those of F (m, 4, 4), base to flange, to the last digits; else nothing.
+
+    A controller reports where it believes its tool to be: taken as measured, that proves the nominal arm right.
+    """
+    if len(points) > ENOUGH_ROWS:
+        rows = np.linspace(0, len(points) - 1, ENOUGH_ROWS).astype(np.intp)
+        F, points = F[rows], points.take(rows)
+    if points.rotation is None or _spread(F[:, :3, :3]) < TURNED_RAD:
+        return ""
+    given = _reading(F, np.asarray(points.rotation), points)
+    if given.off_rad > COMPUTED_RAD or given.off_m < COMPUTED_M:
+        return ""
+    return (
+        "The rotations are those of the nominal arm to the last digits, while the positions miss it by "
+        f"{given.off_m / MM:.2g} mm: they were computed, not measured, and are left out"
     )
 
 
