@@ -25,6 +25,7 @@ from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
 from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
+from armsight.store.foreign.numbers import LARGEST_BASELINE_M
 from armsight.units import MM
 
 
@@ -156,6 +157,7 @@ def doctor(
             cure="Give --rig and --depth (in m; again for the far end of a volume)",
         )
     failed = _compile(progress) if compile_ahead else []
+    told = None if rig is None else rig_resolution(read_zoom_rig(rig), depths_m, sigma_px, accuracy_m)
     drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS, SETS)}
     drivers["scenarios"] = list(scenario_names())
     packages = [Path(__file__).parent.parent]
@@ -168,8 +170,8 @@ def doctor(
         cameras=[*cameras_there(), *genicam_cameras()],
         drivers=drivers,
         kernels=kernels,
-        problems=[*failed, *_problems(drivers, kernels)],
-        rig=None if rig is None else rig_resolution(read_zoom_rig(rig), depths_m, sigma_px, accuracy_m),
+        problems=[*failed, *_problems(drivers, kernels), *_wide(told)],
+        rig=told,
     )
 
 
@@ -218,6 +220,16 @@ def _compile(progress: Progress | None) -> list[str]:
     if not left:
         return []
     return [f"Not compiled: {', '.join(left)}. What stands above says why; where nothing does, install armsight anew."]
+
+
+def _wide(rig: RigResolution | None) -> list[str]:
+    """Return what is wrong with a rig that is wider than any that sees an arm."""
+    if rig is None or rig.baseline_m <= LARGEST_BASELINE_M:
+        return []
+    return [
+        f"The rig's cameras are {rig.baseline_m:.3g} m apart: lengths in centimetres, millimetres or squares look so. "
+        "Where they stand closer, calibrate with the board's square in metres, or convert the rig's file with --unit."
+    ]
 
 
 def _problems(drivers: Mapping[str, Sequence[str]], kernels: KernelCache) -> list[str]:
