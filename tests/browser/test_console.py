@@ -123,9 +123,12 @@ def test_a_phone_shows_live_without_scrolling_sideways(browser: Any, console: An
 
 @pytest.mark.parametrize("name", ["live", "calibrate", "verify", "settings"])
 def test_pages_have_no_serious_fault_of_accessibility(browser: Any, console: Any, lights: str, name: str) -> None:
+    """And a phone shows each without scrolling sideways, long names of fields as well."""
     page = console.opened(browser, f"{lights}/{name}")
     for scheme in ("light", "dark"):
         assert console.faults(page, scheme) == [], scheme
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.wait_for_function("document.documentElement.scrollWidth <= 390")
     page.close()
 
 

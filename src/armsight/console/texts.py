@@ -273,8 +273,8 @@ ALIGNMENT_PLOT = "The last looks (mrad)"
 FILES = "Files of the cell, in {folder}"
 CAMERAS = "Cameras"
 FIELDS = {
-    "left": "Left camera: camera:0, a folder of images, a video; or the one camera of a mirror rig",
-    "right": "Right camera; empty for one camera with mirrors",
+    "left": "Left or only camera, or its files",
+    "right": "Right camera; empty: one with mirrors",
     "board": "Board, such as checkerboard:9x6:0.025",
     "rig": "Rig (rig.yaml)",
     "target": "Target (target.yaml)",
@@ -283,7 +283,7 @@ FIELDS = {
     "handeye": "Hand-eye (handeye.yaml)",
     "tip": "Tool tip (tip.yaml)",
     "limits": "Limits of motion (limits.yaml)",
-    "camera": "Lens of the one camera of a mirror rig (camera.yaml)",
+    "camera": "Lens of a mirror rig (camera.yaml)",
 }
 PLAY_AGAIN = "Files begin anew at their end"
 APPLY = "Use these"
