@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from armsight.app import requests
 from armsight.app.requests.plant import PLANT
-from armsight.app.requests.shared import CAMERAS, LIVE, MASTERING, TABLES, Base, CameraFlags, OutFolder, TableFlags, Tip
+from armsight.app.requests.shared import (
+    CAMERAS,
+    LIVE,
+    MASTERING,
+    TABLES,
+    Base,
+    CameraFlags,
+    OutFolder,
+    Tip,
+    TwoTableFlags,
+)
 from armsight.cli.command import VERIFIED, app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.cli.flags import Asked
@@ -33,7 +43,7 @@ def verify(
     planned: Asked[requests.verify.PlanJob],
     tip: Tip = None,
     base: Base = None,
-    tables: Asked[TableFlags],
+    tables: Asked[TwoTableFlags],
     live: Annotated[
         bool, Doc("Supervise a running arm before two live cameras, with --arm, --world."), Flag(panel=LIVE)
     ] = False,

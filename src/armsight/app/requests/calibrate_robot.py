@@ -18,6 +18,7 @@ from armsight.app.requests.shared import (
     Right,
     Strict,
     Table,
+    TwoTables,
     Workers,
     automatic,
     on_hand,
@@ -70,7 +71,7 @@ class HandEyeJob:
     workers: Workers = None
     bits: Bits = None
     strict: Strict = False
-    table: Table = field(default_factory=ours)
+    table: TwoTables = field(default_factory=ours)
 
 
 @dataclass(frozen=True, kw_only=True)

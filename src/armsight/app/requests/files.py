@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, Table, on_hand, ours, setup_called
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, TwoTables, on_hand, ours, setup_called
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG
 
@@ -60,7 +60,7 @@ class JoinJob:
         None
     )
     still: Annotated[bool, Doc("One row for each rest of the arm: the mean of it.")] = False
-    table: Table = field(default_factory=ours)
+    table: TwoTables = field(default_factory=ours)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -140,8 +140,41 @@ class TableFlags:
         return TableFormat(robot=given.pop("robot_format"), notify=notify, **given)
 
 
+@dataclass(frozen=True, kw_only=True)
+class TwoTableFlags(TableFlags):
+    """The same where a command reads what was measured and what the robot says, each with columns of its own."""
+
+    euler: Annotated[
+        str,
+        Doc("Order of Euler angles: xyz-fixed, zyx ...; or measured:zyx;robot:zyz"),
+        Flag(metavar="ORDER", panel=TABLES),
+    ] = ""
+    columns: Annotated[
+        str,
+        Doc("Names where no header is: q1..q6_deg,xyz_mm,-; or measured:xyz_mm;robot:q1..q6_deg"),
+        Flag(metavar="NAMES", panel=TABLES),
+    ] = ""
+    units: Annotated[
+        str,
+        Doc("Where the header states none: mm,deg; or measured:mm;robot:deg"),
+        Flag(metavar="UNITS", panel=TABLES),
+    ] = ""
+
+    def made(self, notify: Callable[[str], None]) -> TableFormat:
+        """Return them as the readers take them. Raises UsageError for a table that the command has not."""
+        from armsight.store.interpret.table_format import by_table
+
+        euler, columns, units = (
+            by_table(flag, text)
+            for flag, text in (("--euler", self.euler), ("--columns", self.columns), ("--units", self.units))
+        )
+        robots = replace(self, euler=euler[1], columns=columns[1], units=units[1])
+        return replace(TableFlags.made(robots, notify), measured=(euler[0], columns[0], units[0]))
+
+
 Cameras: TypeAlias = Annotated["CameraSettings", Flags(CameraFlags)]
 Table: TypeAlias = Annotated["TableFormat", Flags(TableFlags)]
+TwoTables: TypeAlias = Annotated["TableFormat", Flags(TwoTableFlags)]
 
 
 automatic = loaded("armsight.drivers:AUTOMATIC")

@@ -22,7 +22,8 @@ class TableFormat:
     euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name
     of ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where
     an arm is known. as_stated: units and orders are taken as stated though the numbers look otherwise. on_hand: whether
-    the camera is on the hand, where it is known. tell: called with what was understood, in words.
+    the camera is on the hand, where it is known. measured: euler, columns and units of what was measured, where they
+    are others than the robot's. notify: called with what was understood, in words.
     """
 
     euler: str = ""
@@ -32,6 +33,7 @@ class TableFormat:
     joints: tuple[str, ...] = ()
     as_stated: bool = False
     on_hand: bool | None = None
+    measured: tuple[str, str, str] | None = None
     notify: Callable[[str], None] = _silent
 
     @property
@@ -53,7 +55,10 @@ class TableFormat:
     @property
     def of_camera(self) -> TableFormat:
         """What is said, without what is said of the robot's own poses: for what a camera or a tracker measured."""
-        return replace(self, robot="") if self.robot else self
+        if self.measured is None:
+            return replace(self, robot="") if self.robot else self
+        euler, columns, units = self.measured
+        return replace(self, robot="", measured=None, euler=euler, columns=columns, units=units)
 
     @property
     def stated(self) -> bool:
@@ -105,6 +110,29 @@ class TableFormat:
 
 OURS = TableFormat()
 """Nothing is said."""
+
+TABLES = ("measured", "robot")
+"""The two tables that some commands read."""
+
+
+def by_table(flag: str, text: str) -> tuple[str, str]:
+    """Return what a flag says of what was measured, and of what the robot says: 'measured:mm;robot:deg', or both alike.
+
+    Raises UsageError for a table of another name, and for one named twice.
+    """
+    if ":" not in text:
+        return text, text
+    said = dict.fromkeys(TABLES, "")
+    parts = [part.partition(":") for part in text.split(";")]
+    names = [name.strip() for name, _, _ in parts]
+    if len(set(names)) < len(names) or not set(names) <= set(TABLES):
+        raise UsageError(
+            f"{flag} {text!r} is not of the tables measured and robot, each once",
+            cure="Write for instance measured:mm;robot:deg, or mm,deg for both",
+        )
+    said |= {name: word.strip() for name, (_, _, word) in zip(names, parts, strict=True)}
+    return said["measured"], said["robot"]
+
 
 _RANGE = re.compile(r"(?P<stem>.*?)(?P<first>\d+)\.\.(?P=stem)?(?P<last>\d+)(?P<unit>_[a-z]+)?")
 _GROUP = re.compile(
