@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "armsight"
 
 NAMES = re.compile(
-    r"(?<![\w-])--[a-z]|\barmsight [a-z]|"
+    r"(?<![\w-])--[a-z]|\barmsight (?!anew|is )[a-z]|"
     r"\b(metres?|millimetres?|centimetres?|mm|degrees?|radians?|rad|pixels?|px|seconds?)\b"
 )
 """What a person can do to the letter: a flag, a command or a unit."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import cures_of_arms
 import cures_of_calls
 import cures_of_cameras
+import cures_of_cells
+import cures_of_lights
 import cures_of_motions
 import cures_of_robots
 import cures_of_runs
@@ -18,6 +20,8 @@ PARTS = (
     cures_of_arms,
     cures_of_robots,
     cures_of_motions,
+    cures_of_cells,
+    cures_of_lights,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}

@@ -18,10 +18,11 @@ from typer.testing import CliRunner
 from armsight.errors import ArmsightError
 from cure_inventory import NAMES, ROOT, Cure, cures
 
-UNTRIED = 103
+UNTRIED = 58
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
 
 REPORTS = "tests/golden/reports/"
+CELL = "tests/truth/test_cell.py::test_a_fault_is_refused_and_the_recording_without_it_is_the_cure"
 IN_TESTS = {
     ("app/calibrate/board_images.py", "perhaps --board"): f"{REPORTS}test_old_charuco.py::test_the_old_layout_is_read",
     ("calibrate/arm/points.py", "armsight measure"): (
@@ -61,6 +62,21 @@ IN_TESTS = {
             ("urdf", "Write metres here"),
         )
     },
+    (
+        "app/calibrate/cell.py",
+        "Give the size of the images in which the spots were found: --size, or --right-size of the right one; give "
+        "frames where images are cut out of larger ones",
+    ): "tests/unit/cli/test_cell.py::test_a_size_that_is_not_the_images_is_refused",
+    ("calibrate/cell/rounds.py", "See that the target's lights shine"): CELL,
+    ("calibrate/cell/rounds.py", "Check that --model is of this arm and its signs"): CELL,
+    ("calibrate/cell/rounds.py", "Switch off the mirroring"): CELL,
+    ("calibrate/cameras/other_board.py", "Check what --board says"): (
+        "tests/unit/calibrate/test_other_board.py::test_points_that_are_no_such_board_are_refused_by_what_they_miss"
+    ),
+    ("app/batch/work.py", "Make room, then give --resume"): (
+        "tests/unit/app/test_batch.py::test_a_full_disk_ends_the_batch_and_keeps_what_is_done"
+    ),
+    ("cli/files.py", "Give --pdf"): "tests/unit/app/test_print_report.py::test_a_browser_prints_it_with_its_plot",
     ("store/urdf_tree.py", "with --tip, such as"): (
         f"{REPORTS}test_base_and_tool.py::test_one_of_two_tools_is_asked_for_and_the_cure_names_it"
     ),

@@ -118,11 +118,14 @@ FAULTS: dict[str, tuple[type[DataRefused], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_is_refused_with_its_cause_and_cure(fault: str) -> None:
+def test_a_fault_is_refused_and_the_recording_without_it_is_the_cure(
+    good: tuple[CellWorld, CellCalibration], fault: str
+) -> None:
     kind, says = FAULTS[fault]
     world = make_cell(SEED, seconds=SECONDS, fault=fault)
     with pytest.raises(DataRefused) as caught:
         calibrated(world)
+    assert good[1].tip.measured_m < 2e-3  # of the same motion without it
     error = caught.value
     assert type(error) is kind, error
     assert error.consequence

@@ -73,6 +73,7 @@ def test_points_that_are_no_such_board_are_refused_by_what_they_miss():
     bent = board.xyz_m + np.random.default_rng(1).normal(0.0, 0.005, board.xyz_m.shape) * [1.0, 1.0, 0.0]
     with refuses(Inconsistent, "--board", "0.03 px"):
         calibrate_camera(views(bent), board, QUICK)
+    assert calibrate_camera(views(board.xyz_m), board, QUICK).rms_px < 0.06
 
 
 def test_a_print_that_is_off_by_its_usual_share_is_calibrated():

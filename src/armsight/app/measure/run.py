@@ -282,9 +282,9 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency, *, board: bool) ->
         return None
     if not outputs.n_frames:
         return NotEnoughData(
-            "no frame of the left camera has one of the right camera of its moment",
+            "one of the two views has no frames",
             consequence="There is no pair, so no pose",
-            cure="Check that both cameras' times are on one clock, or allow more (--max-skew)",
+            cure="Give frames of both cameras",
         )
     first = outputs.commonest
     if consistency.refused > 0.0 or consistency.instead:

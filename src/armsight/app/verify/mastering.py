@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,9 +79,7 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
         file = replace(file, measured=in_world(file.measured, world))
     nominal = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,))
     paired = pair(arm, _reported(job, file, arm), file.measured, nominal, how)
-    if paired.q is None:
-        raise UsageError("the joints of the poses are missing", cure="Give --joints joints.csv")
-    result = check_mastering(arm, paired.q, paired.measured, how)
+    result = check_mastering(arm, cast(Array, paired.q), paired.measured, how)  # of joints: _reported refuses others
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
     done = with_verdict(done, of_verification)
     write_json(job.out / SUMMARY, done.to_dict())

@@ -1,0 +1,239 @@
+"""Cures of whole cells: the motion planned and recorded, the clocks of its cameras, tips and lights of its targets."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from cures_of_arms import START, plan
+from cures_of_cameras import MEASURE, RECORD, SIDES
+from cures_of_runs import FIND
+
+from armsight.app.calibrate.cell import _check as check_cell
+from armsight.app.calibrate.cell import _require_inside
+from armsight.app.calibrate.cell_plan import _following
+from armsight.app.calibrate.cell_priors import read_priors
+from armsight.app.calibrate.timing import _require_both
+from armsight.app.measure.run import _settings_of_one
+from armsight.app.requests.calibrate_cell import CellJob
+from armsight.app.requests.cell_plan import CellPlanJob
+from armsight.app.requests.measure import MeasureJob
+from armsight.calibrate.cell.assignment import name_lights
+from armsight.calibrate.cell.calibrate import _require_motion
+from armsight.cli.measure import _zoomed
+from armsight.drivers import AUTOMATIC, CameraSettings
+from armsight.kinematics import preset
+from armsight.records import Frame, Motion
+from armsight.store import read_spot_track
+from armsight.store.recording import RecordingWriter
+
+HEAD = "t_s,u_px,v_px,spot\n"
+LIGHTS = np.array([[-0.04, 0.0, 0.0], [0.03, 0.03, 0.0], [0.03, -0.03, 0.0]])  # of target.yaml
+MORE = np.array([[-0.05, 0.06, 0.0], [0.01, 0.09, 0.0], [-0.04, -0.06, 0.0], [0.02, -0.09, 0.0]])
+
+
+def waved(side, *, seconds=10.0, up_m=0.1, names="A"):
+    """Return what a camera of rig.yaml sees of lights that are waved sideways and up: 1 / s, never the same again."""
+    rows = HEAD
+    for t in np.arange(0.0, seconds, 1.0 / 30.0) + 0.013 * side:
+        x = 0.05 + 0.05 * np.sin(6.1 * t + 2.0 * np.sin(0.37 * t))
+        y = up_m / 2.0 * np.sin(5.3 * t + 2.0 * np.sin(0.61 * t + 1.0))
+        for k, name in enumerate(names):
+            X = np.array([x - 0.1 * side, y, 0.6]) + [*LIGHTS, *MORE][k]
+            u, v = 400.0 * X[:2] / X[2] + [160.3, 119.6]
+            rows += f"{t:.6f},{u:.5f},{v:.5f},{name.strip()}\n"
+    return rows
+
+
+def both(name, **more):
+    return {f"{name}-{side}.csv": waved(k, **more) for k, side in enumerate(("left", "right"))}
+
+
+def tables(name):
+    return f"--left-spots {name}-left.csv --right-spots {name}-right.csv"
+
+
+nameless = both("many", names=7 * " ", seconds=5.0) | both("six", names=6 * " ", seconds=5.0)
+FILES = {
+    **both("waved"),
+    "briefly-left.csv": waved(0),
+    "briefly-right.csv": waved(1, seconds=0.9) + waved(1, names="B").removeprefix(waved(1, names="B", seconds=0.9)),
+    **both("level", up_m=0.0),
+    **{name: text.replace(",spot", "").replace(",\n", "\n") for name, text in nameless.items()},
+    "at.csv": "t_s,q1\n0.02,0\n0.05,0\n",
+    "other-day.csv": "t_s,q1\n1000,0\n1000.02,0\n",
+    **both("lights", seconds=1.0, names="ABC"),
+}
+TIMING = "calibrate timing --rig rig.yaml -o t.yaml"
+FREE = "measure --rig timed.yaml --target target.yaml -o m"
+TWO = "measure --rig rig.yaml --target target.yaml --left left.mcap:left --right right.mcap:right -o m"
+UNLIKE = [[0.0, 0.04, 0.0], [0.033, 0.0, 0.0], [-0.03, 0.003, 0.0]]
+SIZES = ((640, 480), (640, 480))
+
+
+def cell(**more):
+    names = {"left_spots": Path("waved-left.csv"), "right_spots": Path("waved-right.csv"), "size": (320, 240)}
+    files = {"robot_log": Path("motion.csv"), "target": Path("lit.yaml"), "model": "ur10", "out": Path("c")}
+    return lambda: check_cell(CellJob(**{**files, **names, **more}))
+
+
+FRAMES = {"left_spots": None, "right_spots": None, "size": None}
+
+
+def inside(size):
+    path = Path("waved-left.csv")
+    return lambda: _require_inside(read_spot_track(path), path, size)
+
+
+def turned(*spans_deg):
+    """Return a call of joints of which each turns by so much."""
+    t = np.linspace(0.0, 1.0, 20)
+    return lambda: _require_motion(preset("ur10"), Motion(t_s=t, q=np.radians(spans_deg) * t[:, None]))
+
+
+def told(shape, places=None):
+    names = dict(zip("ABC", np.asarray(shape), strict=True))
+    return lambda: name_lights(np.asarray(shape if places is None else places), names)
+
+
+def zoomed_to(left, right):
+    return tuple(CameraSettings(zoom=zoom) for zoom in (left, right))
+
+
+def deep():
+    """Write the frames with 10 bits."""
+    for side in ("left", "right"):
+        Path("deep", side).mkdir(parents=True)
+        for path in Path(side).iterdir():
+            image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            cv2.imwrite(f"deep/{side}/{path.name}", 4 * image.astype(np.uint16))
+
+
+def apart(late_s):
+    """Return a step that records each camera by itself, the right one's stamps so much later."""
+
+    def step():
+        for side, start_s in (("left", 0.0), ("right", late_s)):
+            with RecordingWriter(Path(f"{side}.mcap")) as writer:
+                for k, path in enumerate(sorted(Path(side).iterdir())):
+                    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                    writer.frame(side, Frame(image=image, t_s=start_s + 0.1 * k, sequence=k, source=side))
+
+    return step
+
+
+def viewed(**more):
+    """Return a call that plans a motion in view of the cell's cameras."""
+    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "world", "target")}
+    volume = ((-0.95, -0.75), (-0.3, 0.05), (0.1, 0.4))
+    return plan(**{"facing_rad": 1.05, "volume": volume, **files, **more})
+
+
+@cache
+def in_view():
+    """Plan such a motion: what several cures come to."""
+    viewed()()
+
+
+TRIED = {
+    ("app/calibrate/cell.py", "Give --left and --right, or --left-spots"): (
+        cell(right_spots=None),
+        lambda: [cell()(), cell(**FRAMES, left="left", right="right")()],
+    ),
+    ("app/calibrate/cell.py", "Record first, while"): (
+        cell(**FRAMES, left="camera:0", right="camera:1"),
+        ("record --left left --right right -o cell.mcap", cell(**FRAMES, left="cell.mcap", right="cell.mcap")),
+    ),
+    ("app/calibrate/cell.py", "Add --size 1280x720"): (cell(size=None), cell(size=(1280, 720))),
+    (
+        "app/calibrate/cell.py",
+        "Give the size of the images in which the spots were found: --size, or --right-size of the right one",
+    ): (inside((160, 120)), inside((320, 240))),
+    ("app/calibrate/timing.py", "Give --left and --right, or --left-spots"): (
+        f"{TIMING} --left-spots waved-left.csv",
+        f"{TIMING} {tables('waved')}",
+    ),
+    ("app/calibrate/timing.py", "Give both live, or record"): (
+        f"{TIMING} --left camera:0 --right left",
+        (lambda: _require_both([True, True]), "record --left left --right right -o wave.mcap"),
+    ),
+    ("calibrate/timing/coarse.py", "Wave the target for 10 to 20 s"): (
+        f"{TIMING} {tables('briefly')}",
+        f"{TIMING} {tables('waved')}",
+    ),
+    ("calibrate/timing/coarse.py", "Wave it up and down as well"): (
+        f"{TIMING} {tables('level')}",
+        f"{TIMING} {tables('waved')}",
+    ),
+    ("calibrate/timing/naming.py", "Wave a target of up to"): (
+        f"{TIMING} {tables('many')}",
+        f"{TIMING} {tables('six')}",
+    ),
+    ("app/calibrate/cell_plan.py", "Give the folder that `armsight calibrate cell"): (
+        plan(after=Path("left")),
+        lambda: _following(CellPlanJob(model="ur10", start=START, out=Path("m.csv"), after=Path("cell"))),
+    ),
+    ("app/calibrate/cell_priors.py", "Give the world.yaml that"): (
+        lambda: read_priors([Path("cell/world.yaml")], SIZES),
+        (FIND, lambda: read_priors([Path("w.yaml")], SIZES)),
+    ),
+    ("app/calibrate/cell_priors.py", "Give {}; a calibrated arm"): (
+        lambda: read_priors([Path("cell/arm.yaml")], SIZES),
+        (FIND, lambda: read_priors([Path("w.yaml")], SIZES)),
+    ),
+    ("calibrate/cell/calibrate.py", "Record a motion in which every joint"): (
+        turned(20, 20, 0, 20, 20, 20),
+        turned(20, 20, 20, 20, 20, 20),
+    ),
+    ("calibrate/cell/assignment.py", "See that all its lights shine"): (told(UNLIKE, UNLIKE[:2]), told(UNLIKE)),
+    ("calibrate/cell/assignment.py", "Move a light so that all"): (
+        told([[0.0, 0.04, 0.0], [0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]]),
+        told(UNLIKE),
+    ),
+    ("app/measure/streams.py", "Give --left and --right, or --left-spots"): (
+        f"{FREE} --left-spots lights-left.csv",
+        f"{FREE} {SIDES} && {FREE} {tables('lights')} --overwrite",
+    ),
+    ("app/measure/streams.py", "or one recording for both"): (
+        f"{FREE} --left left",
+        f"{FREE} {SIDES} && {RECORD} && {FREE} --left a.mcap --overwrite",
+    ),
+    ("app/measure/streams.py", "Record first: armsight record"): (
+        f"{FREE} --left camera:0 --right camera:2",
+        f"record {SIDES} -o wave.mcap && {FREE} --left wave.mcap",
+    ),
+    ("app/measure/free_output.py", "Check that the times of --at"): (
+        f"{FREE} {SIDES} --at other-day.csv",
+        f"{FREE} {SIDES} --at at.csv",
+    ),
+    ("app/measure/run.py", "Run armsight calibrate timing"): (
+        f"{MEASURE} --rate 100",
+        f"{TIMING} {tables('waved')} && {MEASURE.replace('rig.yaml', 't.yaml')} --rate 100",
+    ),
+    ("app/measure/run.py", "Give --timing pairs"): (
+        (deep, f"{FREE} --left deep/left --right deep/right --bits 10"),
+        f"{FREE} --left deep/left --right deep/right --bits 10 --timing pairs",
+    ),
+    ("app/measure/run.py", "the same value; or leave --set-zoom"): (
+        lambda: _settings_of_one(zoomed_to(100.0, 200.0), "a.png"),
+        lambda: [_settings_of_one(zoomed_to(100.0, 100.0), "a.png"), _settings_of_one(AUTOMATIC, "a.png")],
+    ),
+    ("app/sources/frames.py", "or allow more with --max-skew; with --fps"): (
+        (apart(0.04), f"{TWO}"),
+        f"{TWO} --max-skew 0.05 --overwrite",
+    ),
+    ("cli/measure.py", "Give --zoom-left and --zoom-right, or one"): (
+        f"{MEASURE} --set-zoom",
+        lambda: _zoomed(
+            MeasureJob(rig=Path("rig.yaml"), target=Path("target.yaml"), out=Path("m"), zoom=(100.0, None))
+        ),
+    ),
+    ("calibrate/cell/plan.py", "Give more time (--duration)"): (viewed(duration_s=0.1), in_view),
+    ("calibrate/cell/plan.py", "Give a volume that arm and cameras reach"): (
+        viewed(volume=((2.0, 2.2), (0.0, 0.2), (0.0, 0.2))),
+        in_view,
+    ),
+    ("calibrate/cell/plan_scene.py", "Check where the rig stands (--world)"): (viewed(facing_rad=1e-3), in_view),
+}
