@@ -33,6 +33,7 @@ def way_m(name: str, seed: int, after_s: float) -> float:
         ("frame before last", 6, 3.5, (PremiseWatch, "_judged")),
         ("aside by 60 mm, 14 Hz", 4, 2.0, (TargetTrack, "_sudden")),
         ("turned by 180 deg about z", 4, 2.0, (ServoSource, "_jumped_away")),
+        ("dark, then turned by 180 deg", 4, 3.0, (TargetTrack, "_turned_away")),
     ],
 )
 def test_a_lie_is_harmless_and_without_its_rule_it_is_not(monkeypatch, name, seed, after_s, rule):

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.arm.points import check_scale
+from armsight.calibrate.arm.points import ArmPoints, check_scale
+from armsight.calibrate.arm.rotations import computed
 from armsight.calibrate.timing.sampling import SamplingTimes, sampling_times, without_seams
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
@@ -51,6 +52,10 @@ class Reported:
         return len(self.q) if self.q is not None else len(self.T) if self.T is not None else 0
 
 
+ENOUGH_TURNS = 6
+"""Rows below which rotations may follow an arm to the last digits by the fit of base and tool alone."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Paired:
     """Rows that belong together: measured (m rows) and the flange expected there F (m, 4, 4), with joints q, speed and
@@ -72,6 +77,16 @@ def bare_arm(arm: Arm) -> Arm:
     """Return the arm's chain alone, from base to flange, in the joints' own values."""
     identity = RigidTransform.identity()
     return replace(arm, T_world_base=identity, T_flange_tool=identity, couplings=(), covariance=None)
+
+
+def without_computed(paired: Paired) -> Paired:
+    """Return rows without rotations that are those expected to the last digits where positions are not, and a note."""
+    seen = paired.measured
+    if seen.rotation is None or len(seen) < ENOUGH_TURNS:
+        return paired
+    q = np.zeros((len(seen), 1))
+    told = computed(paired.F, ArmPoints(q=q, xyz_m=seen.xyz_m, rotation=seen.rotation, point=seen.point))
+    return replace(paired, measured=replace(seen, rotation=None), notes=(*paired.notes, told)) if told else paired
 
 
 def pair(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align) -> Paired:

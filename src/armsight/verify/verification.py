@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.calibrate.arm.rotations import computed
 from armsight.calibrate.arm.senses import other_senses
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
@@ -24,7 +23,7 @@ from armsight.verify.deciding import deciding_poses
 from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case, blocks, poses_of
 from armsight.verify.model import Model, Mounts, nothing_more
-from armsight.verify.pairing import Paired, Reported, bare_arm, check_spread, pair
+from armsight.verify.pairing import Paired, Reported, bare_arm, check_spread, pair, without_computed
 from armsight.verify.records import Measured, Rejected
 
 Array = NDArray[np.float64]
@@ -33,9 +32,6 @@ CAUSE_ROWS = 1200
 """Rows that a cause is looked for with, evenly chosen: more of one motion tell the same."""
 CONFIGURATION_RAD = 0.1
 """Joint values further apart are of another configuration."""
-
-ENOUGH_TURNS = 6
-"""Rows below which rotations may follow an arm to the last digits by the fit of base and tool alone."""
 
 FLAT = 0.01
 """Positions that spread less square to a plane than this share of their spread in it do not tell left from right."""
@@ -85,17 +81,13 @@ def verify(
     pose each measured row is of, by any number. Raises DataRefused with cause, consequence and cure.
     """
     nominal = _nominal(arm, measured)
-    paired = pair(arm, reported, measured, nominal, how)
+    paired = without_computed(pair(arm, reported, measured, nominal, how))
     copies = repeated(paired.F, paired.measured)
     known = np.flatnonzero(~np.isin(paired.measured.rows, [row for row, _ in copies]))
     if not len(known):
         raise NotEnoughData("no row is left to compare", cure="See the rows rejected")
     use, F = paired.measured.take(known), paired.F[known]
     check_spread(use, F)
-    told = _computed(use, F)
-    if told:
-        done = verify(arm, reported, replace(measured, rotation=None), how, pose=pose)
-        return replace(done, doubts=(told, *done.doubts))
     aligned = _aligned(arm, paired, known, nominal, how)
     cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
     restored = _restored(arm, paired, known, aligned, cause)
@@ -138,16 +130,6 @@ def _aligned(arm: Arm | None, paired: Paired, known: NDArray[np.intp], nominal: 
     if exceeded(np.linalg.norm(aligned.fitted.residual[:, :3], axis=1)) > MOST_SHARE * spread_m(measured.xyz_m):
         _check_senses(arm, paired, known)
     return aligned
-
-
-def _computed(measured: Measured, F: Array) -> str:
-    """Return what to say of rotations that are those expected at F (k, 4, 4), where positions are not; else nothing."""
-    if measured.rotation is None or len(F) < ENOUGH_TURNS:
-        return ""
-    as_points = ArmPoints(
-        q=np.zeros((len(F), 1)), xyz_m=measured.xyz_m, rotation=measured.rotation, point=measured.point
-    )
-    return computed(F, as_points)
 
 
 def _check_senses(arm: Arm | None, paired: Paired, known: NDArray[np.intp]) -> None:

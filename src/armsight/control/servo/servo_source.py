@@ -31,7 +31,7 @@ from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import JointReading, PoseStatus, Target, TargetPose
 from armsight.records.motion import JointHistory
-from armsight.units import MM, MS
+from armsight.units import DEG, MM, MS
 
 Array = NDArray[np.float64]
 
@@ -263,8 +263,8 @@ class ServoSource:
         state, age_s = self.target(now_s)
         tracked = self._track.now
         if state is TargetState.JUMPED and tracked is not None and tracked.settled:
-            way_m = float(np.linalg.norm(self._jump(tracked)[0]))
-            return f"the target jumped by {way_m / MM:.0f} mm, or turned, and stays so: {ANEW}"
+            way, turn = (float(np.linalg.norm(part)) for part in self._jump(tracked))
+            return f"the target jumped by {way / MM:.0f} mm and {turn / DEG:.0f} deg, and stays so: {ANEW}"
         if state is not TargetState.FRESH:
             return NOT_SEEN if age_s is None else WHY[state]
         if tracked is None or not tracked.settled:
@@ -288,11 +288,13 @@ class ServoSource:
     def _jump(self, tracked: Tracked) -> tuple[Array, Array]:
         """Return the way (3,) in m and the rotation vector (3,) from where the target would have been but for the jump.
 
-        It is told where the new track begins: how a motion goes on is known for a moment only.
+        It is told where the new track begins: how a motion goes on is known for a moment only, and not over a loss.
         """
-        if self._before_jump is None:
+        before = self._before_jump
+        if before is None:
             return np.zeros(3), np.zeros(3)
-        return pose_difference(tracked.T_begun, self._before_jump.at(tracked.begun_s).T_base_target)
+        lost = tracked.begun_s - before.seen_s > LOST_S
+        return pose_difference(tracked.T_begun, before.at(before.seen_s if lost else tracked.begun_s).T_base_target)
 
     def _keep(self, T_flange_target: Array, has_rotation: bool) -> None:
         """Take the first rotation seen as the one wanted, where it is to be kept."""

@@ -38,6 +38,9 @@ GAP_S = 0.15
 """A longer time between two poses is a gap."""
 LOST_S = 0.5
 """A target not seen for so long is lost, and what was known of its motion is forgotten."""
+LOST_TURN_RAD = 1.0
+"""A target that comes back turned by more than it was seen last jumped: a hand seldom does that out of sight, pictures
+that come back turned by 90 or 180 degrees do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,7 +108,7 @@ class TargetTrack:
         """Take a pose (4, 4) exposed at t_s; covariance (6, 6), translation then rotation vector, in base axes.
 
         Where no motion leads to it, the target jumped: the track begins anew there. So it does after LOST_S without
-        the target. A pose that is not newer than the last is left out.
+        the target, which jumped where it is turned by much more. A pose that is not newer than the last is left out.
         """
         self._add(t_s, T_base_target, covariance, has_rotation=True, turned=True)
 
@@ -131,7 +134,8 @@ class TargetTrack:
         C = covariance + ARM_COVARIANCE
         now = self.now
         if now is None or t_s - now.seen_s > LOST_S:
-            self.now = self._begun(t_s, T, C, jumped=False, has_rotation=has_rotation)
+            jumped = has_rotation and now is not None and self._turned_away(now, T)
+            self.now = self._begun(t_s, T, C, jumped=jumped, has_rotation=has_rotation)
             return
         if t_s <= now.seen_s:
             return
@@ -147,6 +151,12 @@ class TargetTrack:
             has_rotation=has_rotation,
             turned=now.turned or turned,
         )
+
+    def _turned_away(self, now: Tracked, T: Array) -> bool:
+        """Tell whether a target that was lost comes back turned by more than LOST_TURN_RAD."""
+        if not now.turned:
+            return False
+        return float(np.linalg.norm(pose_difference(now.at(now.seen_s).T_base_target, T)[1])) > LOST_TURN_RAD
 
     def _sudden(self, now: Tracked, t_s: float, T: Array, covariance: Array, *, has_rotation: bool) -> bool:
         """Tell whether no hand brings the target there: a knock could, and so the filter would take 10 mm for 3 m/s."""

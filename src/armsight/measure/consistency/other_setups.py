@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from armsight.errors import DataRefused
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pairs import pair_spots
+from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus
@@ -27,6 +28,16 @@ FEWEST = 3
 """Moments that must fit: three lights fit another triangle once by chance."""
 SCALED = 0.004
 """Scale from which it is tried: smaller ones the residuals of poses tell, with their deviations."""
+MOST_PAIRS = 60
+"""Pairs of spots among which triangles are looked for: 34,000 of them."""
+SHAPE = 0.015
+"""Logarithms of three sides' ratios that differ by more are of another shape: places 0.8 m away scatter by 0.5 %."""
+SAME_SCALE = 0.004
+"""Scales of two moments that are nearer are one."""
+NEAR_SCALE = 0.1
+"""Logarithm of a scale beyond which triangles among other lights say nothing: too many of them are there by chance."""
+MOVED_M = 0.02
+"""A triangle that moved less between moments may be of lamps of the room."""
 EDGE = 0.25
 """A principal point nearer to an image's edge than this share of its width is not that of a whole image."""
 SIZES = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 2, 2.0, 3.0, 4.0)
@@ -50,7 +61,7 @@ def what_fits(setup: Setup, moments: Sequence[Measured]) -> OtherSetup | None:
     counts = [_fitting(other.setup, moments) for other in others]
     best = int(np.argmax(counts)) if counts else -1
     if best < 0 or counts[best] < max(FEWEST, MOST * len(moments), MORE * _fitting(setup, moments)):
-        return None
+        return _among_others(setup, moments)
     return others[best]
 
 
@@ -80,14 +91,21 @@ def _others(setup: Setup, moments: Sequence[Measured]) -> list[OtherSetup]:
     )
     factor = _scale(setup, moments)
     if factor is not None and abs(factor - 1.0) > SCALED:
-        words = f"The lights stand {factor:.3g} times as far apart, seen with this rig, as the target's file says"
-        cure = (
-            f"Check the target's measures and their unit with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, "
-        )
-        cure += "with the board's true square size"
-        for start, more in ((setup, ""), (mirrored, ", and they are its mirror image: its y is measured upwards")):
-            out.append(OtherSetup(setup=_with_target(start, np.full(3, factor)), words=words + more, cure=cure))
+        out += [_rescaled(setup, factor), _rescaled(mirrored, factor, MIRRORED)]
     return out
+
+
+MIRRORED = ", and they are its mirror image: its y is measured upwards"
+
+
+def _rescaled(setup: Setup, factor: float, more: str = "") -> OtherSetup:
+    """Return the setup with a target that many times as large."""
+    words = f"The lights stand {factor:.3g} times as far apart, seen with this rig, as the target's file says{more}"
+    cure = (
+        f"Check the target's measures and their unit with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, "
+        "with the board's true square size"
+    )
+    return OtherSetup(setup=_with_target(setup, np.full(3, factor)), words=words, cure=cure)
 
 
 def _with_target(setup: Setup, factors: Array) -> Setup:
@@ -100,12 +118,52 @@ def _scale(setup: Setup, moments: Sequence[Measured]) -> float | None:
     m = len(setup.model)
     given = np.sort(setup.model.distance_m[np.triu_indices(m, 1)])
     found = []
-    for one in moments:
-        pairs = pair_spots(setup.packed, one.left_seen, one.right_seen, setup.slack_px, overlaid=setup.overlaid)
+    for pairs in _pairs(setup, moments):
         if len(pairs.index) == m and all(len(np.unique(pairs.index[:, side])) == m for side in range(2)):
             apart = np.linalg.norm(pairs.xyz_m[:, None] - pairs.xyz_m[None], axis=2)[np.triu_indices(m, 1)]
             found.append(float(np.median(np.sort(apart) / given)))
     return float(np.median(found)) if len(found) >= FEWEST else None
+
+
+def _pairs(setup: Setup, moments: Sequence[Measured]) -> list[Pairs]:
+    """Return what could be a light in each moment."""
+    seen = ((one.left_seen, one.right_seen) for one in moments)
+    return [pair_spots(setup.packed, *spots, setup.slack_px, overlaid=setup.overlaid) for spots in seen]
+
+
+def _among_others(setup: Setup, moments: Sequence[Measured]) -> OtherSetup | None:
+    """Return the target of the scale at which most moments have its triangle, beside whatever else is bright.
+
+    That triangle moves, as no lamp of a room does, and is seldom there at the scale that was given.
+    """
+    few = [pairs for pairs in _pairs(setup, moments) if 3 <= len(pairs.index) <= MOST_PAIRS]
+    among = [_similar(pairs, setup.model.distance_m[:3, :3]) for pairs in few]
+    every = np.concatenate([np.zeros((0, 4)), *among])
+    every = every[(np.abs(np.log(every[:, 0])) < NEAR_SCALE) & (np.abs(np.log(every[:, 0])) > SCALED)]
+    counts = np.array([_with_scale(among, s) for s in every[:, 0]])
+    if not len(counts) or counts.max() < max(FEWEST, MOST * len(moments), MORE * _with_scale(among, 1.0)):
+        return None
+    best = every[np.abs(every[:, 0] - every[int(counts.argmax()), 0]) < SAME_SCALE]
+    if np.ptp(best[:, 1:], axis=0).max() < MOVED_M:
+        return None
+    return _rescaled(setup, float(np.median(best[:, 0])))
+
+
+def _with_scale(among: Sequence[Array], scale: float) -> int:
+    """Return in how many moments a triangle has a scale."""
+    return sum(bool((np.abs(one[:, 0] - scale) < SAME_SCALE).any()) for one in among)
+
+
+def _similar(pairs: Pairs, distance_m: Array) -> Array:
+    """Return scale and middle (k, 4) of the triangles of pairs that are of the shape of the target's first lights."""
+    rows = np.array(list(combinations(range(len(pairs.index)), 3)))
+    spots = pairs.index[rows]  # (k, 3, 2)
+    apart = np.all([(spots[:, i] != spots[:, j]).all(axis=1) for i, j in ((0, 1), (0, 2), (1, 2))], axis=0)
+    x = pairs.xyz_m[rows[apart]]
+    sides = np.sort(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2), axis=1)
+    ratio = np.log(sides / np.sort(distance_m[np.triu_indices(3, 1)]))
+    alike = np.ptp(ratio, axis=1) < SHAPE
+    return np.column_stack([np.exp(ratio[alike].mean(axis=1)), x[alike].mean(axis=1)])
 
 
 def _of_other_size(setup: Setup) -> list[OtherSetup]:
