@@ -143,9 +143,10 @@ def _weighed(R: Array, t: Array, C: Array | None, keep: NDArray[np.bool_], point
     models = _models(R, t, C, keep, point)
     steps, weight = np.array([fit[0] for _, _, fit in models]), np.array([weight for weight, _, _ in models])
     x = np.asarray(weight @ steps)
-    # what is not known of the ratio of the noises widens the answer, and Student's factor what is not of their size
+    # what is not known of the ratio of the noises widens the answer, and Student's factor what is not of their size;
+    # the ratio, where it is looked for, costs a degree of freedom: without that 92.7 % of four or five poses are inside
     _, likeliest, e, V, scale2, dof = models[0][2]
-    student = (float(t_ppf(0.975, dof)) / NORMAL_95) ** 2
+    student = (float(t_ppf(0.975, dof - (len(models) > 1))) / NORMAL_95) ** 2
     spread = steps - x
     cov = student * np.einsum("k,kab->ab", weight, np.array([fit[1] for _, _, fit in models]))
     cov = cov + (spread.T * weight) @ spread
