@@ -48,7 +48,8 @@ MOUNTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Clocks:
-    """How the cameras run: right stamps are t - delay_s and slow by drift_ppm; read-outs; jitter of the stamps."""
+    """How the cameras run: right stamps are t - delay_s and slow by drift_ppm; read-outs; jitter of the stamps, and how
+    much too late they are on average, exponentially."""
 
     rate_hz: tuple[float, float] = (30.0, 30.0)
     readout_s: tuple[float, float] = (0.018, 0.018)
@@ -56,6 +57,7 @@ class Clocks:
     drift_ppm: float = 40.0
     phase_s: float = 0.007
     jitter_s: float = 0.002
+    late_s: float = 0.0
     lost: float = 0.02
 
 
@@ -107,6 +109,21 @@ def hand(rng: np.random.Generator, speed: float, seconds: float, mount: Mount) -
     return at
 
 
+def waves(rng: np.random.Generator, mount: Mount) -> Way:
+    """Return the way of a hand that moves by sums of slow waves: 2 to 5 cm and 4 to 8 degrees, 0.25 to 1.6 Hz."""
+    n = int(rng.integers(2, 5))
+    f, phase = rng.uniform(0.25, 1.6, (6, n)), rng.uniform(0.0, 2.0 * np.pi, (6, n))
+    size = np.concatenate([rng.uniform(0.02, 0.05, 3), np.deg2rad(rng.uniform(4.0, 8.0, 3))])[:, None] / n
+    rest = Rotation.from_euler("xyz", rng.uniform([0.2, -0.3, -0.3], [0.5, 0.3, 0.3]))
+
+    def at(t_s: Array) -> tuple[Array, Rotation]:
+        angle = 2.0 * np.pi * f[..., None] * np.atleast_1d(t_s) + phase[..., None]
+        out = (size[..., None] * np.sin(angle)).sum(axis=1).T
+        return np.array(mount.centre_m) + out[:, :3], Rotation.from_rotvec(out[:, 3:]) * rest
+
+    return at
+
+
 def pixels(way: Way, mount: Mount, readout_s: float, t_s: Array, side: int) -> Array:
     """Pixels (n, 3, 2) of the lights in frames whose middle line is of t_s (n,), each light at its own line's time."""
     places, axes = mount.axes
@@ -132,6 +149,8 @@ def record(
         t = stamp + side * (clocks.delay_s + 1e-6 * clocks.drift_ppm * stamp)
         kept = rng.random(len(n)) >= clocks.lost
         told = stamp + rng.normal(0.0, clocks.jitter_s, len(n)) if clocks.jitter_s else stamp
+        if clocks.late_s:
+            told = told + rng.exponential(clocks.late_s, len(n))
         uv = pixels(way, mount, clocks.readout_s[side], t, side) + rng.normal(0.0, noise_px, (len(n), len(LIGHTS), 2))
         inside = ((uv > FEW_PX) & (uv < (WIDTH - 1 - FEW_PX, HEIGHT - 1 - FEW_PX))).all(axis=2)
         rows = np.flatnonzero(kept)

@@ -36,7 +36,6 @@ from armsight.units import DEG, MM
 
 SUMMARY, REPORT = "trend.json", "report.html"
 YEAR_DAYS = 365.25
-WEEK_DAYS = 7.0
 FEW = 5
 """Runs below which nothing is called steady: so few tell neither mean nor scatter."""
 FEW_UNTOLD = 8

@@ -36,7 +36,6 @@ MOST_RATES = (10.0, 500.0)
 SMOOTHING = 1.6
 """Control points are so many times acceleration / jerk apart: a swing from one limit to the other takes two spans."""
 SAMPLES_A_SPAN = 8
-LEAST_SAMPLE_S = 1e-3
 ROUNDS = 15
 """Of slowing; what is left after so many slows the whole way."""
 CLOSE = 1.005

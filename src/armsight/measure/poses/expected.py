@@ -38,8 +38,6 @@ STEEPEST_RAD = 70.0 * DEG
 """A flat light or board is not seen at more than this from square on: a third of its width is left."""
 EDGE_PX = 3.0
 """What must lie between a light's outline and the edge of the image."""
-LEAST_PX = 2.0
-"""A light of less across, with the blur of a lens, is no more than a pixel's."""
 LEAST_GAP_PX = 4.0
 """Outlines of two lights nearer than this run into each other: one spot is found of both, or none (rendered discs of
 10 and 20 px: no pair of ten at 3 px, eight or nine of ten at 4 px)."""

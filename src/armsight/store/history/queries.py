@@ -175,12 +175,6 @@ def _parts(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
         yield numbers[start : start + MANY]
 
 
-def figure_names(connection: Connection, cell: str) -> list[str]:
-    """Return the names of all numbers in the results of a cell."""
-    question = select(figures.c.name).distinct().join(runs, runs.c.id == figures.c.run_id).where(runs.c.cell == cell)
-    return sorted(str(row[0]) for row in connection.execute(question))
-
-
 def kinds_of_joints(connection: Connection, cell: str) -> list[Run]:
     """Return the first run of each kind of arm in a cell."""
     first = select(func.min(runs.c.id)).where(runs.c.cell == cell, runs.c.joints != "").group_by(runs.c.joints)
