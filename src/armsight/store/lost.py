@@ -1,7 +1,8 @@
 """Rows in which nothing was measured, however the program that wrote them says so: decided here, once, for every table.
 
-Trackers fill a lost frame with nothing, `nan`, zeros, zeros and the identity, or the last pose again; some lose the
-rotation alone. Such a row is left out before any clock, fit or pairing sees it. It is never filled.
+Trackers fill a lost frame with nothing, `nan`, zeros, zeros and the identity, one number such as -9999 in every cell,
+or the last pose again; some lose the rotation alone, and logs a joint. Such a row is left out before any clock, fit or
+pairing sees it. It is never filled.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ from numpy.typing import NDArray
 
 from armsight.errors import NotEnoughData
 from armsight.store.covariances import POSITION, QUATERNION
-from armsight.store.tables import Array, Table, known, zeros
+from armsight.store.tables import Array, Table, filled, known, zeros
 
 Mask = NDArray[np.bool_]
 
 LEADS = ("", "base_flange_", "camera_target_")
-EMPTY, PARTLY, ZEROS, NO_ROTATION, AGAIN = (
+EMPTY, PARTLY, ZEROS, NO_ROTATION, AGAIN, FILLED, JOINT_ZERO = (
     *("empty", "partly empty", "zeros", "without a rotation", "the values of the row before, while all moves on"),
+    *("one number in x, y and z", "a joint that drops to zero and comes back"),
 )
 JUMP = 1.5
 """A value that stood still is stale where it then moves so many times as fast as before and after: a tracker that holds
@@ -32,6 +34,8 @@ POLLED = 0.5
 JUMP_HOME, LEAST_HOME = 10.0, 0.05
 """Joints at zero in the midst of a motion are lost where the rows beside them are so many usual steps, and so much (rad
 or m), away: a log that begins at the zero position moves on from there."""
+MOST_DROPPED = 0.1
+"""A joint that stands at zero in more of the rows than this was moved there."""
 ROTATION_RARE = 0.5
 """Where a larger share of rows has a position only, the rotations are left out instead of the rows."""
 
@@ -82,6 +86,10 @@ def lost_rows(table: Table, *, measured: bool = True, groups: Sequence[Sequence[
             away = np.zeros(n, bool)
             away[good] = _away_at_zero(table.stacked(joints)[good])
             mark(away, ZEROS)
+            for name in joints:
+                dropped = np.zeros(n, bool)
+                dropped[good] = _drops_to_zero(table.numbers[name][good])
+                mark(dropped, JOINT_ZERO)
     return {int(row): why[row] for row in np.flatnonzero(why != "")}
 
 
@@ -165,6 +173,9 @@ def _judge_pose(
     zero = zeros(xyz)
     if measured and _rare(xyz, zero):
         mark(zero, ZEROS)
+    same = filled(xyz)
+    if measured and _rare(xyz, same):
+        mark(same, FILLED)
     mark(unturned & there[:, :3].all(axis=1), NO_ROTATION)
     mark(np.asarray(~there.all(axis=1)), PARTLY)
 
@@ -219,4 +230,20 @@ def _away_at_zero(q: Array) -> Mask:
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         beside = [np.abs(q[k]).max() for k in (start - 1, end) if 0 <= k < len(q)]
         out[start:end] = min(beside) > far
+    return out
+
+
+def _drops_to_zero(q: Array) -> Mask:
+    """Return which readings (n,) of one joint are zero in the midst of others, to which it comes back."""
+    zero = q == 0.0
+    out = np.zeros(len(q), bool)
+    steps = np.abs(np.diff(q[~zero]))
+    if not zero.any() or zero.mean() > MOST_DROPPED or not steps.any():
+        return out
+    far = max(JUMP_HOME * float(np.median(steps[steps > 0.0])), LEAST_HOME)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], zero.astype(int), [0]])))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if start > 0 and end < len(q):
+            before, after = q[start - 1], q[end]
+            out[start:end] = abs(after - before) < 0.5 * min(abs(before), abs(after)) > 0.5 * far
     return out

@@ -327,6 +327,15 @@ def zeros(values: Array) -> NDArray[np.bool_]:
     return np.asarray((values == 0.0).all(axis=1) & bool(values.shape[1]))
 
 
+def filled(values: Array) -> NDArray[np.bool_]:
+    """Return which rows of positions (n, 3) hold one number, not zero, in all cells, and so do other rows."""
+    same = (values == values[:, :1]).all(axis=1) & (values[:, 0] != 0.0)
+    _, of, count = np.unique(values[same, 0], return_inverse=True, return_counts=True)
+    out = np.zeros(len(values), bool)
+    out[np.flatnonzero(same)] = count[of] > 1
+    return out
+
+
 def number(value: float) -> str:
     """Return the shortest text that reads back as the same float; empty for NaN, which stands for nothing."""
     value = float(value)

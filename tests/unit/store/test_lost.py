@@ -53,6 +53,7 @@ FILLS = {
     "rotation of zeros": lambda rows, i: [*rows[i][:3], 0.0, 0.0, 0.0, 0.0],
     "no position": lambda rows, i: ["", "", "", *rows[i][3:]],
     "one cell": lambda rows, i: [*rows[i][:1], "", *rows[i][2:]],
+    "-9999": lambda rows, i: ["-9999"] * 7,
     "no number of NDI": lambda rows, i: ["-3.697314E28"] * 7,
     "the last pose": lambda rows, i: rows[i - 1],
 }
@@ -79,6 +80,7 @@ JOINT_FILLS = {
     "empty": lambda rows, i: [""] * 6,
     "one cell": lambda rows, i: [*rows[i][:5], "nan"],
     "zeros": lambda rows, i: [0.0] * 6,
+    "one joint zero": lambda rows, i: [*rows[i][:1], 0.0, *rows[i][2:]],
     "the last reading": lambda rows, i: rows[i - 1],
 }
 
@@ -105,6 +107,12 @@ RIGHT = {
     "a rest of the joints": (rests(JOINTS, 12), JOINT_NAMES),
     "joints that pass zero": (np.outer(T_S - T_S[40], np.ones(6)), JOINT_NAMES),
     "joints that begin at zero": (np.outer(T_S**2, np.ones(6)), JOINT_NAMES),
+    "joints swept one by one from 0.5": (
+        np.where(T_S[:, None] // 0.27 == np.arange(6), T_S[:, None] % 0.27 // 0.02 / 5 - 1, 0.5),
+        JOINT_NAMES,
+    ),
+    "joints at a few values": (np.stack([(np.arange(N) * 7 % (k + 3) - 1) * 0.7 for k in range(6)], 1), JOINT_NAMES),
+    "a diagonal": (np.outer(0.5 + T_S, np.ones(3)), ("x_m", "y_m", "z_m")),
     "slow, in tenths of a mm": (np.round(np.outer(T_S, [1e-3, 0.7e-3, 0.3e-3]), 4) + 0.5, ("x_m", "y_m", "z_m")),
     "along an axis": (np.column_stack([XYZ[:, 0], np.zeros(N), np.zeros(N)]), ("x_m", "y_m", "z_m")),
     "turning where it stands": (np.hstack([np.zeros((N, 3)), QUAT]), POSE_NAMES),

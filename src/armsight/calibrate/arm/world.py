@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import stdtr
 
+from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
 from armsight.calibrate.arm.fit import MEDIAN_3, added_noise
 from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.rows import in_order, of_places
+from armsight.calibrate.correlation import NORMAL_95, Correlation, fit_averaged
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
-from armsight.fitting.quantiles import chi2_ppf
+from armsight.fitting.quantiles import chi2_ppf, t_ppf
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
@@ -27,6 +30,7 @@ from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd, RejectedRow
 
 Array = NDArray[np.float64]
+_Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]
 
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 GROSS = float(np.sqrt(chi2_ppf(1.0 - 1e-7, 3)))
@@ -77,7 +81,8 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
 
     The tool's origin where rows have no name of a point, or one and the same; else the arm's tool points by name.
     Kabsch on the arm's forward kinematics from the triple of positions that half of the rows agree with best, then
-    robust least squares with the noise estimated. Rows that do not agree are rejected. Raises as check_points,
+    robust least squares with the noise estimated; readings of one place are one row, and the errors of one recording's
+    rows may drift. Rows that do not agree are rejected. Raises as check_points,
     NotEnoughData where too few agree, Inconsistent where fewer than half do, Ambiguous where the others agree on
     another position, Degenerate where the positions lie on one line.
     """
@@ -96,26 +101,43 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     _check_others(base, points.xyz_m, kept, out)
     notes += (*links_told(arm), *((points.unweighed,) if points.unweighed else ()))
     if points.covariance is None:
-        T, covariance = _refine(T, points.take(kept), base[kept], 0.0)
+        found = _refine(T, *_independent(arm, points.take(kept)), 0.0)
     else:
-        T, covariance, kept, note = _weighed(T, points, base, kept)
+        found, kept, note = _weighed(T, arm, points, kept)
         notes, out = (*notes, note), np.setdiff1d(np.arange(len(points)), kept)
+    T, covariance, told = found
+    notes = (*notes, *told)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
     return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected_rows=rejected, notes=notes)
 
 
+def _independent(arm: Arm, points: ArmPoints) -> tuple[ArmPoints, Array]:
+    """Return one row for all readings of a place, with their order for a time where they follow one motion, and where
+    the arm puts them (k, 3) in base axes."""
+    rows = in_order(of_places(points))
+    if len(rows) < LEAST_LEFT:
+        raise NotEnoughData(
+            f"the {len(points)} rows that agree are readings of {len(rows)} places, {LEAST_LEFT} are the least",
+            consequence="Where the rig stands is not given",
+            cure="Measure at more joint positions; further rows at the same ones do not help",
+        )
+    return rows, np.asarray(arm.T_world_base.inv().apply(_positions(arm, rows)))
+
+
 def _weighed(
-    T: RigidTransform, points: ArmPoints, base_m: Array, kept: NDArray[np.intp]
-) -> tuple[RigidTransform, NamedCovariance, NDArray[np.intp], str]:
-    """Return the rig's pose from rows weighed by their covariances, its covariance, the rows used, and what to say.
+    T: RigidTransform, arm: Arm, points: ArmPoints, kept: NDArray[np.intp]
+) -> tuple[_Refined, NDArray[np.intp], str]:
+    """Return the rig's pose from rows weighed by their covariances, the rows used, and what to say.
 
     Rows that are far off only because they are known poorly belong to it.
     """
+    base_m = np.asarray(arm.T_world_base.inv().apply(_positions(arm, points)))
     for _ in range(WEIGHING_ROUNDS):
-        near = points.take(kept)
-        added = added_noise(near.xyz_m - T.inv().apply(base_m[kept]), near)
-        T, covariance = _refine(T, near, base_m[kept], added)
+        near, there = _independent(arm, points.take(kept))
+        added = added_noise(near.xyz_m - T.inv().apply(there), near)
+        found = _refine(T, near, there, added)
+        T = found[0]
         off = np.linalg.norm(points.whiten(points.xyz_m - T.inv().apply(base_m), added), axis=1)
         good = np.flatnonzero(off <= GROSS * max(float(np.median(off[kept])) / np.sqrt(MEDIAN_3), 1.0))
         if len(good) < LEAST_LEFT or np.array_equal(good, kept):
@@ -124,7 +146,7 @@ def _weighed(
     text = (
         f"Rows are weighed by the covariances of their positions and {1e3 * added:.2g} mm that these leave unexplained"
     )
-    return T, covariance, kept, text
+    return found, kept, text
 
 
 def _positions(arm: Arm, points: ArmPoints) -> Array:
@@ -152,9 +174,11 @@ def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.i
     T = _consensus(base_m, rig_m)
     size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
     kept = np.argsort(size)[: max((len(size) + 1) // 2, LEAST_LEFT)]
+    middle = float(chi2_ppf(0.5 * len(kept) / len(size), 3))  # of the nearest half the median is a quarter's quantile
     for _ in range(10):
         size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
-        sigma = max(float(np.median(size[kept]) / np.sqrt(MEDIAN_3)), 1e-9)
+        sigma = max(float(np.median(size[kept]) / np.sqrt(middle)), 1e-9)
+        middle = MEDIAN_3
         good = np.flatnonzero(size <= GROSS * sigma)
         if len(good) < LEAST_LEFT:
             raise NotEnoughData(
@@ -203,10 +227,11 @@ def _check_others(base_m: Array, rig_m: Array, kept: NDArray[np.intp], out: NDAr
         )
 
 
-def _refine(
-    T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float
-) -> tuple[RigidTransform, NamedCovariance]:
-    """Return the rig's pose by least squares, and its covariance. added_m: to the rows' covariances, if there are."""
+def _refine(T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float) -> _Refined:
+    """Return the rig's pose by least squares, its covariance, and what to say of rows that are not independent.
+
+    added_m: to the rows' covariances, if there are.
+    """
     sigma = max(float(np.sqrt(np.mean((T.apply(points.xyz_m) - base_m) ** 2))), 1e-9)
     noise_m = sigma if points.covariance is None else added_m
     to_rig = T.rotation.as_matrix().T  # covariances are in rig axes, and so are the whitened residuals
@@ -239,7 +264,36 @@ def _refine(
     if fit.covariance is None:
         raise Degenerate("the positions leave the rig's pose open", cure="Move at least two joints")
     p = np.array(fit.shared)
-    return RigidTransform.from_components(p[:3], Rotation.from_rotvec(p[3:])), fit.covariance
+    at, shape = evaluate(p, np.empty((1, 0))), (len(points), 3)
+    step, C, told = _believed(points, at.residuals.reshape(shape), at.shared.reshape(*shape, 6), fit.covariance.matrix)
+    p, _ = retract(p, np.empty((1, 0)), step, np.empty((1, 0)))
+    pose = RigidTransform.from_components(p[:3], Rotation.from_rotvec(p[3:]))
+    return pose, NamedCovariance(names=NAMES, matrix=C), told
+
+
+def _believed(points: ArmPoints, r: Array, J: Array, C: Array) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return the step (6,) to the best pose, its covariance, and what to say, where errors r (k, 3) may drift.
+
+    J (k, 3, 6), C (6, 6): their derivative, and the covariance of independent ones. Few rows have Student's intervals.
+    """
+    step, worth, t_s = np.zeros(len(NAMES)), float(len(points)), points.t_s
+    told: tuple[str, ...] = ()
+    if t_s is not None and len(points) >= FEWEST_TIMED and np.ptp(t_s) > 0.0:
+        drift = fit_averaged(r, J, t_s)
+        step, C, worth = drift.step, drift.C, drift.correlation.n_effective
+        told = _drift_told(points, t_s, drift.correlation)
+    student = float(t_ppf(0.975, max(3.0 * worth - len(NAMES), 1.0))) / NORMAL_95
+    return step, student**2 * C, told
+
+
+def _drift_told(points: ArmPoints, t_s: Array, correlation: Correlation) -> tuple[str, ...]:
+    """Return what to say of rows of a recording whose errors hang together."""
+    if correlation.neighbours(float(np.median(np.diff(np.unique(t_s))))) < ALIKE:
+        return ()
+    return (
+        f"The rows are samples of a stream{' in their order' if points.counted else ''}, and their errors drift: the "
+        f"{len(points)} rows are worth {correlation.n_effective:.0f} independent ones",
+    )
 
 
 # Whether positions in the rig's axes are as far apart as the arm moved between them.

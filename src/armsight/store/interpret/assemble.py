@@ -23,7 +23,7 @@ from armsight.store.interpret.plausibility import (
 )
 from armsight.store.interpret.rotations import EulerOrder
 from armsight.store.interpret.table_format import UNITS, TableFormat
-from armsight.store.tables import zeros
+from armsight.store.tables import filled, zeros
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -72,6 +72,7 @@ def lengths_m(found: Found, columns: Sequence[Column], unstated: float) -> Array
     names = list(dict.fromkeys(column.meaning.name for column in columns))
     scales = [unstated if column.meaning.scale is None else column.meaning.scale for column in columns]
     xyz = np.stack([column.values for column in columns], axis=1)
+    xyz = np.where(filled(xyz)[:, None], np.nan, xyz) if len(columns) == 3 else xyz  # a lost frame's say no unit
     out: Array = xyz * np.array(scales)
     if all(column.meaning.scale is None for column in columns):
         unit = next((name for name, (_, scale) in UNITS.items() if scale == unstated), "m")
@@ -192,7 +193,8 @@ def _known(values: Array) -> Mask:
 
 def _quaternions(found: Found, columns: Sequence[Column]) -> Turned:
     values = np.stack([column.values for column in columns], axis=1)
-    known = _known(values) & ~zeros(values)
+    lost = (values == values[:, :1]).all(axis=1) & (np.abs(values[:, 0]) != 0.5)  # such as zeros, or -9999
+    known = _known(values) & ~lost
     quat = np.where(known[:, None], values, (0.0, 0.0, 0.0, 1.0))
     norm = np.linalg.norm(quat, axis=1)
     far = np.flatnonzero(np.abs(norm - 1.0) > QUAT_NORM_TOLERANCE)
