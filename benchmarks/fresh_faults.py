@@ -14,13 +14,14 @@ from collections import Counter
 
 import bench
 import fresh_arms
+import fresh_cameras
 import fresh_clocks
 import fresh_fits
 import fresh_lost
 import fresh_valid
 from fresh_judge import CASES, KINDS, REFUSED, RIGHT, TOLD, VERDICTS, WRONG, Found, judged
 
-MODULES = (fresh_arms, fresh_clocks, fresh_fits, fresh_lost, fresh_valid)
+MODULES = (fresh_arms, fresh_cameras, fresh_clocks, fresh_fits, fresh_lost, fresh_valid)
 """Each adds its cases as it is imported."""
 
 
