@@ -1,6 +1,6 @@
 """Do claimed deviations hold? Errors that are not independent, and few rows, against simulated truth.
 
-    python benchmarks/claims.py [tip] [stereo] [arm] [--seeds 25]
+    python benchmarks/claims.py [tip] [stereo] [arm] [handeye] [--seeds 25]
 
 Of every kind: how many of the true values lie within 1.96 claimed deviations, the root mean square of error over claim,
 and the claimed deviation itself (RMS), to be compared with that of another commit where rows are independent.
@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import bench
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.calibrate.cameras import BoardOptions, calibrate_stereo
+from armsight.calibrate.handeye import Setup, calibrate_from_views
 from armsight.calibrate.tooltip import calibrate_tooltip
 from armsight.errors import DataRefused
 from armsight.kinematics import Arm, fk, preset
@@ -184,7 +185,35 @@ def arms(seeds: int) -> list[list[object]]:
     ]
 
 
-KINDS: dict[str, Callable[[int], list[list[object]]]] = {"tip": tips, "stereo": pairs, "arm": arms}
+# A camera on the hand, by images of a board: the scenes of tests/truth/handeye_scenes.py.
+
+SCENES = bench.test_scene("handeye_scenes")
+
+
+def on_hand(seed: int, cell: str, n: int) -> Claims:
+    """Return the error of T_flange_camera and its claims, m and rad."""
+    s = SCENES.scene(SCENES.CELLS[cell], n, seed)
+    done = calibrate_from_views(s.views, list(s.robot), SCENES.CAMERA, SCENES.BOARD, Setup.EYE_IN_HAND).result
+    off = done.T_parent_camera.translation - s.T_flange_camera.translation
+    turn = (done.T_parent_camera.rotation * s.T_flange_camera.rotation.inv()).as_rotvec()
+    std = done.covariance.std()
+    return np.r_[off, turn], np.array([std[f"camera.{name}"] for name in POSE])
+
+
+POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+
+
+def hands(seeds: int) -> list[list[object]]:
+    """Return the rows of cameras on a hand."""
+    cells = ("good robot, noisy corners", "noisy robot", "parts of the board")
+    return [
+        judged(f"hand-eye, {n} images, {cell}", seeds, partial(on_hand, cell=cell, n=n))
+        for cell in cells
+        for n in (6, 8, 12, 20)
+    ]
+
+
+KINDS: dict[str, Callable[[int], list[list[object]]]] = {"tip": tips, "stereo": pairs, "arm": arms, "handeye": hands}
 
 
 def main() -> None:

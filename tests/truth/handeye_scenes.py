@@ -45,13 +45,15 @@ CELLS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Noisy views and T_base_flange (n); fresh views without noise, the true T_base_flange of these, T_base_target."""
+    """Noisy views and T_base_flange (n); fresh views without noise, the true T_base_flange of these, T_base_target; and
+    the camera on the flange."""
 
     views: list[BoardView]
     robot: RigidTransform
     fresh: list[BoardView]
     fresh_robot: RigidTransform
     T_base_target: RigidTransform
+    T_flange_camera: RigidTransform
 
 
 def scene(cell: Cell, n: int, seed: int) -> Scene:
@@ -73,7 +75,7 @@ def scene(cell: Cell, n: int, seed: int) -> Scene:
     robot = RigidTransform.from_components(
         A[:n].translation + cell.robot_m * off[0], Rotation.from_rotvec(cell.robot_rad * off[1]) * A[:n].rotation
     )
-    return Scene(views=views[:n], robot=robot, fresh=views[n:], fresh_robot=A[n:], T_base_target=Z)
+    return Scene(views=views[:n], robot=robot, fresh=views[n:], fresh_robot=A[n:], T_base_target=Z, T_flange_camera=X)
 
 
 def picture(rng: np.random.Generator, B: RigidTransform, cell: Cell, px: float, *, part: bool) -> BoardView:
