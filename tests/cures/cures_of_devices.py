@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import socket
 from datetime import UTC, datetime, timedelta
-from functools import partial
 from importlib.metadata import requires
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,8 +38,7 @@ from armsight.optics import Camera
 from armsight.optics.zoom import ZoomSetting
 from armsight.publish.certificates import read_pair
 from armsight.publish.foxglove import FoxglovePublisher
-from armsight.publish.opcua.publisher import OpcUaPublisher
-from armsight.publish.options import FoxgloveOptions, OpcUaOptions
+from armsight.publish.options import FoxgloveOptions
 from armsight.records import Frame, JointReading, Silent
 from armsight.records.motion import JointHistory
 from armsight.store import read_rig, read_world
@@ -101,13 +99,13 @@ def found(near_m, far_m, period_px=0):
     return go
 
 
-def published(publisher, options, *, taken):
+def published(*, taken):
     """Return a call that publishes at a port that another program holds, or at another one."""
 
     def go():
         with socket.create_server(("127.0.0.1", 0)) as other:
             port = other.getsockname()[1] if taken else 0
-            one = publisher(options(host="127.0.0.1", port=port), 1.0, print)
+            one = FoxglovePublisher(FoxgloveOptions(host="127.0.0.1", port=port), 1.0, print)
 
             async def run():
                 await one.start()
@@ -146,6 +144,11 @@ def set_to(pixel_format):
         dup_available_pixel_formats_as_strings=lambda: ["Mono8", "Mono12"],
     )
     return lambda: _layout_of(camera, "camera:aravis:a")
+
+
+def stage(frames, **bounds):
+    made = Stage(out=Path("r"), seed=1, progress=Silent(), frames=frames)
+    return lambda: made.simulate("webcam-cell", room="dark", **bounds)
 
 
 def answers(yes):
@@ -202,7 +205,6 @@ def modelled(**known):
     return _modelled(known, np.zeros(0), 0.1)
 
 
-OPEN = partial(OpcUaOptions, anonymous=True)
 FISHEYE = Camera.fisheye(width=640, height=480, fx=300.0, fy=300.0, cx=320.0, cy=240.0)
 
 EXPOSED = CameraSettings(exposure_s=0.01)
@@ -219,12 +221,8 @@ TRIED = {
         found(0.8, 1.3, period_px=30),
     ),
     ("publish/foxglove.py", "Choose another port"): (
-        published(FoxglovePublisher, FoxgloveOptions, taken=True),
-        published(FoxglovePublisher, FoxgloveOptions, taken=False),
-    ),
-    ("publish/opcua/publisher.py", "Choose another port"): (
-        published(OpcUaPublisher, OPEN, taken=True),
-        published(OpcUaPublisher, OPEN, taken=False),
+        published(taken=True),
+        published(taken=False),
     ),
     ("store/recording/reader.py", "Give a recording made by"): (
         (joints_only, lambda: frames_of("joints.mcap")),
@@ -251,10 +249,8 @@ TRIED = {
         lambda: require_recorded("no space is left"),
         lambda: require_recorded(""),
     ),
-    ("app/reproduce/stage.py", "Give --frames {}, or leave it away"): (
-        lambda: Stage(out=Path("r"), seed=1, progress=Silent(), frames=9).simulate("webcam-cell", most=3),
-        lambda: Stage(out=Path("r"), seed=1, progress=Silent(), frames=3).simulate("webcam-cell", most=3),
-    ),
+    ("app/reproduce/stage.py", "Give --frames {}, or leave it away"): (stage(9, most=3), stage(3, most=3)),
+    ("app/reproduce/stage.py", "Give --frames {} or more"): (stage(2, least=3), stage(3, least=3)),
     ("app/design/volume.py", "Give more --cells, or"): (
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 1",
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 3",
