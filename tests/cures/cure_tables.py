@@ -6,6 +6,7 @@ import cures_of_arms
 import cures_of_calls
 import cures_of_cameras
 import cures_of_cells
+import cures_of_devices
 import cures_of_lights
 import cures_of_motions
 import cures_of_robots
@@ -21,6 +22,7 @@ PARTS = (
     cures_of_robots,
     cures_of_motions,
     cures_of_cells,
+    cures_of_devices,
     cures_of_lights,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}

@@ -222,8 +222,4 @@ TRIED = {
         "simulate arm-points --room dark -o s",
         "simulate arm-points -o s",
     ),
-    ("app/reproduce/stage.py", "Give --frames {} or more"): (
-        "reproduce kapucu2005 --frames 9 -o r",
-        "reproduce kapucu2005 -o r",
-    ),
 }

@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from cures_of_cameras import NOISE
+from cures_of_motions import check_identify, identified
+from cures_of_robots import SIM
 from cures_of_runs import row
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -81,15 +83,20 @@ def averaged():
         cv2.imwrite(f"mean/{k:03}.png", np.rint(0.5 * (a + b)).astype(np.uint8))
 
 
-def swept(home):
-    """Return a sweep of three joints, the others at home(joint)."""
+def swept(home, *, px=False):
+    """Return a sweep of three joints, the others at home(joint): places, or the pixels of rig.yaml 3 m before them."""
     arm, rows = preset("stanford-rrp"), "joint,q1,q2,q3,x_m,y_m,z_m\n"
+    if px:
+        rows = rows.replace("x_m,y_m,z_m", "left_u_px,left_v_px,right_u_px,right_v_px")
     rng = np.random.default_rng(0)
     for joint, (low, high) in enumerate([(0.0, 4.0), (0.5, 1.8), (0.6, 1.1)]):
         for value in np.linspace(low, high, 10):
             q = home(joint)
             q[joint] = value
             place = arm.fk(q)[:3, 3] + rng.normal(0.0, 2e-4, 3)
+            if px:
+                uv = [400.0 * (place[:2] - [0.1 * k, 0.0]) / (place[2] + 3.0) + [160.3, 119.6] for k in (0, 1)]
+                place = np.concatenate(uv)
             rows += f"{joint + 1}," + row([*q, *place])
     return rows
 
@@ -116,12 +123,15 @@ def hand(turns):
     return lambda: [solve(arrays) for solve in CLOSED_FORMS.values()]
 
 
+LIMITS = ",".join(6 * ["0:1"])
+LIVE = f"--live {SIM} --left camera:{SIM}:left --right camera:{SIM}:right --limits {LIMITS}"
 IDENTIFY = "identify --sweep swept.csv -o a.yaml"
 TOOLTIP = "calibrate tooltip -o t.yaml --poses"
 PIVOT = "calibrate pivot --target target.yaml -o t.yaml"
 LIT_TARGET = "calibrate target -o lights.yaml"
 FILES = {
     "swept.csv": swept(lambda joint: [0.0, 1.5, 0.7 + 0.02 * joint]),
+    "swept-px.csv": swept(lambda joint: [0.0, 1.5, 0.7], px=True),
     "swept-home.csv": swept(lambda joint: [0.0, 1.5, 0.7]),
     "hinge.csv": poses([[0.02 * k, 0.0, 0.0] for k in range(20)]),
     "tilted.csv": poses([*turned(20), *turned(24)]),
@@ -170,5 +180,19 @@ TRIED = {
     ("calibrate/identify/identify.py", "or give exact values (--increments"): (
         f"{IDENTIFY} --increments order",
         f"{IDENTIFY} --increments known && {IDENTIFY.replace('swept', 'swept-home')} --increments order",
+    ),
+    ("app/identify/sweep_files.py", "Give the rig that saw them"): (
+        IDENTIFY.replace("swept", "swept-px"),
+        f"{IDENTIFY.replace('swept', 'swept-px')} --rig rig.yaml",
+    ),
+    ("app/identify/sweep_files.py", "Give --sweep; or --rig"): ("identify -o a.yaml", IDENTIFY),
+    ("cli/identify.py", "Add --live ROBOT, or leave it out"): (f"{IDENTIFY} --speed 0.2", IDENTIFY),
+    ("cli/identify.py", "Leave --sweep, --joints and"): (
+        f"{IDENTIFY} {LIVE} --rig cell/rig.yaml --target cell/target.yaml",
+        IDENTIFY,
+    ),
+    ("cli/identify.py", "Give --rig, --target, --left"): (
+        f"identify --live {SIM} -o a.yaml",
+        lambda: check_identify(identified()),
     ),
 }

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from cures_of_arms import HANDEYE, PAIRS, START
@@ -11,7 +13,7 @@ from cures_of_robots import SIM, jog
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.identify.live import _check as check_identify
-from armsight.app.identify.live import read_limits
+from armsight.app.identify.live import open_devices, read_limits
 from armsight.app.play.play_job import _check_speeds
 from armsight.app.play.play_job import check as check_play
 from armsight.app.play.play_path import Opened, run_play
@@ -24,16 +26,18 @@ from armsight.app.robot.jog_by_hand import jog_by_hand
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.run_motion import run_motion
 from armsight.app.servo.run_servo import _check as check_servo
-from armsight.app.servo.run_servo import _handeye, _turning, measuring
+from armsight.app.servo.run_servo import _handeye, _turning, measuring, run_servo
 from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.session import check_arm
 from armsight.app.servo.vision import open_servo
 from armsight.app.verify.live import _check as check_live
-from armsight.app.verify.live import open_supervised
+from armsight.app.verify.live import _check_arm, open_supervised
 from armsight.app.verify.mastering import _middle, run_mastering
 from armsight.calibrate.identify.plan import checked_limits
 from armsight.clock import ManualClock
 from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, Weave, plan_path
+from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.drivers.jog_inputs import JogAxes, open_jog_input
 from armsight.kinematics import preset
@@ -159,7 +163,7 @@ def target():
     return read_target(Path("lit.yaml"))
 
 
-def played(*, yes=True):
+def played(*, yes=True, wrap=lambda robot: robot, told=None):
     """Return a call that plays a path of 10 mm before the flange of the cell's robot."""
 
     def go():
@@ -171,13 +175,57 @@ def played(*, yes=True):
             stand = RigidTransform.from_matrix(arm.fk(arm.values(robot.read().q)))
         path = through([[0.0, 0.0, 0.005], [0.01, 0.0, 0.005]], stand=stand)
         clock = ManualClock()
-        job = play(path=Path("seam.csv"), approach_speed_m_s=0.05, retract_m=0.004, path_speed_m_s=0.05)
+        job = play(arm=told, path=Path("seam.csv"), approach_speed_m_s=0.05, retract_m=0.004, path_speed_m_s=0.05)
         write_path(job.path, path)
-        return run_play(job, lambda _: yes, opened=Opened(open_robot(SIM, clock), clock))
+        return run_play(job, lambda _: yes, opened=Opened(wrap(open_robot(SIM, clock)), clock))
 
     return go
 
 
+class Untold:
+    """A robot that does not tell its arm's lengths."""
+
+    def __init__(self, robot):
+        self.robot = robot
+
+    def __getattr__(self, name):
+        if name == "arm_mapping":
+            raise AttributeError(name)
+        return getattr(self.robot, name)
+
+    def __enter__(self):
+        self.robot.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        return self.robot.__exit__(*error)
+
+
+def telling(arm):
+    """Return a robot whose controller tells its flange's pose, as an arm has it."""
+    q = np.array([0.1, -1.0, 1.5, -0.5, 1.5, 0.0])
+    pose = arm.T_world_base.inv() * RigidTransform.from_matrix(arm.fk(q)) * arm.T_flange_tool.inv()
+    return SimpleNamespace(
+        name="told", n_joints=arm.n, takes_joints=True, step_joints=lambda _: SimpleNamespace(q=q, pose=pose)
+    )
+
+
+def followed(*, yes=True, wrap=lambda robot: robot, arm=None):
+    """Return a call that follows the cell's target for a moment."""
+
+    def go():
+        job = servo(arm=arm, at="tool", seconds_s=0.1)
+        rig, lights = read_rig(job.rig), read_target(job.target)
+        devices = open_servo(job, rig, lights)
+        return run_servo(job, lambda _: yes, devices=replace(devices, robot=wrap(devices.robot)))
+
+    return go
+
+
+SPUN = through([[0.001 * k, 0, 0.01] for k in range(60)], [1.0 * k for k in range(60)])
+FIVE = {"arm": replace(UR, joints=UR.joints[:5]), "at": AT[:5]}
+TURNED = through([[0, 0, 0.01], [0.03, 0, 0.01]], [0.0, 0.5])
+TILTED = through([[0.06 * k, 0.0, 0.0] for k in range(8)], [0.3 * k for k in range(8)])
 TEACH = "teach --rig cell/rig.yaml --target cell/target.yaml -o taught"
 VIEWS = "--left cell/left --right cell/right"
 LIVE_EYES = {"left": "camera:0", "right": "camera:2"}
@@ -308,4 +356,41 @@ TRIED = {
         f"{TEACH} {VIEWS} --world cell/world.yaml && teach --from poses.csv -o other",
     ),
     ("app/play/play_path.py", "Give --yes to move"): (played(yes=False), played()),
+    ("app/play/play_path.py", "Give the arm's file (--arm)"): (
+        played(wrap=Untold),
+        played(wrap=Untold, told="cell/arm.yaml"),
+    ),
+    ("app/servo/run_servo.py", "Give the arm's file (--arm)"): (
+        followed(wrap=Untold),
+        followed(wrap=Untold, arm="cell/arm.yaml"),
+    ),
+    ("app/servo/session.py", "Give --yes to move unasked"): (followed(yes=False), followed()),
+    ("app/servo/session.py", "Give the file of this arm"): (
+        lambda: check_arm(telling(UR), preset("ur5e")),
+        lambda: check_arm(telling(UR), UR),
+    ),
+    ("app/verify/live.py", "Give the file of this arm"): (
+        lambda: _check_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
+        lambda: _check_arm(UR, SimpleNamespace(robot=telling(UR))),
+    ),
+    ("app/identify/live.py", "Give camera:NAME for --left"): (
+        lambda: open_devices(identified(robot="rsi:49152", left="left", right="right"), target(), ManualClock()),
+        lambda: open_devices(identified(robot="rsi:49152", **LIVE_EYES), target(), ManualClock()),
+    ),
+    ("control/play/plan.py", "Run the positions alone"): (
+        planned(TURNED, **FIVE),
+        planned(TURNED, keep_rotation=True, **FIVE),
+    ),
+    ("control/play/plan.py", "or give a wider weave"): (
+        planned(CORNER, weave=Weave.parse("zigzag:0.02:0.002")),
+        planned(CORNER, weave=WEAVE),
+    ),
+    ("control/play/shape.py", "Round the corners less (--blend, in m)"): (
+        lambda: shaped(SPUN, 0.3, Weave(), 0.01),
+        lambda: shaped(SPUN, 0.01, Weave(), 0.01),
+    ),
+    ("control/play/plan.py", ", or keep the tool's rotation (--keep-rotation)"): (
+        planned(TILTED),
+        planned(TILTED, keep_rotation=True),
+    ),
 }

@@ -189,6 +189,10 @@ TRIED = {
         f"{TABLE} bare.csv --as joints --columns q1..q3_deg,pose",
         "{} --robot-format kuka",
     ),
+    ("store/interpret/table_format.py", "Write for instance, in quotes"): (
+        "verify --measured poses.csv --arm irb120 --joints j.csv -o v --units 'tracker:m;robot:rad'",
+        "verify --measured poses.csv --arm irb120 --joints j.csv -o v --units 'measured:m;robot:rad'",
+    ),
     ("store/interpret/table_format.py", "Write for instance mm,deg"): (
         f"{TABLE} degrees.csv --as joints --units grad",
         f"{TABLE} degrees.csv --as joints --units mm,deg",

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 UNITS = (MM, DEG, MM, DEG)
 """How people read a, alpha, d and theta: millimetres and degrees."""
-LIVE_ALONE = ("--propose", "--limits", "--model", "--leave-out")
 
 
 @command(app, panels=(CAMERAS, TABLES), filed="identify", judged=True)
@@ -46,12 +45,12 @@ def identify(
         return
     from armsight.app.identify.sweep_files import run_identify
 
-    given = [one for one in LIVE_ALONE if one in live.given] + (["--yes"] if yes else [])
+    live.value("camera_settings").require_none("a sweep without --live")
+    given = [one for one in live.given if one not in swept.given] + (["--yes"] if yes else [])
     if given:
         raise UsageError(
             f"{', '.join(given)} only means something with --live", cure="Add --live ROBOT, or leave it out"
         )
-    live.value("camera_settings").require_none("a sweep without --live")
     _print_identified(run_identify(swept.made(), face.progress("identifying")), out, face)
 
 

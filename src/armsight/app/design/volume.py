@@ -223,15 +223,8 @@ def spot_noise(plan: Plan) -> SpotNoise:
     if plan.spot_px is not None:
         sigma = plan.spot_px
         return lambda size, side: np.full(size.shape, sigma)
-    models = plan.rig.noise
-
-    def known(size: Array, side: int) -> Array:
-        model = models[side]
-        if model is None:
-            raise Inconsistent("the noise of a camera is not known", cure="Give --spot-noise-px")
-        return centre_deviation(model, size)
-
-    return known
+    models = [model for model in plan.rig.noise if model is not None]  # of both, where a plan has no deviation
+    return lambda size, side: centre_deviation(models[side], size)
 
 
 def _facing(plan: Plan, rig: Rig, cells: Cells) -> RigidTransform:

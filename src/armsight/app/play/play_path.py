@@ -17,7 +17,7 @@ from armsight.app.requests.motion import PlayJob
 from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.recorder import LoopRecorder, require_new
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.app.servo.run_servo import LAG_CYCLES
 from armsight.app.servo.servo_job import ServoDevices
@@ -332,10 +332,7 @@ def run_play(
     """
     progress = progress or Silent()
     check(job)
-    if (job.out / RECORDING).exists():
-        raise UsageError(
-            f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
-        )
+    require_new(job.out, RECORDING)
     model, path = given_arm(job.arm), None
     monitor = TargetMonitor(job, devices, model) if job.watched else None
     watcher: Watcher | None = monitor

@@ -11,12 +11,20 @@ from typing import Any, Self
 
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
-from armsight.errors import ArmsightError, RecordingFailed
+from armsight.errors import ArmsightError, RecordingFailed, UsageError
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter
 
 EVERY_S = 0.1
 """Time between two looks into the queue; what waits is written in chunks anyway."""
+
+
+def require_new(folder: Path, *names: str) -> None:
+    """Raise UsageError where a folder holds one of these recordings: those of a robot's motion are never replaced."""
+    if any((folder / name).exists() for name in names):
+        raise UsageError(
+            f"{folder} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
+        )
 
 
 class LoopRecorder:
@@ -26,7 +34,9 @@ class LoopRecorder:
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:
-        """Raises UsageError where the file is there already."""
+        """Raises UsageError where the file is there already: a robot's motion is never replaced."""
+        if path.exists():
+            raise UsageError(f"{path} is there already", consequence="Nothing is moved", cure="Choose another name")
         self.sink = QueueSink()
         self.failed: ArmsightError | None = None
         origin_ns = time.time_ns() - round(1e9 * clock.now_s())
@@ -73,7 +83,9 @@ class RecordingLog:
     """
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
-        """Raises UsageError where the file is there already."""
+        """Raises UsageError where the file is there already: a robot's motion is never replaced."""
+        if path.exists():
+            raise UsageError(f"{path} is there already", consequence="Nothing is moved", cure="Choose another name")
         self._recorder = LoopRecorder(path, clock or SystemClock())
         self._event_s = self._command_s = -math.inf
 

@@ -15,7 +15,7 @@ from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.cycle_tally import CycleTally
 from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.recorder import LoopRecorder, require_new
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard
@@ -80,11 +80,7 @@ def run_motion(
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     cameras = _cameras(job)
-    for made in (RECORDING, FRAMES):
-        if (job.out / made).exists():
-            raise UsageError(
-                f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
-            )
+    require_new(job.out, RECORDING, FRAMES)
     motion, model = read_joints(job.motion), given_arm(job.arm)
     robot = opened or robot_of(job, clock, model)
     guard = guard_for(robot, model, job.limits, share=job.speed)

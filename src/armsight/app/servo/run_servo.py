@@ -10,8 +10,9 @@ from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.guarding import arm_of, guard_for
+from armsight.app.robot.recorder import require_new
 from armsight.app.servo.servo_job import CAMERA, TOOL, ServoDevices
-from armsight.app.servo.session import Confirm, ServoOutput, ServoSession, Show
+from armsight.app.servo.session import RECORDING, Confirm, ServoOutput, ServoSession, Show
 from armsight.app.servo.vision import Beside, open_servo
 from armsight.control.servo import Mount, ServoSettings, Turning, on_axis
 from armsight.errors import BadFile, Inconsistent, UsageError
@@ -47,6 +48,7 @@ def run_servo(
     """
     progress = progress or Silent()
     _check(job)
+    require_new(job.out, RECORDING)
     rig, target, handeye = read_rig(job.rig), target_of(job.target), _handeye(job)
     arm = given_arm(job.arm)
     devices = devices or open_servo(job, rig, target, arm=arm)

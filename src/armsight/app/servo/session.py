@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import Annotated, Any
 
 import numpy as np
@@ -229,6 +229,20 @@ class ServoSession:
         self._job, self._devices, self._guard, self._settings, self._setup = job, devices, guard, settings, setup
         self._thread: VisionThread | None = None
         self._beside = beside
+        self._moves = False
+
+    @contextmanager
+    def _recorder(self) -> Iterator[LoopRecorder]:
+        """Record; nothing is left of a session that ended before the arm might move, or the next one would be refused
+        beside it."""
+        path, opened = self._job.out / RECORDING, False
+        try:
+            with LoopRecorder(path, self._devices.clock) as recorder:
+                opened = True
+                yield recorder
+        finally:
+            if opened and not self._moves:
+                path.unlink(missing_ok=True)
 
     def run(self, confirm: Confirm, show: Show, progress: Progress) -> ServoOutput:
         """Follow the target and return what it came to. Raises as run_servo."""
@@ -236,7 +250,7 @@ class ServoSession:
         with ExitStack() as stack:
             robot = stack.enter_context(devices.robot)
             check_arm(robot, self._guard.arm)
-            recorder = stack.enter_context(LoopRecorder(self._job.out / RECORDING, clock))
+            recorder = stack.enter_context(self._recorder())
             vision = Vision(self._setup, devices, self._job.latency_s, recorder.sink)
             self._watch(stack, vision)
             probe(vision, clock, self._failed)
@@ -249,6 +263,7 @@ class ServoSession:
                 question(robot, self._guard, gain, source) + noted(outside, self._guard, self._job, self._job.limits)
             ):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
+            self._moves = True
             tally = Tally(source, progress.cancelled)
             loop = ControlLoop(
                 robot,

@@ -113,6 +113,11 @@ OURS = TableFormat()
 
 TABLES = ("measured", "robot")
 """The two tables that some commands read."""
+EXAMPLES = {
+    "--units": "'measured:mm;robot:deg'",
+    "--columns": "'measured:xyz_mm;robot:q1..q6_deg'",
+    "--euler": "'measured:zyx;robot:xyz'",
+}
 
 
 def by_table(flag: str, text: str) -> tuple[str, str]:
@@ -128,7 +133,7 @@ def by_table(flag: str, text: str) -> tuple[str, str]:
     if len(set(names)) < len(names) or not set(names) <= set(TABLES):
         raise UsageError(
             f"{flag} {text!r} is not of the tables measured and robot, each once",
-            cure="Write for instance measured:mm;robot:deg, or mm,deg for both",
+            cure=f"Write for instance, in quotes, {flag} {EXAMPLES[flag]}; or one text for both",
         )
     said |= {name: word.strip() for name, (_, _, word) in zip(names, parts, strict=True)}
     return said["measured"], said["robot"]
