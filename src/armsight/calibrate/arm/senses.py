@@ -82,6 +82,9 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     if best == 0 or left_m > FITS * spread or not np.array_equal(common, np.array(choices[best]) < 0.0):
         return None
     names = tuple(arm.joints[j].name for j, sign in zip(turning, choices[best], strict=True) if sign < 0.0)
+    mirrored = _fit(arm, turning, np.ones(len(turning)), q, xyz_m * [-1.0, 1.0, 1.0])[0]
+    if len(names) > 1 and mirrored * NEXT <= left_m:
+        return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
     every = np.zeros(arm.n)
     every[turning] = zeros
     every[[turning[0], turning[-1]]] = 0.0  # base and tool take these up
