@@ -30,7 +30,7 @@ STEPS = 25
 FITS = 0.05
 """Share of how far the tool moved that may be left: lengths of a home-made arm, not the next best choice of senses."""
 NEXT = 0.3
-"""... and of what the given senses and the next best choice leave."""
+"""... and of what choices leave that reverse others."""
 TOLD_ZERO_RAD = 2.0 * DEG
 
 
@@ -72,13 +72,19 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     q, xyz_m = points.q[rows], points.xyz_m[rows]
     choices = sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda signs: signs.count(-1.0))
     found = [_fit(arm, turning, np.array(signs), q, xyz_m) for signs in choices]
-    order = np.argsort([left for left, _ in found])
-    best, given_m = int(order[0]), found[0][0]
+    left = np.array([one[0] for one in found])
+    given_m, alike = found[0][0], np.flatnonzero(left * NEXT <= left.min())
+    best = int(alike[0])  # of those that fit alike the one that reverses fewest
     left_m, zeros = found[best]
     spread = float(np.sqrt(((xyz_m - xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    if best == 0 or left_m > FITS * spread or left_m > NEXT * min(given_m, found[int(order[1])][0]):
+    # a joint that turns the tool about itself, or a wrist that flips, fits both ways: the others are known all the same
+    common = np.all([np.array(choices[i]) < 0.0 for i in alike], axis=0)
+    if best == 0 or left_m > FITS * spread or not np.array_equal(common, np.array(choices[best]) < 0.0):
         return None
     names = tuple(arm.joints[j].name for j, sign in zip(turning, choices[best], strict=True) if sign < 0.0)
+    mirrored = _fit(arm, turning, np.ones(len(turning)), q, xyz_m * [-1.0, 1.0, 1.0])[0]
+    if len(names) > 1 and mirrored * NEXT <= left_m:
+        return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
     every = np.zeros(arm.n)
     every[turning] = zeros
     every[[turning[0], turning[-1]]] = 0.0  # base and tool take these up
