@@ -38,4 +38,4 @@ def test_a_target_of_another_scale_is_named_among_other_lights(cell, tmp_path, f
 
 
 def test_a_target_of_another_shape_is_no_scale(cell, tmp_path):
-    assert not names_it(told(cell, tmp_path, lambda x, y, z: [1.02 * x, 1.1 * y, z]), "times as far apart")
+    assert not names_it(told(cell, tmp_path, lambda x, y, z: [1.02 * x, 1.1 * y, z]), "calliper")
