@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm.parameter_selection import APART
 from armsight.calibrate.correlation import regions
+from armsight.kinematics import Arm
 from armsight.verify.effects import Effect, Kind, effects, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
@@ -89,6 +90,15 @@ class Cause:
     rival: int | None = None
     fitted: ModelFit | None = None
     arm_off_m: float | None = None
+
+    def zeroed(self, arm: Arm) -> Arm | None:
+        """Return the arm with the zeros of turning joints that are the cause taken out; None where none are."""
+        if not (self.cause == "several joints" or self.kind is Kind.ZERO):
+            return None
+        alone = range(arm.n) if self.joint is None else (self.joint,)
+        off = {i: self.joints[i].offset or 0.0 for i in alone if arm.revolute[i]}
+        joints = (replace(joint, theta_rad=joint.theta_rad + off.get(i, 0.0)) for i, joint in enumerate(arm.joints))
+        return replace(arm, joints=tuple(joints))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,6 +13,7 @@ from armsight.calibrate.arm.rotations import computed
 from armsight.calibrate.timing.sampling import SamplingTimes, sampling_times, without_seams
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
+from armsight.units import MM
 from armsight.verify.alignment import Align, left_handed
 from armsight.verify.model import Mounts
 from armsight.verify.records import Measured, Rejected
@@ -52,6 +53,12 @@ class Reported:
         return len(self.q) if self.q is not None else len(self.T) if self.T is not None else 0
 
 
+CLOCK_ROUNDS = 4
+"""In which clocks are laid anew by the zeros that were found, ..."""
+CLOCK_SETTLED = 0.2
+"""... until the offset moves by less than this share of its standard deviation."""
+MOVED_M, MOVED_RAD = 5e-4, 2e-3
+"""An arm that moved by so much does not measure the same to the last digit."""
 ENOUGH_TURNS = 6
 """Rows below which rotations may follow an arm to the last digits by the fit of base and tool alone."""
 
@@ -89,14 +96,17 @@ def without_computed(paired: Paired) -> Paired:
     return replace(paired, measured=replace(seen, rotation=None), notes=(*paired.notes, told)) if told else paired
 
 
-def pair(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align) -> Paired:
+def pair(
+    arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align, *, clocked: Arm | None = None
+) -> Paired:
     """Return the rows that belong together: by order where one side has no stamps, else by time.
 
+    clocked: the arm by whose motion the clocks are laid, where it is known better than the one that is verified.
     Raises as sampling_times and synchronise; Inconsistent where rows without stamps are not as many.
     """
     if measured.t_s is None or reported.t_s is None:
         return _by_order(arm, reported, measured)
-    return _by_time(arm, reported, measured, nominal, how)
+    return _by_time(arm, reported, measured, nominal, how, clocked)
 
 
 def pair_at(arm: Arm | None, reported: Reported, measured: Measured, offset_s: float) -> Paired:
@@ -146,14 +156,17 @@ def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired
     return Paired(measured=part, F=fk(bare_arm(arm), values), q=values, at_s=at_s, rejected=lost, notes=notes)
 
 
-def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align) -> Paired:
+def _by_time(
+    arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align, clocked: Arm | None
+) -> Paired:
     if measured.t_s is None:
         raise UsageError("the measured rows have no stamps")
     stream, stream_notes = _stream(arm, reported)
     times = sampling_times(measured.t_s, "the measured rows")
     check_spread(measured, stream.at(stream.t_s[:: max(1, len(stream.t_s) // 2000)])[0])
     sure = np.flatnonzero(times.sure)
-    clock = _clock(stream, measured.take(sure), times.t_s[sure], nominal, how)
+    by = stream if clocked is None else _stream(clocked, reported)[0]
+    clock = _clock(by, measured.take(sure), times.t_s[sure], nominal, how)
     clock = replace(clock, std_s=float(np.hypot(clock.std_s, times.std_s)))
     at = clock.on_arm(times.t_s)
     there = covered(stream.t_s, at)
@@ -231,3 +244,32 @@ def check_spread(measured: Measured, F: Array) -> None:
     seen = float(np.linalg.norm(measured.xyz_m - np.median(measured.xyz_m, axis=0), axis=1).mean())
     if expected > 1e-3:
         check_scale(expected, seen, "the arm moves its flange")
+
+
+def repeated(F: Array, measured: Measured) -> Rejected:
+    """Return the rows that repeat the row before of their point, digit by digit, though the arm moved between.
+
+    F (m, 4, 4): base to flange as expected at each row.
+    """
+    found: list[tuple[int, str]] = []
+    for label in measured.labels:
+        rows = np.flatnonzero([point == label for point in measured.point])
+        first = rows[0] if len(rows) else 0
+        for i in rows[1:].tolist():
+            if not _same(measured, i, first):
+                first = i
+                continue
+            moved = float(np.linalg.norm(F[i, :3, 3] - F[first, :3, 3]))
+            turned = float(np.abs(F[i, :3, :3] - F[first, :3, :3]).max())
+            if moved > MOVED_M or turned > MOVED_RAD:
+                why = (
+                    f"repeats row {measured.rows[first]} to the last digit though the arm moved by {moved / MM:.3g} mm"
+                )
+                found.append((int(measured.rows[i]), why))
+    return tuple(sorted(found))
+
+
+def _same(measured: Measured, i: int, k: int) -> bool:
+    if not np.array_equal(measured.xyz_m[i], measured.xyz_m[k]):
+        return False
+    return measured.rotation is None or np.array_equal(measured.rotation[i], measured.rotation[k])

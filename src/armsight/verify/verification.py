@@ -23,7 +23,17 @@ from armsight.verify.deciding import deciding_poses
 from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case, blocks, poses_of
 from armsight.verify.model import Model, Mounts, nothing_more
-from armsight.verify.pairing import Paired, Reported, bare_arm, check_spread, pair, without_computed
+from armsight.verify.pairing import (
+    CLOCK_ROUNDS,
+    CLOCK_SETTLED,
+    Paired,
+    Reported,
+    bare_arm,
+    check_spread,
+    pair,
+    repeated,
+    without_computed,
+)
 from armsight.verify.records import Measured, Rejected
 
 Array = NDArray[np.float64]
@@ -79,9 +89,26 @@ def verify(
 
     arm: with the base and tool that hold where they are not aligned; None with commanded poses. pose: which commanded
     pose each measured row is of, by any number. Raises DataRefused with cause, consequence and cure.
+
+    Clocks that are laid by an arm whose zeros are off take up a part of that: they are laid anew by what is found.
     """
+    result = _verified(arm, reported, measured, how, pose)
+    for _ in range(CLOCK_ROUNDS):
+        clock, clocked = result.paired.clock, None if arm is None or result.cause is None else result.cause.zeroed(arm)
+        if clock is None or clocked is None:
+            break
+        result = _verified(arm, reported, measured, how, pose, clocked)
+        again = result.paired.clock
+        if again is None or abs(again.offset_s - clock.offset_s) < CLOCK_SETTLED * again.std_s:
+            break
+    return result
+
+
+def _verified(
+    arm: Arm | None, reported: Reported, measured: Measured, how: Align, pose: Array | None, clocked: Arm | None = None
+) -> Verification:
     nominal = _nominal(arm, measured)
-    paired = without_computed(pair(arm, reported, measured, nominal, how))
+    paired = without_computed(pair(arm, reported, measured, nominal, how, clocked=clocked))
     copies = repeated(paired.F, paired.measured)
     known = np.flatnonzero(~np.isin(paired.measured.rows, [row for row, _ in copies]))
     if not len(known):
@@ -353,35 +380,3 @@ def _why(singular: int, unsolved: int, m: int) -> tuple[str, ...]:
 
 
 # Rows that cannot be what they claim: a measurement repeated while the arm moved.
-
-MOVED_M, MOVED_RAD = 5e-4, 2e-3
-"""An arm that moved by so much does not measure the same to the last digit."""
-
-
-def repeated(F: Array, measured: Measured) -> Rejected:
-    """Return the rows that repeat the row before of their point, digit by digit, though the arm moved between.
-
-    F (m, 4, 4): base to flange as expected at each row.
-    """
-    found: list[tuple[int, str]] = []
-    for label in measured.labels:
-        rows = np.flatnonzero([point == label for point in measured.point])
-        first = rows[0] if len(rows) else 0
-        for i in rows[1:].tolist():
-            if not _same(measured, i, first):
-                first = i
-                continue
-            moved = float(np.linalg.norm(F[i, :3, 3] - F[first, :3, 3]))
-            turned = float(np.abs(F[i, :3, :3] - F[first, :3, :3]).max())
-            if moved > MOVED_M or turned > MOVED_RAD:
-                why = (
-                    f"repeats row {measured.rows[first]} to the last digit though the arm moved by {moved / MM:.3g} mm"
-                )
-                found.append((int(measured.rows[i]), why))
-    return tuple(sorted(found))
-
-
-def _same(measured: Measured, i: int, k: int) -> bool:
-    if not np.array_equal(measured.xyz_m[i], measured.xyz_m[k]):
-        return False
-    return measured.rotation is None or np.array_equal(measured.rotation[i], measured.rotation[k])
