@@ -53,12 +53,14 @@ class Reported:
         return len(self.q) if self.q is not None else len(self.T) if self.T is not None else 0
 
 
-CLOCK_ROUNDS = 4
+CLOCK_ROUNDS = 2
 """In which clocks are laid anew by the zeros that were found, ..."""
 CLOCK_SETTLED = 0.2
 """... until the offset moves by less than this share of its standard deviation."""
 MOVED_M, MOVED_RAD = 5e-4, 2e-3
 """An arm that moved by so much does not measure the same to the last digit."""
+Clocked = tuple[Arm, float]
+"""An arm by whose motion clocks are laid, and nearly their offset in s."""
 ENOUGH_TURNS = 6
 """Rows below which rotations may follow an arm to the last digits by the fit of base and tool alone."""
 
@@ -97,11 +99,18 @@ def without_computed(paired: Paired) -> Paired:
 
 
 def pair(
-    arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align, *, clocked: Arm | None = None
+    arm: Arm | None,
+    reported: Reported,
+    measured: Measured,
+    nominal: Mounts,
+    how: Align,
+    *,
+    clocked: Clocked | None = None,
 ) -> Paired:
     """Return the rows that belong together: by order where one side has no stamps, else by time.
 
-    clocked: the arm by whose motion the clocks are laid, where it is known better than the one that is verified.
+    clocked: the arm by whose motion the clocks are laid, where it is known better than the one that is verified, and
+    nearly the offset in s.
     Raises as sampling_times and synchronise; Inconsistent where rows without stamps are not as many.
     """
     if measured.t_s is None or reported.t_s is None:
@@ -157,7 +166,12 @@ def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired
 
 
 def _by_time(
-    arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align, clocked: Arm | None
+    arm: Arm | None,
+    reported: Reported,
+    measured: Measured,
+    nominal: Mounts,
+    how: Align,
+    clocked: Clocked | None,
 ) -> Paired:
     if measured.t_s is None:
         raise UsageError("the measured rows have no stamps")
@@ -165,8 +179,8 @@ def _by_time(
     times = sampling_times(measured.t_s, "the measured rows")
     check_spread(measured, stream.at(stream.t_s[:: max(1, len(stream.t_s) // 2000)])[0])
     sure = np.flatnonzero(times.sure)
-    by = stream if clocked is None else _stream(clocked, reported)[0]
-    clock = _clock(by, measured.take(sure), times.t_s[sure], nominal, how)
+    by, near_s = (stream, None) if clocked is None else (_stream(clocked[0], reported)[0], clocked[1])
+    clock = _clock(by, measured.take(sure), times.t_s[sure], nominal, how, near_s)
     clock = replace(clock, std_s=float(np.hypot(clock.std_s, times.std_s)))
     at = clock.on_arm(times.t_s)
     there = covered(stream.t_s, at)
@@ -178,11 +192,10 @@ def _by_time(
     rejected = [(int(row), doubtful) for row in measured.rows[~times.sure]]
     rejected += [(int(measured.rows[i]), _uncovered(stream, float(at[i]))) for i in np.flatnonzero(times.sure & ~there)]
     chosen = np.flatnonzero(times.sure & there)
-    F, _ = stream.at(at[chosen])
     notes = (*stream_notes, *((times.note,) if times.note else ()), *clock.notes)
     return Paired(
         measured=measured.take(chosen),
-        F=F,
+        F=stream.at(at[chosen])[0],
         q=stream.q_at(at[chosen]) if isinstance(stream, JointStream) else None,
         speed=stream.speed_at(at[chosen]) if isinstance(stream, JointStream) else None,
         acceleration=stream.acceleration_at(at[chosen]) if isinstance(stream, JointStream) else None,
@@ -194,10 +207,10 @@ def _by_time(
     )
 
 
-def _clock(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how: Align) -> Clock:
+def _clock(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how: Align, near_s: float | None) -> Clock:
     """Return the clock; Inconsistent for left-handed positions where these agree once they are mirrored."""
     try:
-        return synchronise(stream, measured, t_s, nominal, how)
+        return synchronise(stream, measured, t_s, nominal, how, near_s)
     except Inconsistent as error:
         flipped = Measured(xyz_m=measured.xyz_m * [1.0, 1.0, -1.0], point=measured.point)
         try:

@@ -65,15 +65,21 @@ class Clock:
         return np.asarray(t_s + self.offset_s + 1e-6 * self.drift_ppm * (t_s - self.mid_s))
 
 
-def synchronise(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how: Align) -> Clock:
+def synchronise(
+    stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how: Align, near_s: float | None = None
+) -> Clock:
     """Return the clock that lays measured rows, sampled at t_s (m,), on the arm's times.
+
+    near_s: an offset that is known nearly; without it all are tried.
 
     Raises NotEnoughData for too short streams, Inconsistent where no lag makes them agree, Ambiguous where several do,
     Degenerate where the arm does not move.
     """
-    lags = _lags(stream.t_s, t_s)
-    rows = _thinned(len(t_s), SEARCH_ROWS)
-    found = _candidates(stream, measured.take(rows), t_s[rows], nominal, lags)
+    if near_s is None:
+        rows = _thinned(len(t_s), SEARCH_ROWS)
+        found = _candidates(stream, measured.take(rows), t_s[rows], nominal, _lags(stream.t_s, t_s))
+    else:
+        found = np.array([near_s])
     rows = _thinned(len(t_s), FIT_ROWS)
     fits = [
         fit for lag in found if (fit := _fitted(stream, measured.take(rows), t_s[rows], nominal, how, lag)) is not None

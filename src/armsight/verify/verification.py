@@ -26,6 +26,7 @@ from armsight.verify.model import Model, Mounts, nothing_more
 from armsight.verify.pairing import (
     CLOCK_ROUNDS,
     CLOCK_SETTLED,
+    Clocked,
     Paired,
     Reported,
     bare_arm,
@@ -97,7 +98,7 @@ def verify(
         clock, clocked = result.paired.clock, None if arm is None or result.cause is None else result.cause.zeroed(arm)
         if clock is None or clocked is None:
             break
-        result = _verified(arm, reported, measured, how, pose, clocked)
+        result = _verified(arm, reported, measured, how, pose, (clocked, clock.offset_s))
         again = result.paired.clock
         if again is None or abs(again.offset_s - clock.offset_s) < CLOCK_SETTLED * again.std_s:
             break
@@ -105,7 +106,12 @@ def verify(
 
 
 def _verified(
-    arm: Arm | None, reported: Reported, measured: Measured, how: Align, pose: Array | None, clocked: Arm | None = None
+    arm: Arm | None,
+    reported: Reported,
+    measured: Measured,
+    how: Align,
+    pose: Array | None,
+    clocked: Clocked | None = None,
 ) -> Verification:
     nominal = _nominal(arm, measured)
     paired = without_computed(pair(arm, reported, measured, nominal, how, clocked=clocked))
@@ -115,12 +121,7 @@ def _verified(
         raise NotEnoughData("no row is left to compare", cure="See the rows rejected")
     use, F = paired.measured.take(known), paired.F[known]
     check_spread(use, F)
-    aligned = _aligned(arm, paired, known, nominal, how)
-    cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
-    restored = _restored(arm, paired, known, aligned, cause)
-    if restored is not None:
-        aligned = restored
-        cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
+    aligned, cause, deciding = _explained(arm, paired, known, nominal, how)
     kept = known[aligned.kept]
     before, _ = Model(measured=use.take(aligned.kept), expected=nothing_more(F[aligned.kept])).linearised(
         nominal.vector
@@ -144,6 +145,18 @@ def _verified(
         rejected=tuple(sorted((*paired.rejected, *copies, *aligned.rejected))),
         doubts=(*_caveats(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
     )
+
+
+def _explained(
+    arm: Arm | None, paired: Paired, known: NDArray[np.intp], nominal: Mounts, how: Align
+) -> tuple[Aligned, Cause | None, Array | None]:
+    """Return the alignment of known rows, what their errors come from, and the joint positions that would decide."""
+    aligned = _aligned(arm, paired, known, nominal, how)
+    cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
+    restored = _restored(arm, paired, known, aligned, cause)
+    if restored is None:
+        return aligned, cause, deciding
+    return restored, *_cause(arm, paired, known[restored.kept], restored)
 
 
 def _aligned(arm: Arm | None, paired: Paired, known: NDArray[np.intp], nominal: Mounts, how: Align) -> Aligned:
