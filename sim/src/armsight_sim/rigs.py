@@ -46,7 +46,9 @@ def converging_webcams(width: int, height: int) -> Pair:
         centre_px=(0.5 * (width - 1) - 3.8 * scale, 0.5 * (height - 1) + 5.6 * scale),
         distortion=(0.084, -0.171, -0.0006, 0.0007, 0.042),
     )
-    toe_in = Rotation.from_euler("xyz", [0.2, -5.0, 0.3], degrees=True)  # as the scenario webcam-cell has it
+    toe_in = Rotation.from_rotvec(
+        [0.00371689809, -0.08725704762, 0.00538496788]
+    )  # 0.2, -5.0 and 0.3 degrees about x, y, z, as in webcam-cell
     return {
         "left": (left, RigidTransform.identity()),
         "right": (right, RigidTransform.from_components([0.120, 0.0015, -0.002], toe_in)),
