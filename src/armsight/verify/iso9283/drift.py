@@ -27,11 +27,11 @@ Array = NDArray[np.float64]
 
 GROUP = 10
 """Visits at the beginning, and as many at the end, between which dAP and dRP are taken."""
-MIN_VISITS = 10
-"""Visits below which their order tells nothing: the ratio of fewer is far from normal."""
-CHANCE = 3.4
-"""Deviations of the largest of three ratios above which the visits follow each other: by chance in 1 of 10,000 poses
-of 30 visits, in 7 of 10,000 of 50 (30,000 drawn)."""
+MIN_VISITS = 14
+"""Visits below which their order tells nothing: even a straight line has no larger ratio than chance may make."""
+CHANCE = 3.8
+"""Deviations of the largest of three ratios above which the visits follow each other: none of 30,000 poses of 10 to 50
+visits that were drawn."""
 FLAT = 1e-9
 """Share of the largest variance below which a direction counts as one in which nothing scatters."""
 
