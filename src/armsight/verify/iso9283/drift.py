@@ -27,11 +27,11 @@ Array = NDArray[np.float64]
 
 GROUP = 10
 """Visits at the beginning, and as many at the end, between which dAP and dRP are taken."""
-MIN_VISITS = 14
+MIN_VISITS = 20
 """Visits below which their order tells nothing: even a straight line has no larger ratio than chance may make."""
-CHANCE = 3.8
-"""Deviations of the largest of three ratios above which the visits follow each other: none of 30,000 poses of 10 to 50
-visits that were drawn."""
+CHANCE = 4.5
+"""Deviations of the largest of three ratios above which the visits follow each other: chance makes it in 1 of 100,000
+poses."""
 FLAT = 1e-9
 """Share of the largest variance below which a direction counts as one in which nothing scatters."""
 
