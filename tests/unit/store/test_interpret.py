@@ -98,6 +98,21 @@ def test_an_order_that_the_numbers_contradict_is_told(file) -> None:
         read_poses(file(big), timed=False)
 
 
+def test_a_place_of_three_equal_coordinates_is_one_and_a_fill_far_off_is_none(file) -> None:
+    places = [(500.0, 500.0, 500.0), (300.0, 400.0, 350.0), (500.0, 500.0, 500.0), (450.0, 380.0, 410.0)]
+    header = "x_mm,y_mm,z_mm,qx,qy,qz,qw\n"
+    turns = [(0.1 * k, 0.0, 0.0, np.sqrt(1.0 - 0.01 * k**2)) for k in range(1, 7)]
+
+    def text(xyz: list[tuple[float, ...]]) -> str:
+        return header + "".join(
+            ",".join(map(repr, map(float, (*a, *b)))) + "\n" for a, b in zip(xyz, turns, strict=False)
+        )
+
+    assert len([p for p in read_poses(file(text(places)), timed=False) if p.T_parent_target is not None]) == 4
+    gone = [*places[1:], (-9999.0, -9999.0, -9999.0), (-9999.0, -9999.0, -9999.0)]
+    assert len([p for p in read_poses(file(text(gone)), timed=False) if p.T_parent_target is not None]) == 3
+
+
 def test_roll_pitch_yaw_are_ros_angles_and_said_to_be(file) -> None:
     told: list[str] = []
     path = file("t,x,y,z,roll,pitch,yaw\n0,0.5,0.2,0.3,0.1,0.2,0.3\n")

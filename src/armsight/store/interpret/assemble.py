@@ -72,7 +72,8 @@ def lengths_m(found: Found, columns: Sequence[Column], unstated: float) -> Array
     names = list(dict.fromkeys(column.meaning.name for column in columns))
     scales = [unstated if column.meaning.scale is None else column.meaning.scale for column in columns]
     xyz = np.stack([column.values for column in columns], axis=1)
-    xyz = np.where(filled(xyz)[:, None], np.nan, xyz) if len(columns) == 3 else xyz  # a lost frame's say no unit
+    if len(columns) == 3:
+        xyz = np.where(filled(xyz)[:, None], np.nan, xyz)  # a lost frame's say no unit
     out: Array = xyz * np.array(scales)
     if all(column.meaning.scale is None for column in columns):
         unit = next((name for name, (_, scale) in UNITS.items() if scale == unstated), "m")
