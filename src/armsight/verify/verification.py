@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.senses import other_senses
-from armsight.errors import Inconsistent, NotEnoughData
+from armsight.errors import DataRefused, Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
 from armsight.records.output import Output, output
@@ -98,7 +98,10 @@ def verify(
         clock, clocked = result.paired.clock, None if arm is None or result.cause is None else result.cause.zeroed(arm)
         if clock is None or clocked is None:
             break
-        result = _verified(arm, reported, measured, how, pose, (clocked, clock.offset_s))
+        try:
+            result = _verified(arm, reported, measured, how, pose, (clocked, clock.offset_s))
+        except DataRefused:
+            break  # what was found first stands
         again = result.paired.clock
         if again is None or abs(again.offset_s - clock.offset_s) < CLOCK_SETTLED * again.std_s:
             break

@@ -127,7 +127,11 @@ class TableFlags:
         Doc("The robot's poses and joints are written as by abb, fanuc, kuka, staubli, ur, yaskawa ..."),
         Flag(metavar="MAKER", panel=TABLES),
     ] = ""
-    units: Annotated[str, Doc("Where the header states none: mm,deg"), Flag(metavar="UNITS", panel=TABLES)] = ""
+    units: Annotated[
+        str,
+        Doc("Where the header states none: mm,deg. Of two tables, this and the others: 'measured:mm;robot:deg'"),
+        Flag(metavar="UNITS", panel=TABLES),
+    ] = ""
     as_stated: Annotated[
         bool, Doc("Take units and orders as stated though the numbers look otherwise."), Flag(panel=TABLES)
     ] = False
@@ -142,23 +146,7 @@ class TableFlags:
 
 @dataclass(frozen=True, kw_only=True)
 class TwoTableFlags(TableFlags):
-    """The same where a command reads what was measured and what the robot says, each with columns of its own."""
-
-    euler: Annotated[
-        str,
-        Doc("Order of Euler angles: xyz-fixed, zyx ...; or measured:zyx;robot:zyz"),
-        Flag(metavar="ORDER", panel=TABLES),
-    ] = ""
-    columns: Annotated[
-        str,
-        Doc("Names where no header is: q1..q6_deg,xyz_mm,-; or measured:xyz_mm;robot:q1..q6_deg"),
-        Flag(metavar="NAMES", panel=TABLES),
-    ] = ""
-    units: Annotated[
-        str,
-        Doc("Where the header states none: mm,deg; or measured:mm;robot:deg"),
-        Flag(metavar="UNITS", panel=TABLES),
-    ] = ""
+    """The same where a command reads what was measured and what the robot says: each may have its own."""
 
     def made(self, notify: Callable[[str], None]) -> TableFormat:
         """Return them as the readers take them. Raises UsageError for a table that the command has not."""
