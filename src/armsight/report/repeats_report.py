@@ -26,7 +26,7 @@ CARD_NAMES: Mapping[str, str] = {
 }
 HOLD = "Hold it against the arm's data sheet; for accuracy as well, give --commanded or --arm with --joints."
 MORE = 'Measure again with what is asked for under "Withheld" below.'
-WARM_UP = "Let the arm run until it is warm, and measure again; how far it goes in a shift, dAP and dRP tell"
+WARM_UP = "Let the arm run until it is warm, and measure again; how far it goes in a shift, dAP and dRP tell."
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
@@ -36,8 +36,7 @@ def repeats_verdict(summary: VerifyOutput) -> Verdict:
     given = any(item.value is not None for item in iso.values())
     worst = iso.get("RP_m")
     if worst is not None and worst.value is not None and worst.std is None:
-        to_do = f"{WARM_UP}: {worst.note}."
-        return Verdict(level="warn", word="The visits drift", sentence=_headline(iso, summary.verdict), to_do=to_do)
+        return Verdict(level="warn", word="The visits drift", sentence=_headline(iso, summary.verdict), to_do=WARM_UP)
     return Verdict(
         level="good" if given else "warn",
         word="Repeatability" if given else "No figure can be given",

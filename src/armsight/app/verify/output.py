@@ -12,6 +12,7 @@ from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
 from armsight.units import DEG, MM
 from armsight.verify import Cause, Figures, JointVerdict, Verification
+from armsight.verify.iso9283.drift import DRIFTING
 from armsight.verify.results import (
     CauseParameter,
     Explained,
@@ -82,7 +83,12 @@ def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[s
         iso9283=iso,
         rejected=[RejectedRow(row=row, why=why) for row, why in file.rejected],
         doubts=[*file.notes, *notes],
-        verdict=f"Repeats alone, {len(file.measured)} rows: {shown}. Where the tool should be was not told row by row.",
+        verdict=" ".join(
+            [
+                f"Repeats alone, {len(file.measured)} rows: {shown}. Where the tool should be was not told row by row.",
+                *(f"{note}." for note in notes if DRIFTING in note),
+            ]
+        ),
     )
 
 

@@ -36,6 +36,8 @@ FLAT = 1e-9
 """Share of the largest variance below which a direction counts as one in which nothing scatters."""
 
 DRIFTS = (("dAP", "m"), ("dRP", "m"))
+DRIFTING = "the visits drift by"
+"""How what is told of a trend begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ class Trend:
     def told(self) -> str:
         """Return what to know of a figure of such visits."""
         return (
-            f"the visits drift by {self.moved_m / MM:.3g} mm from first to last, without which RP is "
+            f"{DRIFTING} {self.moved_m / MM:.3g} mm from first to last, without which RP is "
             f"{self.neighbours_m / MM:.3g} mm; no deviation is given: the visits are not independent"
         )
 
