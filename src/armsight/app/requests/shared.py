@@ -129,7 +129,7 @@ class TableFlags:
     ] = ""
     units: Annotated[
         str,
-        Doc("Where the header states none: mm,deg. Of two tables, this and the others: 'measured:mm;robot:deg'"),
+        Doc("Where the header states none: mm,deg. Where two tables are read, of each: 'measured:mm;robot:deg'"),
         Flag(metavar="UNITS", panel=TABLES),
     ] = ""
     as_stated: Annotated[
