@@ -340,7 +340,7 @@ def filled(values: Array) -> NDArray[np.bool_]:
     out[np.flatnonzero(same)] = count[of] > 1
     others = np.abs(values[~out])
     others = others[np.isfinite(others)]
-    return np.asarray(out & (np.abs(values[:, 0]) > FAR_FILLED * others.max(initial=0.0)) & bool(len(others)))
+    return np.asarray(out & (np.abs(values[:, 0]) / FAR_FILLED > others.max(initial=0.0)) & bool(len(others)))
 
 
 def number(value: float) -> str:
