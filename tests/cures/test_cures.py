@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from armsight.errors import ArmsightError
 from cure_inventory import NAMES, ROOT, Cure, cures
 
-UNTRIED = 11
+UNTRIED = 7
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
 
 REPORTS = "tests/golden/reports/"
@@ -72,6 +72,18 @@ IN_TESTS = {
     ("calibrate/cell/rounds.py", "Switch off the mirroring"): CELL,
     ("calibrate/cameras/other_board.py", "Check what --board says"): (
         "tests/unit/calibrate/test_other_board.py::test_points_that_are_no_such_board_are_refused_by_what_they_miss"
+    ),
+    ("app/batch/run.py", "Begin it again, then give --resume"): (
+        "tests/unit/app/test_batch.py::test_resume_does_what_is_missing_changed_or_failed_by_chance"
+    ),
+    ("app/path/picks.py", "Leave them out with --skip"): (
+        "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
+    ),
+    ("drivers/remote/wire.py", "Check that `armsight serve` runs there"): (
+        "tests/unit/server/test_server.py::test_nobody_answers"
+    ),
+    ("publish/opcua/publisher.py", "Choose another port or address with --opcua"): (
+        "tests/unit/publish/test_opcua.py::test_a_port_in_use_is_told"
     ),
     ("app/batch/work.py", "Make room, then give --resume"): (
         "tests/unit/app/test_batch.py::test_a_full_disk_ends_the_batch_and_keeps_what_is_done"
@@ -174,4 +186,5 @@ def test_cures_without_a_trial_grow_no_more():
     untried = [cure for cure in named if cure not in tried]
     sys.stdout.write(f"{len(every)} cures, {len(named)} name a flag, a command or a unit, {len(tried)} are exercised\n")
     assert NAMES.search("Give --unit 0.001") and not NAMES.search("Correct it there")
+    sys.stdout.write("".join(f"{c.module}: {c.text}\n" for c in untried))
     assert len(untried) <= UNTRIED, "follow the new cure in a test, and name it in this table"

@@ -245,6 +245,9 @@ def test_a_token_does_not_travel_in_plain_text():
 def test_nobody_answers(url):
     with refuses(DeviceNotFound, "robot server"):
         Link(ServerAddress(url="ws://127.0.0.1:1"), say.STREAM_PATH).open()
+    link = Link(ServerAddress(url=url), say.STREAM_PATH)
+    link.open()
+    link.close()
 
 
 def test_a_port_that_is_taken(service, url):
