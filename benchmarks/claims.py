@@ -1,6 +1,6 @@
 """Do claimed deviations hold? Errors that are not independent, and few rows, against simulated truth.
 
-    python benchmarks/claims.py [tip] [stereo] [arm] [handeye] [--seeds 25]
+    python benchmarks/claims.py [tip] [stereo] [arm] [world] [handeye] [--seeds 25]
 
 Of every kind: how many of the true values lie within 1.96 claimed deviations, the root mean square of error over claim,
 and the claimed deviation itself (RMS), to be compared with that of another commit where rows are independent.
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.calibrate.arm import ArmPoints, calibrate_arm
+from armsight.calibrate.arm import ArmPoints, calibrate_arm, calibrate_world
 from armsight.calibrate.cameras import BoardOptions, calibrate_stereo
 from armsight.calibrate.handeye import Setup, calibrate_from_views
 from armsight.calibrate.tooltip import calibrate_tooltip
@@ -185,6 +185,33 @@ def arms(seeds: int) -> list[list[object]]:
     ]
 
 
+# Where the rig stands: readings of one place, and a stream whose errors drift.
+
+WORLD_ERROR_M = 1e-3
+
+
+def stood(seed: int, kind: str, n: int) -> Claims:
+    """Return the error of T_base_rig and its claims, m and rad. kind: independent, repeats (12 of a place), drifts."""
+    rng, arm = np.random.default_rng([n, seed]), preset("ur10")
+    each = 12 if kind == "repeats" else 1
+    q = np.repeat(rng.uniform(-1, 1, (n // each, 6)), each, axis=0)
+    off = np.repeat(rng.normal(0, WORLD_ERROR_M, (n // each, 3)), each, axis=0)
+    off += rng.normal(0, 0.3 * WORLD_ERROR_M * (each > 1), off.shape)
+    for i in range(1, n if kind == "drifts" else 0):  # forgotten over 40 rows
+        off[i] = np.exp(-1 / 40) * off[i - 1] + np.sqrt(-np.expm1(-2 / 40)) * off[i]
+    T = RigidTransform.from_components(rng.uniform(-1, 1, 3), Rotation.random(random_state=rng))
+    xyz = T.inv().apply(fk(arm, q)[:, :3, 3] + off)
+    done = calibrate_world(arm, ArmPoints(q=q, xyz_m=xyz, t_s=0.1 * np.arange(n) if kind == "drifts" else None))
+    turn = (done.T_base_rig.rotation * T.rotation.inv()).as_rotvec()
+    return np.r_[done.T_base_rig.translation - T.translation, turn], np.array(list(done.covariance.std().values()))
+
+
+def worlds(seeds: int) -> list[list[object]]:
+    """Return the rows of rigs beside an arm, eight times as many runs as seeds."""
+    kinds = (("independent", 25), ("independent", 100), ("repeats", 108), ("repeats", 240), ("drifts", 400))
+    return [judged(f"rig, {n} rows, {kind}", 8 * seeds, partial(stood, kind=kind, n=n)) for kind, n in kinds]
+
+
 # A camera on the hand, by images of a board: the scenes of tests/truth/handeye_scenes.py.
 
 SCENES = bench.test_scene("handeye_scenes")
@@ -213,7 +240,13 @@ def hands(seeds: int) -> list[list[object]]:
     ]
 
 
-KINDS: dict[str, Callable[[int], list[list[object]]]] = {"tip": tips, "stereo": pairs, "arm": arms, "handeye": hands}
+KINDS: dict[str, Callable[[int], list[list[object]]]] = {
+    "tip": tips,
+    "stereo": pairs,
+    "arm": arms,
+    "world": worlds,
+    "handeye": hands,
+}
 
 
 def main() -> None:
