@@ -28,7 +28,6 @@ from armsight.app.operator.path_editor import PlayRequest
 from armsight.app.requests import motion
 from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
-from armsight.calibrate.mirrors import calibration as mirrors
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M
 from armsight.cli.command import Command
 from armsight.cli.commands import app
@@ -40,6 +39,7 @@ from armsight.control.servo import ServoSettings
 from armsight.control.session.operator_session import FIRST_OVERRIDE
 from armsight.fields import Bounds
 from armsight.measure.correspondence import PatchSettings
+from armsight.optics import Plate
 from armsight.optics.resolution import CENTROID_SIGMA_PX
 from armsight.store.cell_file import CellMirrors
 
@@ -187,7 +187,7 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
         (cameras.CameraJob.folds, BoardOptions().folds),
         (cameras.StereoJob.folds, BoardOptions().folds),
         (cameras.CameraJob.lens, BoardOptions().lens.value),
-        (cameras.MirrorsJob.index, mirrors.GLASS),
+        (cameras.MirrorsJob.index, Plate(thickness_m=1e-3).index),
         (import_module("armsight.app.requests.simulate").DoctorJob.sigma_px, CENTROID_SIGMA_PX),
     )
     for a, b in known:

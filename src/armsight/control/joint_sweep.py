@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import Clock
+from armsight.defaults import SWEEP_SPEED
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent
 from armsight.records import JointReading, Progress
@@ -67,7 +68,7 @@ class BeaconObserver(Protocol):
 class Pace:
     """speed: share of a joint's travel a second. frames: pairs averaged for a reading."""
 
-    speed: float = 0.1
+    speed: float = SWEEP_SPEED
     frames: int = 4
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
+from armsight.defaults import STALE_S
 from armsight.drivers.goals import JointLimits
 from armsight.errors import UsageError
 
@@ -81,7 +82,7 @@ class UdpSettings(LinkSettings):
     """
 
     cycle_s: Positive = 0.004
-    stale_s: Positive = 0.02
+    stale_s: Positive = STALE_S
     controller: str = ""
     bind: str = ""
     speed_m_s: Positive = 0.1

@@ -9,6 +9,7 @@ from types import NoneType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.defaults import GLASS
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
 from armsight.records import (
@@ -59,7 +60,7 @@ class Plate:
     """A plane glass plate at 45 degrees before the lens, through which a mirror rig's left view goes."""
 
     thickness_m: float
-    index: float = 1.5
+    index: float = GLASS
 
     def __post_init__(self) -> None:
         if not (0.0 < self.thickness_m < 0.1 and 1.0 < self.index < 3.0):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.defaults import MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fields import Doc
 from armsight.fitting import Evaluation, Problem, solve
@@ -39,8 +40,8 @@ class Mirrors:
 
     baseline_m: float
     plate: Plate = field(default_factory=lambda: Plate(thickness_m=1e-3))
-    near_m: float = 0.06
-    gap_m: float = 0.04
+    near_m: float = PLATE_NEAR_M
+    gap_m: float = MIRROR_GAP_M
     tilts_rad: Array | None = None
 
     def __post_init__(self) -> None:

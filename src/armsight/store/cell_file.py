@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from armsight.defaults import GLASS, MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import BadFile
 from armsight.store.codec import Finite, Strict, validated
 from armsight.store.schema import Origin, read_document, write_document
@@ -24,10 +25,10 @@ class CellMirrors(Strict):
 
     shown: Literal["board", "target"] = "board"
     baseline_m: Finite | None = Field(None, gt=0.0)
-    near_m: Finite = Field(0.06, gt=0.0)
-    gap_m: Finite = Field(0.04, gt=0.0)
+    near_m: Finite = Field(PLATE_NEAR_M, gt=0.0)
+    gap_m: Finite = Field(MIRROR_GAP_M, gt=0.0)
     plate_m: Finite | None = Field(None, ge=0.0)
-    index: Finite = Field(1.5, ge=1.0, le=3.0)
+    index: Finite = Field(GLASS, ge=1.0, le=3.0)
 
 
 class CellFile(Origin):

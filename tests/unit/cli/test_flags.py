@@ -15,7 +15,6 @@ from armsight.app.requests import batch, calibrate_cameras, calibrate_robot, fil
 from armsight.app.requests.shared import Table
 from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
-from armsight.calibrate.mirrors import calibration as mirrors
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
@@ -23,6 +22,7 @@ from armsight.cli.flags import Asked
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
 from armsight.measure.correspondence import PatchSettings
+from armsight.optics import Plate
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
 
@@ -138,7 +138,7 @@ def test_defaults_are_those_of_what_is_asked() -> None:
         (calibrate_cameras.CameraJob, "folds"): BoardOptions().folds,
         (calibrate_cameras.StereoJob, "folds"): BoardOptions().folds,
         (calibrate_cameras.CameraJob, "lens"): BoardOptions().lens.value,
-        (calibrate_cameras.MirrorsJob, "index"): mirrors.GLASS,
+        (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
         (calibrate_robot.PivotJob, "goal_m"): GOOD_ENOUGH_M,
         (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
         (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,

@@ -24,6 +24,7 @@ from armsight.app.requests.shared import (
     Workers,
     automatic,
 )
+from armsight.defaults import GLASS, LIT_LIGHTS, MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.units import MM
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from armsight.calibrate.cameras import BoardOptions
     from armsight.drivers import CameraSettings, ImageReading
 
-GLASS = 1.5
-"""Refractive index of the plate of a mirror rig."""
 FOLDS = 5
 """Of the error on boards that were left out."""
 
@@ -268,9 +267,9 @@ class MirrorsJob:
     baseline_m: Annotated[float | None, Doc("Baseline as designed."), Bounds(least=1.0 * MM), Flag(unit=MM)] = None
     near_m: Annotated[
         float, Doc("From the lens to the plate, along the axis."), Bounds(least=1.0 * MM), Flag(unit=MM)
-    ] = 0.06
+    ] = PLATE_NEAR_M
     gap_m: Annotated[float, Doc("From the plate to the mirror behind it."), Bounds(least=1.0 * MM), Flag(unit=MM)] = (
-        0.04
+        MIRROR_GAP_M
     )
     target: Annotated[Path | None, Doc("Instead of a board: target.yaml of the lit target in the images.")] = None
     camera: Annotated[
@@ -292,7 +291,7 @@ class TargetJob:
     left: Left = None
     right: Right = None
     image: Annotated[str | None, Doc("Images that hold both views of the rig."), A_SRC] = None
-    lights: Annotated[int, Doc("How many lights the target has."), Bounds(least=2, most=6)] = 3
+    lights: Annotated[int, Doc("How many lights the target has."), Bounds(least=2, most=6)] = LIT_LIGHTS
     limit: Limit = None
     threshold: Threshold = None
     inverted: Inverted = False

@@ -20,6 +20,7 @@ from armsight.app.requests.shared import (
     ours,
     size_of,
 )
+from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM
@@ -62,10 +63,10 @@ class CellJob:
     ] = ""
     tolerance_m: Annotated[
         float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6 * MM), Flag(unit=MM)
-    ] = 1e-3
+    ] = CELL_LENGTH_M
     tolerance_rad: Annotated[
         float, Doc("Standard deviation of nominal zeros and angles."), Bounds(least=1e-6 * DEG), Flag(unit=DEG)
-    ] = 0.03
+    ] = ANGLE_RAD
     prior: Annotated[
         list[Path] | None,
         Doc("rig.yaml, world.yaml or handeye.yaml of earlier calibrations, to count with their covariance; repeated."),

@@ -26,6 +26,7 @@ from armsight.app.requests.shared import (
     point_of,
     setup_called,
 )
+from armsight.defaults import ANGLE_RAD, LENGTH_M
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM
 
@@ -109,10 +110,10 @@ class ArmJob:
     scale: Annotated[bool, Doc("Try joint scales too."), Flag("--scale/--no-scale")] = True
     tolerance_m: Annotated[
         float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6 * MM), Flag(unit=MM)
-    ] = 2e-3
+    ] = LENGTH_M
     tolerance_rad: Annotated[
         float, Doc("Standard deviation of nominal angles."), Bounds(least=1e-6 * DEG), Flag(unit=DEG)
-    ] = 0.03
+    ] = ANGLE_RAD
     propose: Annotated[int, Doc("Propose so many further joint positions."), Bounds(least=0)] = 0
     rig: Annotated[Path | None, Doc("rig.yaml, for proposals both cameras see; with --world.")] = None
     world: Annotated[Path | None, Doc("world.yaml: where that rig stands.")] = None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from armsight.app.requests.design import Box, mount_of, volume_of
 from armsight.app.requests.motion import LIVE_SRC, GuardLimits, Override, RobotJob, Speed
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, CameraFlags, OutFolder, automatic
+from armsight.defaults import CAMERA_HZ, MOTION_HZ, MOTION_S, SPOT_STD_PX
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.units import DEG, MM
 
@@ -66,8 +67,8 @@ class CellPlanJob:
         Flag(unit=DEG, panel=KNOWN),
     ] = 50.0 * DEG
     limits: GuardLimits = None
-    duration_s: Annotated[float, Doc("How long the motion takes, s."), Bounds(least=20.0, most=3600.0)] = 120.0
-    rate_hz: Annotated[float, Doc("Rows a second."), Bounds(least=10.0, most=2000.0), Flag(panel=MOTION)] = 125.0
+    duration_s: Annotated[float, Doc("How long the motion takes, s."), Bounds(least=20.0, most=3600.0)] = MOTION_S
+    rate_hz: Annotated[float, Doc("Rows a second."), Bounds(least=10.0, most=2000.0), Flag(panel=MOTION)] = MOTION_HZ
     speed: Speed = 1.0
     swing_rad: Annotated[
         float,
@@ -89,10 +90,10 @@ class CellPlanJob:
     ] = 60.0 * MM
     frames_hz: Annotated[
         float, Doc("Frames a second of each camera."), Bounds(least=1.0, most=1000.0), Flag(panel=KNOWN)
-    ] = 30.0
+    ] = CAMERA_HZ
     spot_noise_px: Annotated[
         float, Doc("Standard deviation of a spot's coordinate."), Bounds(least=1e-4), Flag(panel=KNOWN)
-    ] = 0.1
+    ] = SPOT_STD_PX
     seed: Annotated[int, Doc("The same seed gives the same motion."), Bounds(least=0), Flag(panel=MOTION)] = 1
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, TwoTables, on_hand, ours, setup_called
+from armsight.defaults import PICK_STD_PX
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG
 
@@ -107,7 +108,7 @@ class PicksJob:
     far_m: Annotated[float | None, Doc("Furthest depth. [default: 300 baselines]"), Flag(quantity="m")] = None
     step_px: Annotated[float, Doc("Between points on an edge, px.")] = 10.0
     patch_px: Annotated[int, Doc("Side of a patch, px.")] = 15
-    pick_std_px: Annotated[float, Doc("Standard deviation of a pick, px.")] = 0.5
+    pick_std_px: Annotated[float, Doc("Standard deviation of a pick, px.")] = PICK_STD_PX
     tool_axis: Annotated[str | None, Doc("The tool's z. [default: the view's optical axis]"), Flag(metavar="X,Y,Z")] = (
         None
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.app.requests.motion import RobotJob
 from armsight.app.requests.shared import A_SRC, KNOWN_ARM, OUT, SRC, Cameras, Table, automatic, ours
+from armsight.defaults import SWEEP_READINGS, SWEEP_SPEED
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
 
@@ -63,7 +64,7 @@ class PaceFlags:
     """How fast a robot is swept."""
 
     speed: Annotated[float, Doc("With --live: share of a joint's travel a second."), Bounds(least=0.001, most=1.0)] = (
-        0.1
+        SWEEP_SPEED
     )
 
     def made(self, notify: Callable[[str], None]) -> Pace:
@@ -116,7 +117,7 @@ class LiveJob(RobotJob):
         Doc("With --live: lo:hi,lo:hi ... in rad or m (or -90deg:90deg,0mm:500mm), or limits.yaml. Never left."),
         Flag(metavar="LIMITS", read=limits_of),
     ]
-    readings: Annotated[int, Doc("With --live: readings of a sweep."), Bounds(least=4, most=1000)] = 10
+    readings: Annotated[int, Doc("With --live: readings of a sweep."), Bounds(least=4, most=1000)] = SWEEP_READINGS
     pace: Annotated[Pace, Flags(PaceFlags)] = field(default_factory=loaded("armsight.control.joint_sweep:Pace()"))
     propose: Annotated[bool, Doc("With --live: probe and tell the plan only; with --model do not move.")] = False
     model: Annotated[

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OutFolder
+from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, PATH_SPEED_M_S, RETRACT_M
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM
@@ -256,19 +257,19 @@ class PlayJob(RobotJob):
     ] = "none"
     path_speed_m_s: Annotated[
         float, Doc("Speed along the path where it says none."), ABOVE_0, Flag(quantity="m/s", panel=WAY)
-    ] = 0.01
+    ] = PATH_SPEED_M_S
     blend_m: Annotated[float, Doc("Length over which corners are rounded."), ABOVE_0, Flag(quantity="m", panel=WAY)] = (
-        0.003
+        BLEND_M
     )
     approach_speed_m_s: Annotated[
         float, Doc("Speed of the way to the path's start."), ABOVE_0, Flag(quantity="m/s", panel=WAY)
-    ] = 0.02
+    ] = APPROACH_SPEED_M_S
     retract_m: Annotated[
         float,
         Doc("The start is neared from so far before it along the tool's axis."),
         Bounds(least=0.0),
         Flag(quantity="m", panel=WAY),
-    ] = 0.05
+    ] = RETRACT_M
     keep_rotation: Annotated[bool, Doc("The tool keeps the rotation it has."), Flag(panel=WAY)] = False
     frame: Annotated[str, Doc("Frame of the path: world or base."), Flag(panel=WAY)] = "world"
     speed: Speed = 1.0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm.model import POSE, ArmModel
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.defaults import ANGLE_RAD, LENGTH_M, SAG
 from armsight.fields import Doc
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
@@ -47,11 +48,11 @@ class Tolerance:
     0.1; an industrial arm's gives way by 0.001.
     """
 
-    length_m: float = 2e-3
-    angle_rad: float = 0.03
+    length_m: float = LENGTH_M
+    angle_rad: float = ANGLE_RAD
     scale: float = 0.02
     coupling: float = 0.1
-    sag: float = 0.05
+    sag: float = SAG
 
     def of(self, name: str) -> float:
         """Return the standard deviation of a parameter by its name."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cell.model import PER_CAMERA, POSE_AT, CellModel
+from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M, SAG
 from armsight.geometry import align_points
 from armsight.geometry.poses import skew
 from armsight.optics import RIGHT_POSE, Camera
@@ -36,10 +37,10 @@ class ArmTolerance:
     that are not nominally zero, believed to link_m: they set the scale, of which the others tell nothing.
     """
 
-    length_m: float = 1e-3
-    zero_rad: float = 0.03
-    angle_rad: float = 0.03
-    sag: float = 0.05
+    length_m: float = CELL_LENGTH_M
+    zero_rad: float = ANGLE_RAD
+    angle_rad: float = ANGLE_RAD
+    sag: float = SAG
     link_m: float = 1e-3
     links: frozenset[str] = frozenset()
 

@@ -26,6 +26,7 @@ from armsight.calibrate.cell.plan_path import MotionBounds
 from armsight.calibrate.cell.plan_push import Pusher
 from armsight.calibrate.cell.plan_scene import Free, Roadmap, Scene, places, roadmap
 from armsight.calibrate.cell.plan_tour import LOOKED_HZ, Tour, by_worth, longest, tour
+from armsight.defaults import CAMERA_HZ, MOTION_HZ, MOTION_S, SPOT_STD_PX
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.optics import INTRINSICS
@@ -66,10 +67,10 @@ class PlanSettings:
     with PUSHES moves of them each.
     """
 
-    duration_s: float = 120.0
-    rate_hz: float = 125.0
-    frames_hz: float = 30.0
-    spot_px: float = 0.1
+    duration_s: float = MOTION_S
+    rate_hz: float = MOTION_HZ
+    frames_hz: float = CAMERA_HZ
+    spot_px: float = SPOT_STD_PX
     seed: int = 1
     trials: int = TRIALS
     tolerance: ArmTolerance = BUILT

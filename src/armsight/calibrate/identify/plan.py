@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.calibrate.identify.result import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
 from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
+from armsight.defaults import SWEEP_READINGS
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew
 from armsight.optics import PackedRig, Rig
@@ -111,7 +112,7 @@ def propose_sweeps(
     limits: ArrayLike,
     start: ArrayLike,
     *,
-    readings: int = 10,
+    readings: int = SWEEP_READINGS,
     base: Array | None = None,
     around_px: float = 0.0,
 ) -> Plan:

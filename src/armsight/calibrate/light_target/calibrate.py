@@ -37,6 +37,7 @@ from armsight.calibrate.light_target.frames import (
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
 from armsight.calibrate.light_target.result import RejectedFrame, TargetCalibration, distances_of
+from armsight.defaults import LIT_LIGHTS
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
 from armsight.geometry.lengths import TARGET_M, check_metres
 from armsight.optics import Rig, triangulate
@@ -57,7 +58,7 @@ TINY = 1e-300
 
 
 def calibrate_target(
-    rig: Rig, frames: Sequence[LitFrame], lights: int = 3, *, overlaid: bool = False
+    rig: Rig, frames: Sequence[LitFrame], lights: int = LIT_LIGHTS, *, overlaid: bool = False
 ) -> TargetCalibration:
     """Return where the lights are in the target's own frame, from frames of a calibrated rig.
 

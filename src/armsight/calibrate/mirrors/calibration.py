@@ -17,6 +17,7 @@ from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_
 from armsight.calibrate.cameras.pairing import in_frame
 from armsight.calibrate.cameras.result import StereoCalibration
 from armsight.calibrate.cameras.stereo import fit_pairs, judged
+from armsight.defaults import GLASS
 from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.optics.kernels.camera import plate_shift
@@ -24,8 +25,6 @@ from armsight.records import BoardView, Progress, Target
 
 Array = NDArray[np.float64]
 
-GLASS = 1.5
-"""Refractive index taken where none is given."""
 TRIED_M = 1e-3
 """Thickness at which the plate's part is worked out; it grows in proportion."""
 SEEN = 4.0

@@ -17,6 +17,7 @@ from armsight.control.play.shape import TURN_M, Shape, shaped, steps, welds_of
 from armsight.control.play.timing import SPEED_SHARE, timed
 from armsight.control.play.track import ARM_M, Samples, Track
 from armsight.control.play.weave import Weave
+from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, PATH_SPEED_M_S, RETRACT_M
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import pose_difference
 from armsight.kinematics import Arm, fk_jacobian
@@ -51,11 +52,11 @@ class PlaySettings:
     along the tool's axis. keep_rotation: the tool keeps the rotation it has; else it takes the path's.
     """
 
-    speed_m_s: float = 0.01
-    blend_m: float = 0.003
+    speed_m_s: float = PATH_SPEED_M_S
+    blend_m: float = BLEND_M
     weave: Weave = field(default_factory=Weave)
-    approach_speed_m_s: float = 0.02
-    retract_m: float = 0.05
+    approach_speed_m_s: float = APPROACH_SPEED_M_S
+    retract_m: float = RETRACT_M
     keep_rotation: bool = False
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
+from armsight.defaults import STALE_S
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
@@ -57,7 +58,7 @@ class RtdeSettings(LinkSettings):
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 500.0
     watchdog_hz: Annotated[float, Field(ge=1.0, le=125.0)] = 10.0
-    stale_s: Positive = 0.02
+    stale_s: Positive = STALE_S
     silent_s: Positive = 0.1
     open_s: Positive = 8.0
     max_speed_rad_s: Annotated[float, Field(gt=0.0, le=math.pi)] = math.pi / 3

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.defaults import PICK_STD_PX
 from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.correspondence.refine import Patch, Refined, StereoViews, correlation, refined
 from armsight.optics import triangulate
@@ -41,7 +42,7 @@ class PatchSettings:
     half_px: int = 7
     near_m: float | None = None
     far_m: float | None = None
-    pick_std_px: float = 0.5
+    pick_std_px: float = PICK_STD_PX
     epipolar_std_px: float = 0.3
 
     def __post_init__(self) -> None:

@@ -1,0 +1,43 @@
+"""Defaults that both a calculation and the commands, pages and functions in front of it tell: each stands here once.
+
+Nothing but numbers: help is shown without loading what uses them.
+"""
+
+PATH_SPEED_M_S = 0.01
+"""Along a path that says none: the pace of a welder's hand."""
+BLEND_M = 0.003
+"""Length over which a path's corners are rounded."""
+APPROACH_SPEED_M_S = 0.02
+RETRACT_M = 0.05
+"""A path's start is neared from so far before it."""
+
+SWEEP_SPEED = 0.1
+"""Share of a joint's travel a second in a sweep."""
+SWEEP_READINGS = 10
+
+MOTION_S = 120.0
+"""Of the motion by which a cell is calibrated."""
+MOTION_HZ = 125.0
+CAMERA_HZ = 30.0
+SPOT_STD_PX = 0.1
+
+PLATE_NEAR_M = 0.06
+"""From the lens to the plate of a mirror rig, as designed."""
+MIRROR_GAP_M = 0.04
+"""From the plate to the mirror behind it."""
+GLASS = 1.5
+"""Refractive index of ordinary glass."""
+
+PICK_STD_PX = 0.5
+"""A person's picks in a picture."""
+LIT_LIGHTS = 3
+SAG = 0.05
+"""Standard deviation of what a joint gives way, rad per metre of lever of the weight that it carries."""
+LENGTH_M = 2e-3
+"""Standard deviation of a nominal arm's lengths, where positions alone are known."""
+CELL_LENGTH_M = 1e-3
+"""The same of an arm that stands in a cell with all of its lights and cameras unknown."""
+ANGLE_RAD = 0.03
+"""Standard deviation of a nominal arm's joint zeros and axes' directions."""
+STALE_S = 0.02
+"""Age of a controller's reading that is stale: two packets in a row may be late, and an ordinary system too."""
