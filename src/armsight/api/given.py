@@ -23,6 +23,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.tracks import PoseTrack
 from armsight.app.arm_files import load_arm
+from armsight.columns import POSE7
 from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.fields import bare, known_hints
 from armsight.kinematics import Arm
@@ -63,7 +64,6 @@ RECORDS = (
 )
 """Parameters that an array or a dictionary is none of."""
 ENDING = {"poses": ".csv", "path": ".csv"}
-POSE_COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 class Given:
@@ -240,7 +240,7 @@ def _columns(name: str, rows: Any) -> dict[str, NDArray[Any]]:
     if isinstance(rows, RigidTransform) or _is_list_of_poses(rows) or real_array(name, rows).ndim == 3:
         T = as_poses(rows, name)
         values = np.hstack([T.translation, T.rotation.as_quat(canonical=True)])
-        return dict(zip(POSE_COLUMNS, values.T, strict=True))
+        return dict(zip(POSE7, values.T, strict=True))
     q = np.atleast_2d(real_array(name, rows))
     return {f"q{i + 1}": column for i, column in enumerate(q.T)}
 

@@ -11,8 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import Array, ImageLike, as_frame, as_image
 from armsight.api.checks import speaks_python
-from armsight.api.results import POSE_NAMES, Result, Row, pose_rows
+from armsight.api.results import Result, Row, pose_rows
 from armsight.api.tracks import PoseTrack
+from armsight.columns import POSE6
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
@@ -152,7 +153,7 @@ class PoseEstimate(Result):
     @property
     def std(self) -> dict[str, float]:
         """Standard deviations by name: x_m, y_m, z_m and, of a complete pose, rx_rad, ry_rad, rz_rad."""
-        return dict(zip(POSE_NAMES, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
+        return dict(zip(POSE6, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
 
     @property
     def lights(self) -> tuple[str, ...]:
@@ -189,7 +190,7 @@ class PoseEstimate(Result):
         values = self.T_rig_target[:3, 3].tolist()
         if self.ok:
             values += euler_rad(RigidTransform.from_matrix(self.T_rig_target).rotation).tolist()
-        return dict(zip(POSE_NAMES, values, strict=False))
+        return dict(zip(POSE6, values, strict=False))
 
 
 @speaks_python()

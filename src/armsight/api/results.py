@@ -16,9 +16,6 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-"""What a pose's six numbers are called."""
-
 
 class Result(ByValue):
     """A result that prints itself. Subclasses give `title`, `rows` and `to_dict`."""

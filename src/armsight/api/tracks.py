@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import Array
-from armsight.api.results import POSE_NAMES, Result, Row
+from armsight.api.results import Result, Row
+from armsight.columns import POSE6
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses, write_tum
@@ -89,10 +90,10 @@ class PoseTrack(Result):
             if pose.T_parent_target is not None and pose.covariance is not None:
                 n = len(pose.covariance)
                 row[:3] = pose.T_parent_target[:3, 3]
-                if n == len(POSE_NAMES):
+                if n == len(POSE6):
                     row[3:6] = euler_rad(RigidTransform.from_matrix(pose.T_parent_target).rotation)
                 row[6 : 6 + n] = np.sqrt(np.diag(pose.covariance))
-        names = (*POSE_NAMES, *(f"s{name}" for name in POSE_NAMES))
+        names = (*POSE6, *(f"s{name}" for name in POSE6))
         columns = dict(zip(names, values.T, strict=True))
         return {"t_s": self.t_s, "status": [str(pose.status) for pose in self.poses], **columns}
 
@@ -118,7 +119,7 @@ class PoseTrack(Result):
 
         table = self.table()
         figure = make_subplots(rows=6, cols=1, shared_xaxes=True, vertical_spacing=0.02)
-        for i, name in enumerate(POSE_NAMES, 1):
+        for i, name in enumerate(POSE6, 1):
             scale, unit = (1e3, "mm") if name.endswith("_m") else (1.0 / DEG, "deg")
             label = name.rpartition("_")[0]
             band = scale * 1.96 * table[f"s{name}"]

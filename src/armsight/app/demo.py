@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.measure.collector import About
-from armsight.app.measure.outputs import COORDINATES
 from armsight.app.measure.run import measure, run
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.calibrate_cameras import StereoJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
+from armsight.columns import POSE6
 from armsight.fields import Doc
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
@@ -161,7 +161,7 @@ def _pose_errors(errors: Array, claimed: Array) -> PoseErrors:
                 max=float(np.abs(errors[:, i]).max(initial=0.0)),
                 claimed=_rms(claimed[:, i]),
             )
-            for i, name in enumerate(COORDINATES)
+            for i, name in enumerate(POSE6)
         }
     )
 

@@ -12,13 +12,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.files import JoinJob
 from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
 from armsight.store import write_text
-from armsight.store.covariances import POSITION, POSITION_COVARIANCE, QUATERNION
+from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import write_pairs
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.correlation import Correlation
+from armsight.columns import POSITION
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.fields import Shape
@@ -94,4 +95,4 @@ class TipCalibration(Output):
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the tip by coordinate."""
         whole = self.covariance.std()
-        return {name: whole[f"tip.{name}"] for name in ("x_m", "y_m", "z_m")}
+        return {name: whole[f"tip.{name}"] for name in POSITION}

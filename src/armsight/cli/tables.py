@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI, own_command
+from armsight.columns import POSITION, ROTATION_VECTOR
 from armsight.units import DEG, MM, MS, NOTHING
 
 if TYPE_CHECKING:
@@ -313,10 +314,8 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:
     """Return name, RMS, largest and claimed standard deviation (RMS) of each coordinate, in mm and degrees."""
-    named = [(f"{name.removesuffix('_m')}, mm", getattr(truth, name), MM) for name in ("x_m", "y_m", "z_m")]
-    named += [
-        (f"{name.removesuffix('_rad')}, deg", getattr(truth, name), DEG) for name in ("rx_rad", "ry_rad", "rz_rad")
-    ]
+    named = [(f"{name.removesuffix('_m')}, mm", getattr(truth, name), MM) for name in POSITION]
+    named += [(f"{name.removesuffix('_rad')}, deg", getattr(truth, name), DEG) for name in ROTATION_VECTOR]
     return [
         [name, *(figure(value / unit) for value in (error.rms, error.max, error.claimed))]
         for name, error, unit in named

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.columns import POSE6
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention
@@ -17,7 +18,6 @@ from armsight.kinematics.kernels.derivatives import PER_JOINT, many_parameter_co
 Array = NDArray[np.float64]
 
 LINK_KEYS = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
-POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def parameter_names(arm: Arm) -> tuple[str, ...]:
@@ -26,7 +26,7 @@ def parameter_names(arm: Arm) -> tuple[str, ...]:
     base: T_world_base by (dt, dw) in world axes. tool: T_flange_tool by (dt, dw) in flange axes.
     """
     joints = tuple(f"{joint.name}.{key}" for joint in arm.joints for key in LINK_KEYS)
-    return joints + tuple(f"{part}.{key}" for part in ("base", "tool") for key in POSE_KEYS)
+    return joints + tuple(f"{part}.{key}" for part in ("base", "tool") for key in POSE6)
 
 
 def parameter_jacobian(arm: Arm, q: ArrayLike) -> tuple[Array, Array]:
@@ -88,8 +88,8 @@ def moved(arm: Arm, changes: Mapping[str, float]) -> Arm:
     return dataclasses.replace(
         arm,
         joints=tuple(joints),
-        T_world_base=_moved_pose(arm.T_world_base, [changes.get(f"base.{key}", 0.0) for key in POSE_KEYS]),
-        T_flange_tool=_moved_pose(arm.T_flange_tool, [changes.get(f"tool.{key}", 0.0) for key in POSE_KEYS]),
+        T_world_base=_moved_pose(arm.T_world_base, [changes.get(f"base.{key}", 0.0) for key in POSE6]),
+        T_flange_tool=_moved_pose(arm.T_flange_tool, [changes.get(f"tool.{key}", 0.0) for key in POSE6]),
         covariance=None,
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.columns import POSITION
 from armsight.defaults import MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fields import Doc
@@ -200,7 +201,7 @@ def _off(name: str, camera: Camera, form: PaperForm, X: Array, left: Array, righ
 
 
 def _largest(off: Array) -> dict[str, float]:
-    return dict(zip(("x_m", "y_m", "z_m"), np.nanmax(np.abs(off), axis=0).tolist(), strict=True))
+    return dict(zip(POSITION, np.nanmax(np.abs(off), axis=0).tolist(), strict=True))
 
 
 def pinhole_pair(rig: Rig, depths_m: ArrayLike = (0.4, 0.6, 0.8)) -> tuple[Rig, float]:
@@ -238,7 +239,7 @@ def pinhole_pair(rig: Rig, depths_m: ArrayLike = (0.4, 0.6, 0.8)) -> tuple[Rig, 
         r = misses(p)
         return Evaluation(residuals=r[None], shared=J[None], local=np.empty((1, r.size, 0)))
 
-    names = ("x_m", "y_m", "z_m", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    names = (*POSITION, "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
     fit = solve(Problem(names=names, guess=np.zeros(11), evaluate=evaluate, n_residuals=seen.size))
     lens, centre = moved(fit.shared)
     if not np.isfinite(misses(fit.shared)).all():

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, ImageComparison, Part
+from armsight.columns import POSITION, ROTATION_VECTOR
 from armsight.report.boards import add_boards
 from armsight.report.figures import (
     BLUE,
@@ -108,8 +109,8 @@ def handeye_verdict(result: HandEye) -> Verdict:
 
 def _cards(result: HandEye) -> list[Card]:
     std = result.std()
-    position_m = max(std[name] for name in ("x_m", "y_m", "z_m"))
-    turn_rad = max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad"))
+    position_m = max(std[name] for name in POSITION)
+    turn_rad = max(std[name] for name in ROTATION_VECTOR)
     cards = [
         Card(name="camera's place, 95 %", value=figure_of(1.96 * position_m / MM, "mm"), note="weakest direction"),
         Card(name="camera's orientation, 95 %", value=figure_of(1.96 * turn_rad / DEG, "°"), note="weakest axis"),

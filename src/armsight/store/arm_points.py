@@ -11,19 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmPoints
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
 from armsight.records import PoseStatus
 from armsight.store.codec import named
-from armsight.store.covariances import (
-    DEVIATIONS,
-    POSITION,
-    POSITION_COVARIANCE,
-    QUATERNION,
-    UNCORRELATED,
-    covariances,
-    has_correlations,
-)
+from armsight.store.covariances import DEVIATIONS, POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.lost import without_lost, without_rare_rotations
 from armsight.store.tables import Table, parse_table

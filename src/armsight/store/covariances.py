@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.store.codec import LARGEST, named
 
@@ -22,8 +23,6 @@ LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
 """Of a pose, row by row above the diagonal; m and rad, in the axes of sx_m .. srz_rad."""
 SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
-POSITION = ("x_m", "y_m", "z_m")
-QUATERNION = ("qx", "qy", "qz", "qw")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
 POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")

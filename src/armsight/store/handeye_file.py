@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
@@ -33,8 +34,6 @@ from armsight.store.codec import (
 from armsight.store.covariances import (
     CAMERA_COVARIANCE,
     DEVIATIONS,
-    POSITION,
-    QUATERNION,
     UNCORRELATED,
     above_diagonal,
     covariances,

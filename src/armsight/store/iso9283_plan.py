@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from armsight.columns import POSE7
 from armsight.store.atomic import write_text
 from armsight.store.tables import cells
 from armsight.verify.iso9283 import TestPlan
 
-PLAN_COLUMNS = ("index", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "speed_m_s", "tag", "pose", "repeats")
+PLAN_COLUMNS = ("index", *POSE7, "speed_m_s", "tag", "pose", "repeats")
 
 
 def write_test_plan(path: Path, plan: TestPlan) -> None:

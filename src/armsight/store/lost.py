@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData
-from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.tables import Array, Table, filled, known, zeros
 
 Mask = NDArray[np.bool_]

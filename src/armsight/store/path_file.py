@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.store.atomic import read_bytes, write_text
 from armsight.store.codec import named
-from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.tables import MAX_BYTES, cells, number, parse_table, word
 
 COLUMNS = ("index", "t_s", *POSITION, *QUATERNION, "speed_m_s", "tag")

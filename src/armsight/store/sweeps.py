@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Sweeps
+from armsight.columns import POSITION
 from armsight.errors import BadFile
 from armsight.store.atomic import write_text
-from armsight.store.covariances import POSITION
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.lost import without_lost
 from armsight.store.tables import cells, parse_table

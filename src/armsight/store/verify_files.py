@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
@@ -23,8 +24,6 @@ from armsight.store.covariances import (
     DEVIATIONS,
     LIGHTS,
     LIGHTS_STD,
-    POSITION,
-    QUATERNION,
     SYSTEMATIC,
     SYSTEMATIC_COVARIANCE,
     UNCORRELATED,

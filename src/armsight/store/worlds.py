@@ -9,15 +9,13 @@ from typing import Any, Literal
 
 from scipy.spatial.transform import RigidTransform
 
+from armsight.columns import POSE6
 from armsight.errors import BadFile
 from armsight.records import NamedCovariance, Saveable
 from armsight.store.codec import CovarianceModel, Finite, PoseModel, covariance_mapping, named, pose_mapping, validated
 from armsight.store.schema import Origin, read_document, write_document
 
 WORLD_FORMAT = "armsight/world"
-
-POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-"""Names and order of a pose's covariance: translation, then rotation vector, in the parent's axes."""
 
 
 class WorldModel(Origin):
@@ -33,7 +31,7 @@ class WorldModel(Origin):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class World(Saveable):
-    """The rig's pose in its parent frame, 'world' or 'base'; covariance (6, 6) named POSE_NAMES, where known."""
+    """The rig's pose in its parent frame, 'world' or 'base'; covariance (6, 6) named POSE6, where known."""
 
     parent: str
     T_parent_rig: RigidTransform
@@ -53,8 +51,8 @@ def world_from_mapping(content: Mapping[str, Any], where: str = "world") -> Worl
         )
     with named(where):
         covariance = model.covariance.covariance() if model.covariance else None
-        if covariance is not None and covariance.names != POSE_NAMES:
-            raise BadFile(f"the covariance's names are {covariance.names}, not {POSE_NAMES}")
+        if covariance is not None and covariance.names != POSE6:
+            raise BadFile(f"the covariance's names are {covariance.names}, not {POSE6}")
         pose = model.T_world_rig or model.T_base_rig
         if pose is None:
             raise BadFile("no pose")

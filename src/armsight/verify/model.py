@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.columns import POSE6
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry.poses import skew
@@ -19,7 +20,6 @@ Expected = Callable[[Array], tuple[Array, Array]]
 """More parameters (k,) -> F (m, 4, 4), base to flange, and its derivative (m, 6, k): (dt, dw) of the flange in base
 axes."""
 
-POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 MEDIAN_3 = float(chi2_ppf(0.5, 3))
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 LEAST_SIGMA = 1e-9
@@ -53,7 +53,7 @@ class Mounts:
 def mount_names(labels: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the parameters of base and tools."""
     tools = ["tool" if not label else f"tool:{label}" for label in labels]
-    return tuple(f"{part}.{key}" for part in ("base", *tools) for key in POSE)
+    return tuple(f"{part}.{key}" for part in ("base", *tools) for key in POSE6)
 
 
 def nothing_more(F: Array) -> Expected:

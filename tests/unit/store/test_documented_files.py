@@ -7,7 +7,7 @@ import pytest
 
 import armsight.store
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
-from armsight.app.verify.output import NAMES
+from armsight.columns import POSE6
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.cell_file import CellFile
 from armsight.store.codec import validated
@@ -65,7 +65,7 @@ READERS = {
     "index,t_s": lambda data: parse_path(data, "x"),
     "u_px,v_px": lambda data: parse_picks(data, "x"),
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
-    "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *NAMES, "error_m", "error_rad"), series="dq"),
+    "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *POSE6, "error_m", "error_rad"), series="dq"),
     "t_s,level": lambda data: parse_table(
         data, "x", HEADER, text=("level", "lost"), blank=(*ERROR_COLUMNS, "decision_ms")
     ),

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
 from armsight import store
+from armsight.columns import POSE6
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.geometry import is_close
 from armsight.optics import Camera, Rig, RigKind
@@ -27,7 +28,6 @@ from armsight.records.by_value import same_value
 from armsight.records.noise import NeighbourCorrelation
 from armsight.records.target import GREEN
 from armsight.store.schema import read_document
-from armsight.store.worlds import POSE_NAMES
 from armsight.store.yamls import parse_yaml
 from refusals import refuses
 
@@ -191,7 +191,7 @@ def test_target_comes_back_exactly(tmp_path, name):
 @pytest.mark.parametrize("parent", ["world", "base"])
 def test_world_comes_back(tmp_path, parent):
     pose = RigidTransform.from_components([0.1, 1 / 3, -2.0], Rotation.from_rotvec([0.3, 0.2, 0.1]))
-    covariance = NamedCovariance(names=POSE_NAMES, matrix=np.diag(np.arange(6.0) / 7))
+    covariance = NamedCovariance(names=POSE6, matrix=np.diag(np.arange(6.0) / 7))
     store.write_world(
         tmp_path / "world.yaml", store.World(parent=parent, T_parent_rig=pose, covariance=covariance, n_used=12)
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.compare.parameters import Value, differences
+from armsight.columns import POSE6
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.kinematics import Arm, pose
@@ -33,7 +34,6 @@ BASELINES = 8.0
 
 POSTURES = 300
 ENTRIES = (("a_m", "m"), ("alpha_rad", "rad"), ("d_m", "m"), ("theta_rad", "rad"), ("beta_rad", "rad"))
-POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 RIG_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 NOT_ONE = "Nothing was compared"
 
@@ -113,7 +113,7 @@ def compare_handeyes(a: Path, b: Path) -> Compared:
         )
     here, there = _pose_values(first.T_parent_camera, second.T_parent_camera)
     units = ("m", "m", "m", "rad", "rad", "rad")
-    named = zip(POSE, here, units, strict=True)
+    named = zip(POSE6, here, units, strict=True)
     values = [Value(name=f"camera.{name}", value=value, unit=unit) for name, value, unit in named]
     found = differences(values, there, first.covariance, second.covariance)
     off = first.T_parent_camera.inv() * second.T_parent_camera

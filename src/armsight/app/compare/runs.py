@@ -14,6 +14,7 @@ from scipy.special import bdtr
 from armsight.app.compare.calibrations import Compared, Effect
 from armsight.app.measure.outputs import SUMMARY
 from armsight.app.verify.run import read_run
+from armsight.columns import POSE6
 from armsight.errors import BadFile, NotEnoughData
 from armsight.measure.results import MadeWith
 from armsight.records import PoseStatus, TargetPose
@@ -102,8 +103,6 @@ NOTES = (
     "Poses of one recording share its noise, and agree more closely than two recordings do.",
 )
 
-NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tracks:
@@ -165,7 +164,7 @@ def _means(a: Array, values: Array, std: Array) -> list[Difference]:
             difference=float(off[k]),
             std=None if typical is None else float(typical[k]),
         )
-        for k, name in enumerate(NAMES)
+        for k, name in enumerate(POSE6)
     ]
 
 

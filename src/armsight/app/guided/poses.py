@@ -20,6 +20,7 @@ from armsight.app.operator.cell_poses import flange_pose
 from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.clock import Clock, SystemClock
+from armsight.columns import POSE7
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
@@ -265,7 +266,7 @@ class ArmStep(PoseSamples):
         points = self.folder / "points.csv"
         points.parent.mkdir(parents=True, exist_ok=True)
         n = len(self._joints[0])
-        header = ",".join([*(f"q{i + 1}" for i in range(n)), "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"])
+        header = ",".join([*(f"q{i + 1}" for i in range(n)), *POSE7])
         rows = [
             cells([*q.tolist(), *T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).tolist()])
             for q, T in zip(self._joints, (np.asarray(p.T_parent_target) for p in self._poses), strict=True)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from armsight.columns import POSE6, POSITION
 from armsight.store.history.entry import Quantity, deviation, number
 
 LONGEST_LIST = 64
@@ -21,8 +22,6 @@ POSES_STD: Mapping[str, str] = {
 }
 """Poses of results by the key beside them that tells their deviations."""
 STDS = ("std", "std_target")
-AXES = ("x_m", "y_m", "z_m")
-TURNS = ("rx_rad", "ry_rad", "rz_rad")
 
 Content = Mapping[str, Any]
 
@@ -56,7 +55,7 @@ def _walked(content: Content, prefix: str, above: Content) -> Iterator[Quantity]
         elif isinstance(value, Mapping):
             yield from _walked(value, f"{name}.", stds)
         elif isinstance(value, list):
-            yield from _listed(name, value, [stds.get(axis) for axis in AXES] if key == "tip_m" else [])
+            yield from _listed(name, value, [stds.get(axis) for axis in POSITION] if key == "tip_m" else [])
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield _quantity(name, value, _beside(content, key, {**above, **stds}))
 
@@ -81,14 +80,14 @@ def _left_over(content: Content, stds: Content, name: str) -> Iterator[Quantity]
     """Yield deviations of what the result holds no number of beside them, as numbers of their own."""
     beside = [part for key, part in content.items() if key not in STDS and isinstance(part, Mapping)]
     told = {key for part in (content, *beside) for key in part}
-    told |= {*AXES, *TURNS}
+    told |= {*POSE6}
     for key, value in stds.items():
         if key not in told and number(value) is not None:
             yield _quantity(f"{name}.{key}", value, None)
 
 
 def _pose(name: str, pose: Content, stds: Content) -> Iterator[Quantity]:
-    for axis, value in zip(AXES, pose["xyz_m"], strict=True):
+    for axis, value in zip(POSITION, pose["xyz_m"], strict=True):
         yield _quantity(f"{name}.{axis}", value, stds.get(axis))
     for part, value in zip("xyzw", pose["quat_xyzw"], strict=True):
         yield _quantity(f"{name}.q{part}", value, None)

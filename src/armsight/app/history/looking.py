@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sqlalchemy import Connection
 
-from armsight.app.history.figures import AXES, TURNS
 from armsight.app.history.moments import optional_moment
 from armsight.app.requests.history import CompareRunsJob, ExportRunsJob, ListJob, ShowJob
+from armsight.columns import POSE6, POSITION, ROTATION_VECTOR
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
@@ -172,11 +172,11 @@ def _parameters(connection: Connection, numbers: Sequence[int]) -> dict[int, lis
 
 def pose_numbers(pose: StoredPose) -> Iterator[Quantity]:
     """Yield the place of a pose with deviations, its quaternion, and deviations of a small rotation, of no value."""
-    for axis, value, std in zip(AXES, pose.xyz_m, pose.std, strict=False):
+    for axis, value, std in zip(POSITION, pose.xyz_m, pose.std, strict=False):
         yield Quantity(name=f"{pose.name}.{axis}", value=value, std=std, unit="m")
     for part, value in zip("xyzw", pose.quat_xyzw, strict=True):
         yield Quantity(name=f"{pose.name}.q{part}", value=value, std=None, unit="")
-    for axis, std in zip(TURNS, pose.std[len(AXES) :], strict=True):
+    for axis, std in zip(ROTATION_VECTOR, pose.std[len(POSITION) :], strict=True):
         yield Quantity(name=f"{pose.name}.{axis}", value=None, std=std, unit="rad")
 
 
@@ -235,9 +235,9 @@ def _pose_differences(a: Sequence[StoredPose], b: Sequence[StoredPose]) -> list[
             continue
         off = pose_change(one, other)
         held = [*zip(one.xyz_m, other.xyz_m, strict=True), *((0.0, turn) for turn in off[3:])]
-        for name, pair, difference, s, t in zip((*AXES, *TURNS), held, off, one.std, other.std, strict=True):
+        for name, pair, difference, s, t in zip(POSE6, held, off, one.std, other.std, strict=True):
             std = None if s is None or t is None else float(np.hypot(s, t))
-            unit = "m" if name in AXES else "rad"
+            unit = "m" if name in POSITION else "rad"
             named = f"{one.name}.{name}"
             found.append(RunDifference(name=named, unit=unit, a=pair[0], b=pair[1], difference=difference, std=std))
     return found

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from armsight.app.history.figures import AXES, TURNS, Content, unit_of
+from armsight.app.history.figures import Content, unit_of
+from armsight.columns import POSE6, POSITION
 from armsight.kinematics import Arm, JointType
 from armsight.records import NamedCovariance
 from armsight.store.history.entry import Quantity, StoredPose, deviation, number, stored_pose
@@ -56,14 +57,15 @@ def of_arm(arm: Arm) -> Parameters:
 
 def pose_named(name: str, pose: Content, stds: Mapping[str, Any], prefix: str = "") -> Parameters:
     """Return one pose ({xyz_m, quat_xyzw}) with deviations by name."""
-    std = [deviation(stds.get(f"{prefix}{axis}")) for axis in (*AXES, *TURNS)]
+    std = [deviation(stds.get(f"{prefix}{axis}")) for axis in POSE6]
     return Parameters(poses=(stored_pose(name, pose, std),))
 
 
 def point_named(name: str, xyz_m: Sequence[float], stds: Mapping[str, Any], prefix: str = "") -> Parameters:
     """Return the coordinates of a point with deviations by name."""
     rows = (
-        _quantity(f"{name}.{axis}", value, stds.get(f"{prefix}{axis}")) for axis, value in zip(AXES, xyz_m, strict=True)
+        _quantity(f"{name}.{axis}", value, stds.get(f"{prefix}{axis}"))
+        for axis, value in zip(POSITION, xyz_m, strict=True)
     )
     return Parameters(quantities=tuple(rows))
 
@@ -85,7 +87,7 @@ def _scalars(result: Content) -> Iterator[Quantity]:
 
 def _tip(result: Content) -> Iterator[Quantity]:
     tip, stds = result.get("tip_m"), result.get("std")
-    if isinstance(tip, list) and len(tip) == len(AXES) and isinstance(stds, Mapping):
+    if isinstance(tip, list) and len(tip) == len(POSITION) and isinstance(stds, Mapping):
         yield from point_named("tip", tip, stds).quantities
 
 

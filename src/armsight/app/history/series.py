@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection
 
 from armsight.app.history.arms import other_arm
-from armsight.app.history.figures import AXES, TURNS, UNITS
+from armsight.app.history.figures import UNITS
 from armsight.app.history.looking import one_of, pose_change, wrapped
+from armsight.columns import POSE6, POSITION
 from armsight.errors import Inconsistent
 from armsight.store.history import queries
 from armsight.store.history.entry import InputFile, Quantity, StoredPose
@@ -21,7 +22,7 @@ from armsight.store.history.queries import Run
 
 Array = NDArray[np.float64]
 
-POSES = "".join(rf"|{axis}" for axis in (*AXES, *TURNS))[1:]
+POSES = "".join(rf"|{axis}" for axis in POSE6)[1:]
 GROUPS: Mapping[str, str] = {
     "joint-zeros": r"joint\d+\.(theta_rad|d_m|offset_rad)",
     "hand-eye": rf"handeye\.({POSES})",
@@ -164,9 +165,9 @@ def _pose_courses(runs: Sequence[Run], of: Mapping[int, Sequence[StoredPose]]) -
         first = held[0][1]
         moved = np.array([pose_change(first, pose) for _, pose in held])
         std = np.array([[np.nan if one is None else one for one in pose.std] for _, pose in held])
-        for k, axis in enumerate((*AXES, *TURNS)):
+        for k, axis in enumerate(POSE6):
             column = [(run, float(moved[i, k]), float(std[i, k])) for i, (run, _) in enumerate(held)]
-            yield _course(command, f"{name}.{axis}", "m" if axis in AXES else "rad", column)
+            yield _course(command, f"{name}.{axis}", "m" if axis in POSITION else "rad", column)
 
 
 def never_measured(found: Found) -> list[str]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.columns import POSE6
 from armsight.errors import Unseen
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import advice, sentence, settled
@@ -39,7 +40,6 @@ from armsight.store.atomic import RowFile
 
 Array = NDArray[np.float64]
 
-COORDINATES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 POSES, POINTS, SPOTS, TUM = "poses.csv", "points.csv", "spots.csv", "poses.tum"
 SUMMARY, REPORT = "measure.json", "report.html"
@@ -183,7 +183,7 @@ def _medians(std: Array) -> PoseDeviations | None:
     random = np.sqrt(np.maximum(std[:, 0] ** 2 - std[:, 1] ** 2, 0.0))
 
     def median(values: Array) -> PoseStd:
-        return PoseStd(**dict(zip(COORDINATES, np.median(values, axis=0).tolist(), strict=True)))
+        return PoseStd(**dict(zip(POSE6, np.median(values, axis=0).tolist(), strict=True)))
 
     return PoseDeviations(total=median(std[:, 0]), random=median(random), systematic=median(std[:, 1]))
 

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from armsight.app.measure.run import measure
 from armsight.app.reproduce.stage import Stage, method_of
 from armsight.app.reproduce.tracks import (
-    COORDINATES,
     SHOWN,
     PoseTracks,
     joined,
@@ -24,6 +23,7 @@ from armsight.app.reproduce.tracks import (
     time_panel,
 )
 from armsight.app.requests.measure import MeasureJob
+from armsight.columns import POSE6
 from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
@@ -219,7 +219,7 @@ def _table(name: str, title: str, text: str, method: Array, ours: Array) -> Comp
     rows = []
     for kind, printed in PRINTED[name].items():
         values = take[kind](method), take[kind](ours)
-        for k, coordinate in enumerate(COORDINATES):
+        for k, coordinate in enumerate(POSE6):
             stem, _, unit = coordinate.rpartition("_")
             credible, note = _belief(name, kind, k)
             rows.append(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.columns import POSE6
 from armsight.errors import NotEnoughData
 from armsight.geometry import pose_difference
 from armsight.records import PoseStatus
@@ -20,7 +21,6 @@ from armsight.store.tracks import SPOT_COLUMNS
 
 Array = NDArray[np.float64]
 
-COORDINATES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 SHOWN = ("x", "y", "z", "rx", "ry", "rz")
 LEAST_SEEN = 0.9
 """Share of the frames that both methods must have a pose of, or their tables would be of the easy frames."""
@@ -86,7 +86,7 @@ def joined(times_s: Array, method: Mapping[int, Array], ours: Mapping[int, Array
 
 
 def statistic_rows(
-    method: Array, ours: Array, statistics: Sequence[str], *, names: Sequence[str] = COORDINATES
+    method: Array, ours: Array, statistics: Sequence[str], *, names: Sequence[str] = POSE6
 ) -> tuple[ComparedRow, ...]:
     """Return rows of statistics (rms, max) of errors (n, k) by both methods, without printed figures."""
     take = {

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.verdicts import of_verification, with_verdict
+from armsight.columns import POSE6
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
@@ -19,7 +20,7 @@ from armsight.verify.supervision import Alarm, Compared, Level, Limits
 
 Array = NDArray[np.float64]
 
-ERROR_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "error_m", "error_rad", "std_m", "std_rad")
+ERROR_COLUMNS = (*POSE6, "error_m", "error_rad", "std_m", "std_rad")
 HEADER = ("t_s", "level", *ERROR_COLUMNS, "decision_ms", "lost")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.columns import POSE6
 from armsight.kinematics import Arm
 from armsight.records.result_parts import RejectedRow
 from armsight.report.html import figure_of
@@ -25,8 +26,6 @@ from armsight.verify.results import (
 )
 
 Array = NDArray[np.float64]
-
-NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def verify_output(
@@ -132,12 +131,12 @@ def _pose_error(residual: Array) -> PoseError:
 
 
 def _task(task: Array) -> dict[str, Figures]:
-    return {name: Figures.of(task[:, k]) for k, name in enumerate(NAMES[: task.shape[1]])}
+    return {name: Figures.of(task[:, k]) for k, name in enumerate(POSE6[: task.shape[1]])}
 
 
 def _measurement(result: Verification) -> dict[str, float | None]:
     std = result.paired.measured.std
-    names = NAMES[: result.task.shape[1]]
+    names = POSE6[: result.task.shape[1]]
     if std is None:
         return dict.fromkeys(names)
     rms = np.sqrt(np.mean(std[result.kept] ** 2, axis=0))
@@ -207,7 +206,7 @@ def errors_csv(result: Verification) -> str:
     """Return the errors row by row: place and rotation in the base's axes, and of the joints where they are known."""
     n = 0 if result.joints is None else result.joints.dq.shape[1]
     turned = result.task.shape[1] == 6
-    header = ["row", "t_s", *NAMES, "error_m", "error_rad", *(f"dq{i + 1}" for i in range(n))]
+    header = ["row", "t_s", *POSE6, "error_m", "error_rad", *(f"dq{i + 1}" for i in range(n))]
     lines = [",".join(header)]
     at = result.paired.at_s
     for k, index in enumerate(result.kept):

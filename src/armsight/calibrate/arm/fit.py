@@ -10,8 +10,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.model import POSE, ArmModel
+from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.columns import POSITION, ROTATION_VECTOR
 from armsight.defaults import ANGLE_RAD, LENGTH_M, SAG
 from armsight.fields import Doc
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
@@ -129,7 +130,7 @@ def fit_arm(
 
 def is_tool_turn(name: str) -> bool:
     """Tell whether a parameter turns a tool, which positions of its one point do not show."""
-    return name.startswith("tool") and name.rsplit(".", 1)[1] in ("rx_rad", "ry_rad", "rz_rad")
+    return name.startswith("tool") and name.rsplit(".", 1)[1] in ROTATION_VECTOR
 
 
 def estimate_noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
@@ -230,7 +231,7 @@ def tool_points(model: ArmModel, fitted: ArmFit) -> tuple[ToolPoint, ...]:
         ToolPoint(
             name=label,
             xyz_m=np.asarray(model.pose(fitted.p, k).translation),
-            std_m=np.array([std.get(f"tool:{label}.{key}", np.inf) for key in POSE[:3]]),
+            std_m=np.array([std.get(f"tool:{label}.{key}", np.inf) for key in POSITION]),
         )
         for k, label in enumerate(model.labels, start=1)
         if label

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.columns import POSE6
 from armsight.fitting import Evaluation
 from armsight.kinematics import Arm, Convention, Coupling, fk, parameter_jacobian, parameter_names
 
 Array = NDArray[np.float64]
 
 LINK = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
-POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 THETA, D = LINK.index("theta_rad"), LINK.index("d_m")
 PARALLEL_RAD = 0.1
 """Axes nearer to parallel are nearly parallel: a direction known to 1e-3 rad leaves d to 1 % of a link (MATH 4.5)."""
@@ -111,7 +111,7 @@ class ArmModel:
     def mounts(self) -> tuple[str, ...]:
         """Names of the parameters of base and tools."""
         tools = ["tool" if not label else f"tool:{label}" for label in self.labels]
-        return tuple(f"{part}.{key}" for part in ("base", *tools) for key in POSE)
+        return tuple(f"{part}.{key}" for part in ("base", *tools) for key in POSE6)
 
     @property
     def n_geometry(self) -> int:

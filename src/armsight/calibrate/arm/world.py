@@ -18,6 +18,7 @@ from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, 
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.rows import in_order, of_places
 from armsight.calibrate.correlation import NORMAL_95, Correlation, fit_averaged
+from armsight.columns import POSE6
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
@@ -32,7 +33,6 @@ from armsight.records.result_parts import PoseStd, RejectedRow
 Array = NDArray[np.float64]
 _Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]
 
-NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 GROSS = float(np.sqrt(chi2_ppf(1.0 - 1e-7, 3)))
 """Errors beyond so many standard deviations are gross, and left out."""
 WORLD_FIT_TRIES = 300
@@ -253,7 +253,7 @@ def _refine(T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float)
         return np.append(p[:3] + step[:3], turn.as_rotvec()), local + step_local
 
     problem = Problem(
-        names=NAMES,
+        names=POSE6,
         guess=np.append(T.translation, T.rotation.as_rotvec()),
         evaluate=evaluate,
         retract=retract,
@@ -268,7 +268,7 @@ def _refine(T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float)
     step, C, told = _believed(points, at.residuals.reshape(shape), at.shared.reshape(*shape, 6), fit.covariance.matrix)
     p, _ = retract(p, np.empty((1, 0)), step, np.empty((1, 0)))
     pose = RigidTransform.from_components(p[:3], Rotation.from_rotvec(p[3:]))
-    return pose, NamedCovariance(names=NAMES, matrix=C), told
+    return pose, NamedCovariance(names=POSE6, matrix=C), told
 
 
 def _believed(points: ArmPoints, r: Array, J: Array, C: Array) -> tuple[Array, Array, tuple[str, ...]]:
@@ -276,13 +276,13 @@ def _believed(points: ArmPoints, r: Array, J: Array, C: Array) -> tuple[Array, A
 
     J (k, 3, 6), C (6, 6): their derivative, and the covariance of independent ones. Few rows have Student's intervals.
     """
-    step, worth, t_s = np.zeros(len(NAMES)), float(len(points)), points.t_s
+    step, worth, t_s = np.zeros(len(POSE6)), float(len(points)), points.t_s
     told: tuple[str, ...] = ()
     if t_s is not None and len(points) >= FEWEST_TIMED and np.ptp(t_s) > 0.0:
         drift = fit_averaged(r, J, t_s)
         step, C, worth = drift.step, drift.C, drift.correlation.n_effective
         told = _drift_told(points, t_s, drift.correlation)
-    student = float(t_ppf(0.975, max(3.0 * worth - len(NAMES), 1.0))) / NORMAL_95
+    student = float(t_ppf(0.975, max(3.0 * worth - len(POSE6), 1.0))) / NORMAL_95
     return step, student**2 * C, told
 
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.cell.kernels import see_points
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
+from armsight.columns import POSITION
 from armsight.geometry.poses import skew
 from armsight.kinematics import parameter_jacobian
 from armsight.optics import INTRINSICS, SIDES, Camera
@@ -24,7 +25,6 @@ CAMERA_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 CELL_CLOCK = ("delay_s", "drift_ppm", "readout_s")
 """Robot's time of a line: stamp + delay + drift (stamp - middle) + readout line, of line from -0.5 to 0.5."""
 PER_CAMERA = (*INTRINSICS, *CAMERA_POSE, *CELL_CLOCK)
-XYZ = ("x_m", "y_m", "z_m")
 AT_ONCE = 3000
 """Spots whose derivatives are formed together."""
 POSE_AT, CLOCK_AT = len(INTRINSICS), len(INTRINSICS) + len(CAMERA_POSE)
@@ -72,7 +72,7 @@ class CellModel:
         arm = ArmModel(arm=self.recording.arm, labels=("",), turned=False)
         object.__setattr__(self, "arm", arm)
         cameras = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA]
-        lights = [f"light:{light}.{key}" for light in self.lights for key in XYZ]
+        lights = [f"light:{light}.{key}" for light in self.lights for key in POSITION]
         object.__setattr__(self, "names", (*cameras, *arm.names[: arm.n_geometry], *lights))
 
     @property

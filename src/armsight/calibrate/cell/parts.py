@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.knowledge import pair_slopes
-from armsight.calibrate.cell.model import CLOCK_AT, POSE_AT, XYZ, CellModel
+from armsight.calibrate.cell.model import CLOCK_AT, POSE_AT, CellModel
+from armsight.columns import POSE6, POSITION
 from armsight.geometry import align_points
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, ToolPoint
@@ -20,14 +21,12 @@ from armsight.records.timing import PPM
 
 Array = NDArray[np.float64]
 
-POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellParts:
     """A calibrated cell. rig: its axes are the left camera's, its time the left camera's stamps.
 
-    T_base_rig with base_covariance (6, 6) named POSE; T_flange_target; target: with its lights as measured; arm: with
+    T_base_rig with base_covariance (6, 6) named POSE6; T_flange_target; target: with its lights as measured; arm: with
     the target as its tool, and the lights as tool points.
     """
 
@@ -51,7 +50,7 @@ def parts_of(model: CellModel, found: CellFit, covariance: Array, target: Target
     return CellParts(
         rig=_rig(model, found, covariance),
         T_base_rig=model.T_base_camera(x, 0),
-        base_covariance=NamedCovariance(names=POSE, matrix=covariance[place, place]),
+        base_covariance=NamedCovariance(names=POSE6, matrix=covariance[place, place]),
         target=_target(model, x, covariance, target, T_flange_target),
         T_flange_target=T_flange_target,
         arm=_arm(model, found, covariance, T_flange_target),
@@ -142,7 +141,7 @@ def _arm(model: CellModel, found: CellFit, covariance: Array, T_flange_target: R
         ToolPoint(
             name=name,
             xyz_m=model.lights_m(found.x)[k],
-            std_m=np.array([std[model.names.index(f"light:{name}.{key}")] for key in XYZ]),
+            std_m=np.array([std[model.names.index(f"light:{name}.{key}")] for key in POSITION]),
         )
         for k, name in enumerate(model.lights)
     )

@@ -13,6 +13,7 @@ from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, RotationExcitation, Setup
 from armsight.calibrate.handeye.stream_pairing import TimeOffset
+from armsight.columns import POSE6, POSITION, ROTATION_VECTOR
 from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
@@ -29,8 +30,7 @@ SCALE_SURE = 1e-5
 SCALE_MATTERS = 2e-3
 """A target whose size is right within 0.2 % is not worth a word."""
 
-POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-NAMES = tuple(f"{who}.{name}" for who in ("camera", "target") for name in POSE_NAMES)
+NAMES = tuple(f"{who}.{name}" for who in ("camera", "target") for name in POSE6)
 """Names of the covariance: the camera's pose in the frame that carries it, then the target's."""
 
 
@@ -205,8 +205,8 @@ class HandEye(Output):
     @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
         std = self.std()
-        position = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
-        turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
+        position = 1.96 * max(std[name] for name in POSITION) / MM
+        turn = 1.96 * max(std[name] for name in ROTATION_VECTOR) / DEG
         worth = "" if self.n_effective is None else f", worth {self.n_effective:.0f} independent ones"
         text = (
             f"The camera's place in the {self.camera_parent} is known to {position:.2g} mm and {turn:.2g} degrees "
@@ -226,7 +226,7 @@ class HandEye(Output):
     def std(self, who: str = "camera") -> dict[str, float]:
         """Return the standard deviations of the 'camera' or the 'target' pose by name."""
         std = self.covariance.std()
-        return {name: std[f"{who}.{name}"] for name in POSE_NAMES}
+        return {name: std[f"{who}.{name}"] for name in POSE6}
 
 
 def _rms(vectors: Array) -> float:

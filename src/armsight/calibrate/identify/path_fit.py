@@ -11,6 +11,7 @@ from scipy.special import chdtrc, chdtri
 
 from armsight.calibrate.identify.kernels import arc_positions
 from armsight.calibrate.identify.sweeps import SweepResiduals
+from armsight.columns import POSITION
 from armsight.errors import NotConverged
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.geometry.poses import skew
@@ -307,7 +308,7 @@ class Tilt:
         return n, (self.B[:, :2] - np.outer(n, n @ self.B[:, :2])) / size
 
 
-CIRCLE = ("x_m", "y_m", "z_m", "tilt_u", "tilt_v", "radius_m")
+CIRCLE = (*POSITION, "tilt_u", "tilt_v", "radius_m")
 ARC = ("u_m", "v_m", "tilt_u", "tilt_v", "bend_u_1_m", "bend_v_1_m")
 STRAIGHT = 1e-5
 """Curvature (1/m) below which an arc is as good as straight."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.columns import POSITION
 from armsight.measure.poses.setup import Setup
 from armsight.optics import RIG_PARAMETERS, RigKind
 
@@ -133,7 +134,7 @@ def _lights(setup: Setup, basis: Array, q: int) -> list[Cause]:
                 key=f"light {name}",
                 V=V,
                 width=np.full(3, LIGHT_WIDTH_M),
-                labels=("x_m", "y_m", "z_m"),
+                labels=POSITION,
                 unit="m",
                 words=f"light {name} is not where the target's file says",
                 advice=f"Look whether {name} is loose or knocked, then {REMEASURE}",
@@ -229,7 +230,7 @@ def _moved(setup: Setup, q: int) -> Cause:
         key="moved",
         V=V,
         width=np.concatenate([turned.width, np.full(3, PLACE_WIDTH_M)]),
-        labels=(*turned.labels, "x_m", "y_m", "z_m"),
+        labels=(*turned.labels, *POSITION),
         unit="rad",
         words="a camera was moved during the run",
         advice=f"Fasten the cameras, then {RECALIBRATE}; measure anew",

@@ -9,10 +9,11 @@ from typing import Annotated, Any
 
 from sqlalchemy import Connection, Select, Table, func, insert, select
 
+from armsight.columns import POSE7
 from armsight.fields import Doc
 from armsight.records.output import output
 from armsight.store.history.entry import Entry, InputFile, Quantity, RunHead, StoredPose
-from armsight.store.history.tables import POSE, POSE_STD, figures, inputs, parameters, poses, runs
+from armsight.store.history.tables import POSE_STD, figures, inputs, parameters, poses, runs
 
 MANY = 500
 """Runs asked for at once: databases bound the number of values in a question."""
@@ -77,7 +78,7 @@ def _fill(connection: Connection, table: Table, number: int, rows: Sequence[Mapp
 
 
 def _pose_row(pose: StoredPose) -> dict[str, Any]:
-    values = zip((*POSE, *POSE_STD), (*pose.xyz_m, *pose.quat_xyzw, *pose.std), strict=True)
+    values = zip((*POSE7, *POSE_STD), (*pose.xyz_m, *pose.quat_xyzw, *pose.std), strict=True)
     return {"name": pose.name, **dict(values)}
 
 

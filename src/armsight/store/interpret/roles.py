@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from armsight.store.covariances import (
-    CAMERA_COVARIANCE,
-    POSE_COLUMNS,
-    POSE_EXTRAS,
-    POSITION,
-    POSITION_COVARIANCE,
-    QUATERNION,
-)
+from armsight.columns import POSITION, QUATERNION
+from armsight.store.covariances import CAMERA_COVARIANCE, POSE_COLUMNS, POSE_EXTRAS, POSITION_COVARIANCE
 
 POSE = (*POSITION, *QUATERNION)
 POSE_FURTHER = (*POSE_COLUMNS[8:], *POSE_EXTRAS)

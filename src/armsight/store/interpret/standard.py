@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import Ambiguous, BadFile
-from armsight.store.covariances import POSITION, QUATERNION
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
 from armsight.store.interpret.names import PREFIXES, Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
@@ -287,7 +287,7 @@ def _counted_ms(out: Standard, t: Array) -> str:
     step = np.diff(t)
     if len(t) < 20 or not np.isfinite(t).all() or (t != np.round(t)).any() or not (step >= 1.0).all():
         return ""
-    for names, unit in ((("x_m", "y_m", "z_m"), "m/s"), ([n for n in out.columns if _OURS_Q.fullmatch(n)], "rad/s")):
+    for names, unit in ((POSITION, "m/s"), ([n for n in out.columns if _OURS_Q.fullmatch(n)], "rad/s")):
         moved = [column for n in names if isinstance(column := out.columns.get(n), np.ndarray)]
         if not moved:
             continue

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from armsight.columns import QUATERNION
 from armsight.errors import UsageError
 from armsight.store.interpret.rotations import EulerOrder, RobotFormat, euler_order, robot_format
 from armsight.units import DEG, MM
@@ -187,7 +188,7 @@ def _written_out(token: str, maker: RobotFormat | None) -> list[str]:
         return [frame + name for name in maker.columns]
     parts = {
         "xyz": ("x", "y", "z"),
-        "quat_xyzw": ("qx", "qy", "qz", "qw"),
+        "quat_xyzw": QUATERNION,
         "quat_wxyz": ("qw", "qx", "qy", "qz"),
         "rotvec": ("rotvec_x", "rotvec_y", "rotvec_z"),
         "euler": ("euler_1", "euler_2", "euler_3"),
