@@ -44,6 +44,12 @@ IN_TESTS = {
     ("store/recording/record_reader.py", "`armsight record --repair`"): (
         "tests/unit/recording/test_recording_files.py::test_damage_within_is_told_and_costs_one_chunk"
     ),
+    ("store/bags.py", "`armsight record --repair {}"): (
+        "tests/unit/store/test_bag_files.py::test_a_file_that_breaks_off_is_saved_as_its_cure_says"
+    ),
+    ("store/bags.py", "`sqlite3 FILE"): (
+        "tests/unit/store/test_bag_files.py::test_a_damaged_database_is_saved_as_its_cure_says"
+    ),
     ("app/path/picks.py", "; or leave them out with --skip"): (
         "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
     ),

@@ -17,7 +17,9 @@ from armsight._files import read_file
 from armsight.errors import BadFile, BadImage, NotEnoughData, UsageError
 
 CHANNELS = {"mono": 1, "bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "rggb": 1, "bggr": 1, "gbrg": 1, "grbg": 1}
-"""Bytes of a pixel by its layout; a Bayer mosaic is named by its first two rows, two pixels each."""
+CHANNELS |= {"uyvy": 2, "yuyv": 2}
+"""Bytes of a pixel by its layout; a Bayer mosaic is named by its first two rows, two pixels each; YUV 4:2:2 by the
+bytes of two pixels, which share U and V."""
 
 _CODES: dict[tuple[str, bool], int] = {
     ("mono", True): cv2.COLOR_GRAY2BGR,
@@ -28,6 +30,10 @@ _CODES: dict[tuple[str, bool], int] = {
     ("bgra", True): cv2.COLOR_BGRA2BGR,
     ("rgba", False): cv2.COLOR_RGBA2GRAY,
     ("rgba", True): cv2.COLOR_RGBA2BGR,
+    ("uyvy", False): cv2.COLOR_YUV2GRAY_UYVY,
+    ("uyvy", True): cv2.COLOR_YUV2BGR_UYVY,
+    ("yuyv", False): cv2.COLOR_YUV2GRAY_YUYV,
+    ("yuyv", True): cv2.COLOR_YUV2BGR_YUYV,
     ("rggb", False): cv2.COLOR_BayerRGGB2GRAY,
     ("rggb", True): cv2.COLOR_BayerRGGB2BGR,
     ("bggr", False): cv2.COLOR_BayerBGGR2GRAY,
@@ -40,13 +46,14 @@ _CODES: dict[tuple[str, bool], int] = {
 
 
 def unpack_image(data: Any, height: int, width: int, step: int, layout: str) -> NDArray[np.uint8] | None:
-    """Return the pixels of a buffer, (h, w) or (h, w, channels) as laid out; None where the buffer is too short.
+    """Return the pixels of a buffer, (h, w) or (h, w, channels) as laid out; None where it cannot hold them.
 
     data: bytes, or an array of them. step: bytes from one row to the next, at least those of a row.
     """
     row = width * CHANNELS[layout]
     flat = np.frombuffer(data, np.uint8)
-    if not height or not width or step < row or len(flat) < step * (height - 1) + row:
+    odd = CHANNELS[layout] == 2 and width % 2  # two pixels share their colour
+    if not height or not width or odd or step < row or len(flat) < step * (height - 1) + row:
         return None
     rows = np.lib.stride_tricks.as_strided(flat, (height, row), (step, 1), writeable=False)
     pixels = rows if CHANNELS[layout] == 1 else rows.reshape(height, width, CHANNELS[layout])

@@ -6,39 +6,47 @@ was written, or an origin that is given.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import heapq
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from pathlib import Path, PureWindowsPath
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import zstandard
 
 from armsight.drivers.images import CHANNELS, decode_image, grey_or_bgr, unpack_image
-from armsight.errors import BadFile, BadImage, DataRefused, DeviceNotFound, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import ArmsightError, BadFile, BadImage, DeviceNotFound, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, Motion
+from armsight.store.atomic import read_bytes
+from armsight.store.recording import Recording
+from armsight.store.yamls import parse_yaml
 
 PREFIX = "bag:"
 IMAGE, COMPRESSED, JOINTS = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/JointState"
 
 LAYOUTS = {
-    "mono8": "mono",
-    "8UC1": "mono",
-    "bgr8": "bgr",
-    "8UC3": "bgr",
+    **dict.fromkeys(("mono8", "8UC1"), "mono"),
+    **dict.fromkeys(("bgr8", "8UC3"), "bgr"),
     "rgb8": "rgb",
-    "bgra8": "bgra",
-    "8UC4": "bgra",
+    **dict.fromkeys(("bgra8", "8UC4"), "bgra"),
     "rgba8": "rgba",
-    "bayer_rggb8": "rggb",
-    "bayer_bggr8": "bggr",
-    "bayer_gbrg8": "gbrg",
-    "bayer_grbg8": "grbg",
+    **{f"bayer_{mosaic}8": mosaic for mosaic in ("rggb", "bggr", "gbrg", "grbg")},
+    **dict.fromkeys(("uyvy", "yuv422"), "uyvy"),
+    **dict.fromkeys(("yuyv", "yuv422_yuy2"), "yuyv"),
 }
 """Layout of the pixels by the message's encoding: those of 8 bits, as a frame has."""
 
 OTHER_CLOCK_NS = 86_400 * 10**9
 """Stamps a day from when they were written are of another clock, such as a simulation's, and count from its zero."""
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # begins a message that is compressed; others of ROS 2 begin with 0
+
+Written = tuple[int, str, bytes]  # time in ns, encoding (cdr or ros1), content
 
 
 def is_bag(text: str) -> bool:
@@ -71,34 +79,26 @@ class BagTopic:
         self.name = text
         self.path, self.topic = bag_topic(text)
         self._types = types
-        self._reader: Any = None
-        self._connections: list[Any] = []
+        self._stack = ExitStack()
+        self._files: list[_File] = []
+        self._kind, self._start_ns, self.count = "", 0, 0
 
     def __enter__(self) -> Self:
-        self._reader = _open(self.path)
-        try:
-            self._connections = self._found()
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
+        with ExitStack() as stack:
+            self._files, said, self._start_ns = _opened(self.path, stack)
+            self._kind = self._found()
+            self.count = sum(file.topics[self.topic][1] for file in self._files if self.topic in file.topics)
+            if self.count < said.get(self.topic, 0):
+                raise BadFile(
+                    f"{self.path} has {self.count} of the {said[self.topic]} messages of {self.topic} in metadata.yaml",
+                    consequence="Messages are missing",
+                    cure="Put back what is missing; to read what is there, move metadata.yaml out of the folder",
+                )
+            self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
-
-    @property
-    def count(self) -> int:
-        """How many messages the topic has."""
-        return sum(one.msgcount for one in self._connections)
-
-    @property
-    def origin_ns(self) -> int:
-        """The time in ns at which the bag's first message was written; the origin where none is given."""
-        return int(self._reader.start_time)
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
 
     def frames(self, *, colour: bool, origin_ns: int | None = None) -> Iterator[Frame]:
         """Yield the images, grey or BGR. Raises BadImage, Inconsistent for stamps that do not increase, BadFile."""
@@ -128,10 +128,11 @@ class BagTopic:
             raise NotEnoughData(f"{self.name} has no message", consequence="There are no joint states")
         return JointStates(names=names, motion=Motion(t_s=np.array(times), q=np.array(rows)))
 
-    def _found(self) -> list[Any]:
-        topics = {name: info.msgtype or "of several types" for name, info in self._reader.topics.items()}
+    def _found(self) -> str:
+        found = {name: kind for file in self._files for name, (kind, _) in file.topics.items()}
+        topics = {name: kind.replace("/", "/msg/") if kind.count("/") == 1 else kind for name, kind in found.items()}
         if topics.get(self.topic) in self._types:
-            return [one for one in self._reader.connections if one.topic == self.topic]
+            return topics[self.topic]
         there = "; ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
         if not self.topic:
             what = f"{self.name} names no topic"
@@ -148,8 +149,8 @@ class BagTopic:
     def _messages(self, origin_ns: int | None) -> Iterator[tuple[Any, float]]:
         """Yield the messages with t_s."""
         last_ns: int | None = None
-        zero_ns = self.origin_ns if origin_ns is None else origin_ns
-        for number, (message, written_ns) in enumerate(_decoded(self._reader, self._connections, self.name), 1):
+        zero_ns = self._start_ns if origin_ns is None else origin_ns
+        for number, (message, written_ns) in enumerate(self._decoded(), 1):
             stamp = message.header.stamp
             stamp_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
             if last_ns is None and abs(stamp_ns - written_ns) > OTHER_CLOCK_NS:
@@ -159,54 +160,163 @@ class BagTopic:
             last_ns = stamp_ns
             yield message, (stamp_ns - zero_ns) / 1e9
 
+    def _decoded(self) -> Iterator[tuple[Any, int]]:
+        """Yield messages and the times in ns at which they were written. BadFile where one is not whole."""
+        from rosbags.typesys import Stores, get_typestore
+
+        # definitions in the file are not looked at: these types are known, and those of other topics hinder nothing
+        ros1, ros2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+        decoders: dict[str, Any] = {"ros1": ros1.deserialize_ros1, "cdr": ros2.deserialize_cdr}
+        found = (file.messages(self.topic) for file in self._files if self.topic in file.topics)
+        messages = heapq.merge(*found, key=lambda one: one[0])
+        for number in range(1, self.count + 1):
+            try:
+                written_ns, encoding, data = next(messages)
+                data = zstandard.decompress(data) if data[:4] == ZSTD_MAGIC else data
+                message = decoders[encoding](data, self._kind)
+            except StopIteration:
+                raise _unreadable(f"{self.name} message {number}", EOFError("the bag ends before it")) from None
+            except ArmsightError:
+                raise
+            except Exception as error:
+                raise _unreadable(f"{self.name} message {number}", error) from error
+            yield message, written_ns
+
 
 def bag_origin_ns(path: Path) -> int:
     """Return the time in ns at which a bag's first message was written. Raises as opening a topic does."""
-    reader = _open(path)
-    try:
-        return int(reader.start_time)
-    finally:
-        reader.close()
+    with ExitStack() as stack:
+        return _opened(path, stack)[2]
 
 
-def _open(path: Path) -> Any:
-    """Return the open reader of a bag."""
+class _File(NamedTuple):
+    """An open file of a bag: type and number of messages of its topics, and when its first message was written."""
+
+    topics: dict[str, tuple[str, int]]
+    start_ns: int | None
+    messages: Callable[[str], Iterator[Written]]
+
+
+def _opened(path: Path, stack: ExitStack) -> tuple[list[_File], dict[str, int], int]:
+    """Return a bag's files, the numbers of messages in its metadata.yaml, and the time of its first message, ns.
+
+    All else that is said there (quality of service, storage, version) is for playing the bag and is often edited.
+    Nothing is written beside the files: what has to be unpacked, or joined with a log, is copied elsewhere.
+    """
+    require_rosbags(f"{path} is not opened")
+    paths, said = _listed(path)
+    openers, files = {".bag": _bag1, ".db3": _db3, ".mcap": _mcap}, []
+    for one in paths:
+        try:
+            readable = _readable(one, stack)
+            files.append(openers[readable.suffix](readable, stack))
+        except ArmsightError:
+            raise
+        except Exception as error:  # the readers raise whatever their parsers do
+            raise _unreadable(str(one), error) from error
+    return files, said, min((file.start_ns for file in files if file.start_ns is not None), default=0)
+
+
+def require_rosbags(consequence: str) -> None:
+    """Raise DeviceNotFound where the package that knows ROS's messages is missing."""
     try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        import rosbags  # noqa: F401
     except ImportError as error:
         raise DeviceNotFound(
-            f"ROS bags cannot be read: {error}",
-            consequence=f"{path} is not opened",
+            f"ROS bags can neither be read nor written: {error}",
+            consequence=consequence,
             cure="Install the extra: pip install 'armsight[bags]'",
         ) from error
-    if path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").exists():
-        path = path.parent
-    if not path.exists():
-        raise BadFile(f"there is no bag {path}", consequence="There are no messages", cure="Check the path")
+
+
+def _listed(path: Path) -> tuple[list[Path], dict[str, int]]:
+    """Return a bag's files, and the numbers of messages in its metadata.yaml; a recorder that was killed left none."""
+    folder = path if path.is_dir() else path.parent
     try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    except Exception as error:  # the reader raises whatever its parsers do
-        raise _unreadable(str(path), error) from error
-    return reader
+        data = read_bytes(folder / "metadata.yaml", limit=20_000_000)  # that of ten thousand files has 2 MB
+        content = parse_yaml(data, "metadata.yaml")["rosbag2_bagfile_information"]
+        # Foxy's names begin with the folder's, those of Windows have its strokes
+        paths = [folder / PureWindowsPath(name).name for name in content["relative_file_paths"]]
+        topics = content["topics_with_message_count"]
+        said = {one["topic_metadata"]["name"]: int(one["message_count"]) for one in topics}
+    except (BadFile, LookupError, TypeError, ValueError):
+        paths, said = [], {}
+    if path != folder and path not in paths:
+        paths, said = [path], {}
+    paths = paths or [one for one in folder.glob("*") if not one.stem.endswith(".broken")]  # left by record --repair
+    paths = [
+        one for one in paths if one.is_file() and one.name.removesuffix(".zstd").endswith((".bag", ".mcap", ".db3"))
+    ]
+    if not paths:
+        raise BadFile(
+            f"{path} is no bag, and there is none in it",
+            consequence="There are no messages",
+            cure="Check the path: give a .bag, .mcap or .db3, or the folder that ros2 bag record made",
+        )
+    return paths, said
 
 
-def _decoded(reader: Any, connections: list[Any], name: str) -> Iterator[tuple[Any, int]]:
-    """Yield messages and the times in ns at which they were written. BadFile where one is not whole or not there."""
-    if not connections:
-        return
-    messages = reader.messages(connections=connections)
-    said = sum(one.msgcount for one in connections)
-    for number in range(1, said + 1):
-        try:
-            connection, written_ns, data = next(messages)
-            message = reader.deserialize(data, connection.msgtype)
-        except StopIteration:
-            raise _unreadable(f"{name} message {number} of {said}", EOFError("the bag ends before it")) from None
-        except Exception as error:
-            raise _unreadable(f"{name} message {number}", error) from error
-        yield message, written_ns
+def _readable(path: Path, stack: ExitStack) -> Path:
+    """Return the file, or a copy that is unpacked, or has taken up the logs (-wal, -journal) of a recorder killed."""
+    logs = [log for end in ("-wal", "-journal") if (log := Path(f"{path}{end}")).is_file() and log.stat().st_size]
+    if path.suffix != ".zstd" and not logs:
+        return path
+    copy = Path(stack.enter_context(TemporaryDirectory()), path.name.removesuffix(".zstd"))
+    if path.suffix == ".zstd":
+        with path.open("rb") as packed, copy.open("wb") as plain:
+            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+        return copy
+    for one in (path, *logs):
+        shutil.copyfile(one, copy.parent / one.name)
+    with closing(sqlite3.connect(copy)) as base:
+        base.execute("SELECT * FROM sqlite_master").fetchall()
+    return copy
+
+
+def _bag1(path: Path, stack: ExitStack) -> _File:
+    from rosbags.rosbag1 import Reader
+
+    reader = stack.enter_context(Reader(path))
+    return _File(
+        {name: (one.msgtype or "of several types", one.msgcount) for name, one in reader.topics.items()},
+        reader.start_time if reader.message_count else None,
+        lambda topic: ((ns, "ros1", data) for _, ns, data in reader.messages(reader.topics[topic].connections)),
+    )
+
+
+def _db3(path: Path, stack: ExitStack) -> _File:
+    # immutable: not even a lock is written; frames may be read by another thread than opens the file
+    uri = f"{path.absolute().as_uri()}?immutable=1"
+    base = stack.enter_context(closing(sqlite3.connect(uri, uri=True, check_same_thread=False)))
+    rows = base.execute(
+        "SELECT name, type, count(messages.id), min(timestamp) FROM topics LEFT JOIN messages ON topics.id = topic_id "
+        "GROUP BY name"
+    ).fetchall()
+    wanted = (
+        "SELECT timestamp, serialization_format, data FROM messages JOIN topics ON topics.id = topic_id "
+        "WHERE name = ? ORDER BY timestamp, messages.id"
+    )
+    return _File(
+        {name: (kind, count) for name, kind, count, _ in rows},
+        min((row[3] for row in rows if row[2]), default=None),
+        lambda topic: (row for row in base.execute(wanted, (topic,))),
+    )
+
+
+def _mcap(path: Path, stack: ExitStack) -> _File:
+    file = Recording(path)
+    stack.callback(file.close)
+    if not file.finished:
+        raise BadFile(
+            f"{path} breaks off: it was not closed by its recorder, or not copied to its end",
+            consequence="How many messages are missing is not known",
+            cure=f"`armsight record --repair {path} -o mended.mcap` saves what is whole: read bag:mended.mcap:/topic",
+        )
+    return _File(
+        {name: (kind, file.count(name)) for name, kind in file.topics.items()},
+        next((one.t_ns for one in file.messages()), None),
+        lambda topic: ((one.t_ns, one.encoding, bytes(one.data)) for one in file.messages((topic,))),
+    )
 
 
 def _image(message: Any, where: str, *, colour: bool) -> np.ndarray:
@@ -240,11 +350,12 @@ def _not_after(where: str, stamp_ns: int, last_ns: int) -> Inconsistent:
     )
 
 
-def _unreadable(where: str, error: Exception) -> DataRefused:
+def _unreadable(where: str, error: Exception) -> BadFile:
     words = " ".join(str(error).split())[:200]
     return BadFile(
         f"{where} cannot be read: {type(error).__name__}{f': {words}' if words else ''}",
         consequence="There are no messages from there on",
-        cure="Check it with rosbag info, ros2 bag info; ROS 1 mends an unfinished bag with rosbag reindex, ROS 2 with "
-        "ros2 bag reindex",
+        cure="Check its permissions, and the room for a copy in the folder of temporary files (TMPDIR)"
+        if isinstance(error, OSError)
+        else "`sqlite3 FILE '.clone mended.db3'` saves what is whole of a .db3, rosbag reindex what is of a .bag",
     )

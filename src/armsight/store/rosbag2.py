@@ -14,11 +14,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from armsight.errors import DeviceNotFound, NotEnoughData, UsageError
+from armsight.errors import NotEnoughData, UsageError
 from armsight.geometry import xyz_quat
 from armsight.optics import Camera, Rig
 from armsight.records import Frame, PoseStatus
 from armsight.store.atomic import disk_errors
+from armsight.store.bags import require_rosbags
 from armsight.store.foreign.rectification import rectification
 from armsight.store.foreign.ros import ROS_MODEL
 from armsight.store.recording.protobuf import NS
@@ -62,15 +63,10 @@ class _Bag:
     """A bag being written; a topic begins with its first message."""
 
     def __init__(self, path: Path, origin_ns: int, on_written: Callable[[int], None]) -> None:
-        try:
-            from rosbags.rosbag2 import StoragePlugin, Writer
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError as error:
-            raise DeviceNotFound(
-                f"ROS bags cannot be written: {error}",
-                consequence="No bag is written",
-                cure="Install the extra: pip install 'armsight[bags]'",
-            ) from error
+        require_rosbags("No bag is written")
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._writer = Writer(path, version=VERSION, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Any] = {}

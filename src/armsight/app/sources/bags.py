@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from armsight.drivers.sources import size_text
@@ -43,11 +42,9 @@ class BagFrames:
         self._topic = BagTopic(self.name, (IMAGE, COMPRESSED)).__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._topic is not None:
-            self._topic.__exit__(kind, error, trace)
+            self._topic.__exit__(*error)
             self._topic = None
 
     def __iter__(self) -> Iterator[Frame]:

@@ -108,6 +108,7 @@ class McapFile:
         clock: Clock | None = None,
         chunk_s: float = CHUNK_S,
         chunk_bytes: int = CHUNK_BYTES,
+        profile: str = "",
     ) -> None:
         self.path = path
         self._clock = clock or SystemClock()
@@ -121,7 +122,7 @@ class McapFile:
         self._chunk = _Chunk()
         self._end = 0
         self._failed = False
-        header = Header(profile="", library=f"armsight {__version__}")
+        header = Header(profile=profile, library=f"armsight {__version__}")
         self._commit([MAGIC, _bytes_of(header)])
 
     @property
@@ -154,13 +155,14 @@ class McapFile:
         self._chunk.add(_bytes_of(channel))
         return channel.id
 
-    def add_message(self, channel: int, t_ns: int, sequence: int, *parts: Buffer) -> None:
+    def add_message(self, channel: int, t_ns: int, sequence: int, *parts: Buffer, sent_ns: int | None = None) -> None:
         """Add a message made of parts, which must not change any more. Raises Inconsistent where time runs backwards.
 
+        sent_ns: of a message of another file, which is copied with its times as they are.
         Nothing is written before flush_due or flush, so that messages which belong together share a chunk.
         """
         last_ns = self._last_ns.get(channel, t_ns)
-        if t_ns < last_ns:
+        if t_ns < last_ns and sent_ns is None:
             topic = self._channels[channel - 1].topic
             raise Inconsistent(
                 f"time runs backwards by {(last_ns - t_ns) / 1e9:.6g} s at message {sequence} of {topic}",
@@ -174,19 +176,22 @@ class McapFile:
         if not chunk.index:
             chunk.begun_s = self._clock.now_s()
         chunk.index.setdefault(channel, []).append((t_ns, chunk.size))
+        sent_ns = t_ns if sent_ns is None else sent_ns
         length = MESSAGE_HEAD.size - 9 + sum(len(part) for part in parts)
-        chunk.add(MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence & 0xFFFFFFFF, t_ns, t_ns))
+        chunk.add(MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence & 0xFFFFFFFF, t_ns, sent_ns))
         for part in parts:
             chunk.add(part)
 
-    def add_attachment(self, name: str, media_type: str, data: bytes, t_ns: int) -> None:
+    def add_attachment(self, name: str, media_type: str, data: bytes, t_ns: int, created_ns: int = 0) -> None:
         """Write a file into this one."""
         self.flush()
-        record = _bytes_of(Attachment(create_time=0, log_time=t_ns, name=name, media_type=media_type, data=data))
+        record = _bytes_of(
+            Attachment(create_time=created_ns, log_time=t_ns, name=name, media_type=media_type, data=data)
+        )
         index = AttachmentIndex(
             offset=self._end,
             length=len(record),
-            create_time=0,
+            create_time=created_ns,
             log_time=t_ns,
             data_size=len(data),
             name=name,

@@ -54,6 +54,7 @@ class Message(NamedTuple):
     sequence: int
     t_ns: int
     data: memoryview
+    sent_ns: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,8 +163,8 @@ def message_of(record: memoryview) -> Message:
     """Return the message in a whole record. Raises ValueError."""
     if len(record) < MESSAGE_HEAD.size:
         raise ValueError("a message is shorter than its head")
-    _, _, channel, sequence, t_ns, _ = MESSAGE_HEAD.unpack_from(record)
-    return Message(channel, sequence, t_ns, record[MESSAGE_HEAD.size :])
+    _, _, channel, sequence, t_ns, sent_ns = MESSAGE_HEAD.unpack_from(record)
+    return Message(channel, sequence, t_ns, record[MESSAGE_HEAD.size :], sent_ns)
 
 
 def schema_of(body: bytes) -> Schema:

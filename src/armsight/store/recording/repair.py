@@ -48,7 +48,10 @@ def repair(source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple
         raise BadFile(f"{source}: cannot be read ({error.strerror or error})", cure="Check the path") from error
     with file:
         record_reader.check_magic(file, source)
-        copy = _Copy(McapFile(out, overwrite=overwrite), within_ns)
+        begin = len(MAGIC) + record_reader.HEAD  # of the header, which first says what the file is of, such as ros2
+        length = int.from_bytes(record_reader.read_at(file, begin, 4), "little")
+        profile = str(record_reader.read_at(file, begin + 4, min(length, 80)), "utf-8", "replace")
+        copy = _Copy(McapFile(out, overwrite=overwrite, profile=profile), within_ns)
         try:
             copy.all_of(file, source)
         finally:
@@ -123,7 +126,7 @@ class _Copy:
             self.out.flush_due()
         elif span.opcode == Opcode.ATTACHMENT:
             it = record_reader.attachment_of(record_reader.read_at(file, span.start, span.length))
-            self.out.add_attachment(it.name, it.media_type, it.data, it.log_time)
+            self.out.add_attachment(it.name, it.media_type, it.data, it.log_time, it.create_time)
         elif span.opcode == Opcode.METADATA:
             meta = record_reader.metadata_of(record_reader.read_at(file, span.start, span.length))
             self.out.add_metadata(meta.name, meta.metadata)
@@ -142,7 +145,7 @@ class _Copy:
             first_ns, last_ns = self._within_ns or (record.t_ns, record.t_ns)
             if not first_ns <= record.t_ns <= last_ns and not topic.endswith(CALIBRATION):
                 return
-            self.out.add_message(number, record.t_ns, record.sequence, record.data)
+            self.out.add_message(number, record.t_ns, record.sequence, record.data, sent_ns=record.sent_ns)
             self.counts[topic] = self.counts.get(topic, 0) + 1
             if self._within_ns is None or not topic.endswith(CALIBRATION):
                 self.first_ns = min(self.first_ns, record.t_ns) if self.n_kept else record.t_ns
