@@ -37,6 +37,9 @@ handeye-set: simulate handeye -o handeye-set
 pivot-set: simulate pivot -o pivot-set
 mirrors-set: simulate mirrors -o mirrors-set
 circle: simulate korayem2018-circle -o circle
+cell: simulate cell --frames 700 -o cell
+zoomed: simulate board-cell --frames 8 --zoom 200 -o zoomed
+workshop: simulate webcam-cell --frames 3 --room workshop -o workshop
 """
 """What makes the input of the steps; kept and compared like them."""
 
@@ -103,6 +106,76 @@ export-ur: path export even.csv -o seam.script --arm irb120 --speed-m-s 0.01 --b
 export-kuka: path export even.csv -o seam.src --arm irb120 --speed-m-s 0.01 --tool 1 --weld-output 7
 export-abb: path export even.csv -o seam.mod --arm irb120 --speed-m-s 0.01 --tool torch
 reproduce: reproduce kapucu2005 -o kapucu
+offset: path offset even.csv --by-m -0.01 -o above.csv
+angle: path angle even.csv --travel-deg 15 -o tilted.csv
+joined-paths: path join even.csv back.csv -o both.csv
+measure-workshop: measure --rig workshop/rig.yaml --target workshop/target.yaml --left workshop/left \
+ --right workshop/right -o measured-workshop
+measure-recording: measure --rig hand/rig.yaml --target hand/target.yaml --left hand/left --right hand/right \
+ -o measured-hand
+verify-run: verify --measured measured --arm webcam/arm.yaml --joints webcam/joints.csv --world webcam/world.yaml \
+ -o verified-run
+verify-text: verify --measured circle/truth_world.csv --arm korayem6r --joints circle/joints.csv -o verified-text
+verify-check: verify --measured measured --arm ur10e --joints webcam/joints.csv --world webcam/world.yaml --check \
+ -o verified-other
+cell: calibrate cell --robot-log cell/joints.csv --left-spots cell/left.csv --right-spots cell/right.csv \
+ --size 1280x720 --target cell/target.yaml --model cell/arm.yaml -o calibrated-cell
+cell-plan: calibrate cell-plan --model webcam/arm.yaml --start=0,-1.07,1.63,-0.57,1.73,0.16 --duration 30 -o motion.csv
+target: calibrate target --rig webcam/rig.yaml --left webcam/left --right webcam/right --lights 3 -o target.yaml
+zoom-camera: calibrate camera zoomed/left --board checkerboard:9x6:0.025 --zoom 200 -o zoom200.yaml
+fisheye: calibrate camera boards/left --board checkerboard:9x6:0.025 --lens fisheye -o fisheye.yaml
+wrong-board: calibrate camera boards/left --board checkerboard:8x6:0.025 -o never.yaml
+camera-text: calibrate camera boards/left --board checkerboard:9x6:0.025 -o camera-text.yaml
+compare-distance: compare stereo.yaml webcam/rig.yaml --distance 1.2
+compare-runs: compare measured measured-text -o compared-runs
+report: report measured --overwrite
+doctor-rig: doctor --rig webcam/rig.yaml --depth 1.5
+design: design --rig webcam/rig.yaml --target webcam/target.yaml --volume=-0.2:0.2,-0.15:0.15,0.6:1 -o design
+batch: batch jobs.csv -o batch
+history-add: history add handeye.yaml verified --cell weld-3 --history runs.sqlite
+history-list: history list --cell weld-3 --history runs.sqlite
+history-show: history show 1 --history runs.sqlite
+history-export: history export --cell weld-3 --history runs.sqlite -o weld-3.csv
+teach: teach --from measured/poses.csv --tip tool.yaml -o taught
+table-kuka: convert table log.txt --robot-format kuka --as robot_poses -o log.csv
+table-twice: convert table log.txt --as robot_poses -o log-guessed.csv
+recording-repaired: record --repair run.mcap -o mended.mcap
+reader-empty: kinematics fk --arm ur10 --joints empty.csv -o never.csv
+reader-header: kinematics fk --arm ur10 --joints header.csv -o never.csv
+reader-twice: kinematics fk --arm ur10 --joints twice.csv -o never.csv
+reader-cut: kinematics fk --arm ur10 --joints cut.csv -o never.csv
+reader-degrees: kinematics fk --arm ur10 --joints degrees.csv -o never.csv
+reader-missing: kinematics fk --arm ur10 --joints nothing.csv -o never.csv
+reader-poses: kinematics ik --arm ur10 --poses header.csv -o never.csv
+reader-points: calibrate arm --model ur10 --points header.csv -o never.yaml
+reader-pairs: calibrate handeye --pairs header.csv -o never.yaml
+reader-path: path smooth header.csv --bound-m 0.0005 -o never.csv
+reader-yaml: measure --rig header.csv --target webcam/target.yaml --left webcam/left --right webcam/right -o never
+reader-arm: convert arm webcam/rig.yaml -o never.urdf
+reader-urdf: convert arm cut.urdf -o never.yaml
+reader-recording: convert recording header.csv -o never
+refused-board: calibrate camera boards/left --board checkerboard:9x6 -o never.yaml
+refused-images: calibrate camera rrp --board checkerboard:9x6:0.025 -o never.yaml
+refused-out: calibrate tooltip --poses pivot-set/flange.csv -o pivot-set/flange.csv
+refused-overwrite: verify --measured circle/truth_world.csv --arm korayem6r --joints circle/joints.csv -o measured
+refused-tip: calibrate tooltip --poses circle/truth_world.csv -o never.yaml
+refused-hand: calibrate handeye --pairs short.csv -o never.yaml
+refused-sweep: identify --sweep header.csv --rig rrp/rig.yaml -o never.yaml
+refused-check: path check path.csv --arm irb120 --speed-m-s 100 -o never.html --check
+refused-export: path export even.csv -o seam.xyz --arm irb120
+refused-weld: path export even.csv -o never.src --arm irb120 --speed-m-s 0.01
+refused-design: design --rig webcam/rig.yaml --target webcam/target.yaml --volume=0:0,0:0,1:1 -o never
+refused-batch: batch header.csv -o never
+refused-history: history show 99 --history runs.sqlite
+refused-compare: compare camera.yaml measured
+refused-room: simulate webcam-cell --room nowhere -o never
+refused-scenario: simulate no-such-cell -o never
+refused-robot: robot jog --robot nothing:1 --joint 1 --by 0.02
+refused-world: calibrate robot-world --arm ur10 --points header.csv -o never.yaml
+refused-size: calibrate cell --robot-log cell/joints.csv --left-spots cell/left.csv --right-spots cell/right.csv \
+ --size 640 --target cell/target.yaml --model cell/arm.yaml -o never
+refused-units: kinematics ik --arm ur10 --poses fk.csv --units furlong -o never.csv
+refused-depth: doctor --rig webcam/rig.yaml --depth=-1
 refused-arm: calibrate arm --model ur10 --points points/points.csv -o never.yaml
 refused-flag: measure --rig webcam/rig.yaml --target webcam/target.yaml --left webcam/left -o never
 refused-file: kinematics fk --arm rrp/rig.yaml --joints circle/joints.csv -o never.csv
@@ -125,6 +198,21 @@ VARIES: tuple[tuple[re.Pattern[str], str], ...] = (
 )
 """What two runs of one program write differently, and what stands for it."""
 
+FILES = {
+    "picks.csv": "u_px,v_px\n600,300\n640,320\n680,340\n",
+    "jobs.csv": "name,command,arm,joints\na,kinematics fk,ur10,good.csv\nb,kinematics fk,ur10,header.csv\n",
+    "good.csv": "q1,q2,q3,q4,q5,q6\n0.1,-1.2,1.3,0.2,0.5,0.1\n0.2,-1.1,1.2,0.3,0.4,0.2\n",
+    "empty.csv": "",
+    "header.csv": "q1,q2,q3,q4,q5,q6\n",
+    "twice.csv": "q1,q1,q3,q4,q5,q6\n0,0,0,0,0,0\n",
+    "cut.csv": "q1,q2,q3,q4,q5,q6\n0.1,0.2,0.3,0.4,0.5,0.6\n0.1,0.2,0.",
+    "degrees.csv": "q1,q2,q3,q4,q5,q6\n10,-95,80,20,35,170\n12,-90,85,25,30,175\n",
+    "cut.urdf": '<robot name="a"><link name="base"/><joint name="j1" type="revolute">',
+    "short.csv": "bf_x_m\n1\n",
+    "log.txt": "X,Y,Z,A,B,C\n" + "500.0,20.0,300.0,10.0,20.0,170.0\n510.0,20.0,300.0,12.0,25.0,160.0\n" * 2,
+}
+"""Small inputs of the steps, some of them wrong."""
+
 PATH_ROWS = [f"{i},,{0.42 + 0.002 * i:.4f},{0.05 * (i % 20) / 20:.4f},0.35,0,1,0,0,," for i in range(40)]
 
 
@@ -142,7 +230,8 @@ def keep(folder: Path, source: Path, only: str | None) -> None:
     work, printed = folder / "work", folder / "printed"
     work.mkdir(parents=True)
     printed.mkdir()
-    (work / "picks.csv").write_text("u_px,v_px\n600,300\n640,320\n680,340\n", encoding="utf-8")
+    for name, text in FILES.items():
+        (work / name).write_text(text, encoding="utf-8")
     header = "index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag"
     (work / "path.csv").write_text("\n".join([header, *PATH_ROWS]) + "\n", encoding="utf-8")
     sources = os.pathsep.join(str(source / part) for part in ("src", "sim/src"))

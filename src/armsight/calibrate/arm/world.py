@@ -91,7 +91,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     check_one_position(arm, points)
     local = _positions(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))
-    T, kept = _majority(base, points.xyz_m)
+    T, kept = _majority(base, points.xyz_m, len(of_places(points)))
     notes = check_motion_scale(base[kept], points.xyz_m[kept])
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     typical, spread = float(np.median(size[kept])), spread_m(points.xyz_m)
@@ -169,15 +169,20 @@ def _positions(arm: Arm, points: ArmPoints) -> Array:
     return np.asarray(np.einsum("mij,mj->mi", T[:, :3, :3], at) + T[:, :3, 3])
 
 
-def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.intp]]:
-    """Return the pose of the rig that positions (m, 3) agree on, and the rows that do."""
+def _majority(base_m: Array, rig_m: Array, places: int) -> tuple[RigidTransform, NDArray[np.intp]]:
+    """Return the pose of the rig that positions (m, 3) of so many places agree on, and the rows that do.
+
+    What the pose takes up of few places' errors is given back (Rousseeuw and Leroy 1987, p. 202): else good ones of
+    nine places, read twelve times each, are gross once in 200 times.
+    """
     T = _consensus(base_m, rig_m)
+    few = 1.0 + 5.0 / max(3.0 * places - len(POSE6), 1.0)
     size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
     kept = np.argsort(size)[: max((len(size) + 1) // 2, LEAST_LEFT)]
     middle = float(chi2_ppf(0.5 * len(kept) / len(size), 3))  # of the nearest half the median is a quarter's quantile
     for _ in range(10):
         size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
-        sigma = max(float(np.median(size[kept]) / np.sqrt(middle)), 1e-9)
+        sigma = max(few * float(np.median(size[kept]) / np.sqrt(middle)), 1e-9)
         middle = MEDIAN_3
         good = np.flatnonzero(size <= GROSS * sigma)
         if len(good) < LEAST_LEFT:
@@ -215,7 +220,7 @@ def _check_others(base_m: Array, rig_m: Array, kept: NDArray[np.intp], out: NDAr
     if len(out) < max(2 * LEAST_LEFT, 0.8 * len(kept)):
         return
     try:
-        T, agree = _majority(base_m[out], rig_m[out])
+        T, agree = _majority(base_m[out], rig_m[out], len(out))
     except (NotEnoughData, Degenerate):
         return
     miss = np.linalg.norm(T.apply(rig_m[out]) - base_m[out], axis=1)[agree]
