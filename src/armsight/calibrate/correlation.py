@@ -19,9 +19,9 @@ from armsight.fitting.quantiles import chi2_sf, t_ppf
 Array = NDArray[np.float64]
 
 SHARES = (0.2, 0.4, 0.6, 0.75, 0.87, 0.95, 0.99, 0.999)
-"""Shares of the errors' variance that drift, of the models that are weighed against each other. Without the last, errors
-that drift altogether, over 40 of 400 rows, were taken for those that are forgotten 1.5 times as fast, which have as
-little white noise beside what they change from row to row: claims were 1.5 times too narrow."""
+"""Shares of the errors' variance that drift, of the models that are weighed against each other. Without the last one,
+errors that drift altogether (over 40 of 400 rows) were taken for ones that are forgotten 1.5 times as fast, with as
+little white noise beside their change from row to row: claims were 1.5 times too narrow."""
 TIMES = 10
 """Correlation times that are tried, from the spacing of the rows to the length of the recording."""
 LEAST_TIME_S = 1e-3
