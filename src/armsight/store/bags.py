@@ -69,7 +69,7 @@ class JointStates:
 
 
 class BagTopic:
-    """One topic of a bag, opened and closed by `with`. text: bag:FILE:/topic.
+    """One topic of a bag, opened and closed by `with`; once open it has count and origin_ns. text: bag:FILE:/topic.
 
     Opening raises BadFile for what is no bag, UsageError that lists the topics where the text's is not one of them or
     of none of the wanted types, DeviceNotFound where the reader's package is missing.
@@ -81,11 +81,11 @@ class BagTopic:
         self._types = types
         self._stack = ExitStack()
         self._files: list[_File] = []
-        self._kind, self._start_ns, self.count = "", 0, 0
+        self._kind, self.origin_ns, self.count = "", 0, 0
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._files, said, self._start_ns = _opened(self.path, stack)
+            self._files, said, self.origin_ns = _opened(self.path, stack)
             self._kind = self._found()
             self.count = sum(file.topics[self.topic][1] for file in self._files if self.topic in file.topics)
             if self.count < said.get(self.topic, 0):
@@ -149,7 +149,7 @@ class BagTopic:
     def _messages(self, origin_ns: int | None) -> Iterator[tuple[Any, float]]:
         """Yield the messages with t_s."""
         last_ns: int | None = None
-        zero_ns = self._start_ns if origin_ns is None else origin_ns
+        zero_ns = self.origin_ns if origin_ns is None else origin_ns
         for number, (message, written_ns) in enumerate(self._decoded(), 1):
             stamp = message.header.stamp
             stamp_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
