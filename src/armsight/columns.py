@@ -1,4 +1,4 @@
-"""Names of a pose's numbers, as tables have them for columns and covariances for rows."""
+"""Names of numbers that several tables have for columns and covariances for rows."""
 
 POSITION = ("x_m", "y_m", "z_m")
 ROTATION_VECTOR = ("rx_rad", "ry_rad", "rz_rad")
@@ -7,3 +7,7 @@ POSE6 = (*POSITION, *ROTATION_VECTOR)
 """Of a pose's error or covariance."""
 POSE7 = (*POSITION, *QUATERNION)
 """Of a pose."""
+POSE6_STD = tuple(f"s{name}" for name in POSE6)
+DH_ROW = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
+"""Of a joint: Denavit and Hartenberg's four and Hayati's."""
+STEREO_PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")

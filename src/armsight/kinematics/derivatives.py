@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.columns import POSE6
+from armsight.columns import DH_ROW, POSE6
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention
@@ -17,15 +17,13 @@ from armsight.kinematics.kernels.derivatives import PER_JOINT, many_parameter_co
 
 Array = NDArray[np.float64]
 
-LINK_KEYS = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
-
 
 def parameter_names(arm: Arm) -> tuple[str, ...]:
     """Return the 5 n + 12 names: '<joint>.a_m' .. '<joint>.beta_rad', 'base.x_m' .., 'tool.x_m' ..
 
     base: T_world_base by (dt, dw) in world axes. tool: T_flange_tool by (dt, dw) in flange axes.
     """
-    joints = tuple(f"{joint.name}.{key}" for joint in arm.joints for key in LINK_KEYS)
+    joints = tuple(f"{joint.name}.{key}" for joint in arm.joints for key in DH_ROW)
     return joints + tuple(f"{part}.{key}" for part in ("base", "tool") for key in POSE6)
 
 
@@ -82,7 +80,7 @@ def moved(arm: Arm, changes: Mapping[str, float]) -> Arm:
         )
     joints = []
     for joint in arm.joints:
-        own = {key: changes[f"{joint.name}.{key}"] for key in LINK_KEYS if f"{joint.name}.{key}" in changes}
+        own = {key: changes[f"{joint.name}.{key}"] for key in DH_ROW if f"{joint.name}.{key}" in changes}
         values = {key: getattr(joint, key) + step for key, step in own.items()}
         joints.append(dataclasses.replace(joint, **values) if own else joint)
     return dataclasses.replace(

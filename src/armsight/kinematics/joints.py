@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.columns import DH_ROW
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array, require_kind, require_number
 from armsight.records.fields import Shape
@@ -76,7 +77,7 @@ class Joint:
             ) from None
         require_kind("the name of a joint", self.name, str)
         require_kind(f"driven of joint {self.name}", self.driven, bool)
-        for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
+        for key in (*DH_ROW, "sign"):
             value = getattr(self, key)
             if type(value) is float and math.isfinite(value):  # fits make arms by the thousand
                 continue

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmPoints
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
 from armsight.records import PoseStatus
 from armsight.store.codec import named
-from armsight.store.covariances import DEVIATIONS, POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
+from armsight.store.covariances import POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.lost import without_lost, without_rare_rotations
 from armsight.store.tables import Table, parse_table
@@ -87,7 +87,7 @@ def _rotation(table: Table, path: Path) -> NDArray[np.float64] | None:
 
 def _covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
     """Return the covariances (m, 3, 3) of the positions, None where not every row has them; and what to say."""
-    names = DEVIATIONS[:3]
+    names = POSE6_STD[:3]
     if not any(name in table.numbers for name in names):
         return None, ""
     std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])

@@ -9,15 +9,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.store.codec import LARGEST, named
 
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
-SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
+SYSTEMATIC = tuple(f"sys_{name}" for name in POSE6_STD)
 LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
 LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
@@ -25,15 +24,15 @@ COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
 SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
-POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
+POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *POSE6_STD, "status", "spots")
 """Of every poses.csv; behind them those of POSE_EXTRAS that the poses have."""
 POSE_EXTRAS = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
 POINT_COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES[:3], 2))
 """Of a position."""
 
-POSITION_COVARIANCE = (*DEVIATIONS[:3], *POINT_COVARIANCE)
+POSITION_COVARIANCE = (*POSE6_STD[:3], *POINT_COVARIANCE)
 """Of a position measured of an arm."""
-CAMERA_COVARIANCE = tuple(f"camera_target_{name}" for name in (*DEVIATIONS, *COVARIANCE))
+CAMERA_COVARIANCE = tuple(f"camera_target_{name}" for name in (*POSE6_STD, *COVARIANCE))
 """Of the camera's pose in a pairs.csv."""
 
 NOT_POSITIVE = 1e-9
@@ -113,7 +112,7 @@ def pose_covariances(
     for (size, lights), rows in kinds.items():
         std, shared = (
             np.column_stack([table.numbers.get(name, np.full(len(sizes), np.nan))[rows] for name in names[:size]])
-            for names in (LIGHTS_STD if lights else DEVIATIONS, SYSTEMATIC)
+            for names in (LIGHTS_STD if lights else POSE6_STD, SYSTEMATIC)
         )
         for part in (std, shared):
             bad = ((part < 0.0) | (part > LARGEST)).any(axis=1)

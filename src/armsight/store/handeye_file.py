@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip_result import TipCalibration
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
@@ -31,14 +31,7 @@ from armsight.store.codec import (
     structure,
     validated,
 )
-from armsight.store.covariances import (
-    CAMERA_COVARIANCE,
-    DEVIATIONS,
-    UNCORRELATED,
-    above_diagonal,
-    covariances,
-    has_correlations,
-)
+from armsight.store.covariances import CAMERA_COVARIANCE, UNCORRELATED, above_diagonal, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.lost import without_lost
 from armsight.store.schema import Origin, read_document, write_document
@@ -133,7 +126,7 @@ def read_pairs(path: Path, format_: TableFormat = OURS) -> PosePairs:
 
 def _camera_covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
     """Return the covariances (n, 6, 6) of the camera's poses, None where not every row has them; and what to say."""
-    names = [f"camera_target_{name}" for name in DEVIATIONS]
+    names = [f"camera_target_{name}" for name in POSE6_STD]
     there = [name for name in names if name in table.numbers]
     if not there:
         return None, ""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Sweeps
-from armsight.columns import POSITION
+from armsight.columns import POSITION, STEREO_PIXELS
 from armsight.errors import BadFile
 from armsight.store.atomic import write_text
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
@@ -17,7 +17,6 @@ from armsight.store.tables import cells, parse_table
 
 STD = "std_px"
 """Column of the pixels' standard deviation, where it is known."""
-PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")
 
 
 def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
@@ -30,28 +29,28 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
         data,
         str(path),
         ["joint"],
-        optional=(*POSITION, *PIXELS, STD),
-        blank=("q", *POSITION, *PIXELS),
+        optional=(*POSITION, *STEREO_PIXELS, STD),
+        blank=("q", *POSITION, *STEREO_PIXELS),
         series="q",
     )
-    seen = [PIXELS] if all(name in table.numbers for name in PIXELS) else []
+    seen = [STEREO_PIXELS] if all(name in table.numbers for name in STEREO_PIXELS) else []
     table = without_lost(table, format_.notify, groups=seen)
     readings = table.series("q")
     check_joint_values(table.stacked(readings), str(path), format_)
-    pixels = [name for name in PIXELS if name in table.numbers]
+    pixels = [name for name in STEREO_PIXELS if name in table.numbers]
     positions = [name for name in POSITION if name in table.numbers]
     if not readings or 0 < len(pixels) < 4 or 0 < len(positions) < 3 or not (pixels or positions):
         raise BadFile(
             f"{path}: has the columns {', '.join(table.numbers)}",
             consequence="The file is not used",
-            cure=f"Give joint, q1 .. qn, and {', '.join(POSITION)} or {', '.join(PIXELS)}",
+            cure=f"Give joint, q1 .. qn, and {', '.join(POSITION)} or {', '.join(STEREO_PIXELS)}",
         )
     joint = table.numbers["joint"]
     if not (joint == np.round(joint)).all():
         row = int(np.argmax(joint != np.round(joint)))
         raise BadFile(f"{table.location(row)}, column joint: {joint[row]:g} is not the number of a joint")
     xyz = table.stacked(POSITION) if positions else np.zeros((len(table), 3))
-    uv = table.stacked(PIXELS).reshape(-1, 2, 2) if pixels else None
+    uv = table.stacked(STEREO_PIXELS).reshape(-1, 2, 2) if pixels else None
     std = table.numbers.get(STD)
     return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv, std_px=std)
 
@@ -76,7 +75,7 @@ def read_sweep_joints(
 
 def write_sweeps(path: Path, sweeps: Sweeps) -> None:
     """Write sweep.csv, joints from 1."""
-    pixels = () if sweeps.uv_px is None else PIXELS if sweeps.std_px is None else (*PIXELS, STD)
+    pixels = () if sweeps.uv_px is None else STEREO_PIXELS if sweeps.std_px is None else (*STEREO_PIXELS, STD)
     names = ["joint", *(f"q{i + 1}" for i in range(sweeps.n)), *POSITION, *pixels]
     rows = []
     for i in range(len(sweeps)):

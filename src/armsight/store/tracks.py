@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.timing.sampling import without_seams
 from armsight.clock import Clock
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
@@ -35,7 +35,7 @@ from armsight.store.lost import lost_rows, lost_words, without_lost
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, word
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POINT_COLUMNS = ("t_s", "spot", *POSITION, "sx_m", "sy_m", "sz_m")
+POINT_COLUMNS = ("t_s", "spot", *POSITION, *POSE6_STD[:3])
 LATEST_S = 1e11
 """No time of a frame is later: clocks of today count 1.8e9 s since 1970, which are 1.8e12 ms and 1.8e18 ns."""
 SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")

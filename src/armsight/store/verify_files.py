@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
 from armsight.store.covariances import (
     COVARIANCE,
-    DEVIATIONS,
     LIGHTS,
     LIGHTS_STD,
     SYSTEMATIC,
@@ -43,7 +42,7 @@ Index = NDArray[np.intp]
 WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach", "arrival", "robot")
 GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))
 NUMBERS = (
-    *("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD),
+    *("t_s", *POSITION, *QUATERNION, *POSE6_STD, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD),
     *(*COVARIANCE, *SYSTEMATIC_COVARIANCE, *GOAL, "speed_m_s"),
 )
 KNOWN = frozenset((*NUMBERS, *WORDS))
@@ -237,7 +236,7 @@ def _usable(rows: _Rows, quat: Array | None) -> tuple[Index, list[tuple[int, str
 def _covariance(table: Table, index: Index, turned: bool) -> Array | None:
     """Return covariances (m, 6, 6), of positions with zeros beyond; None where a row of those used has no standard
     deviations."""
-    names = DEVIATIONS if turned else DEVIATIONS[:3]
+    names = POSE6_STD if turned else POSE6_STD[:3]
     if any(name not in table.numbers for name in names):
         return None
     std = table.stacked(names)[index]

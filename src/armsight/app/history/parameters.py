@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from armsight.app.history.figures import Content, unit_of
-from armsight.columns import POSE6, POSITION
+from armsight.columns import DH_ROW, POSE6, POSITION
 from armsight.kinematics import Arm, JointType
 from armsight.records import NamedCovariance
 from armsight.store.history.entry import Quantity, StoredPose, deviation, number, stored_pose
 
-ENTRIES = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
 CAMERA = ("fx_px", "fy_px", "cx_px", "cy_px")
 
 
@@ -49,7 +48,7 @@ def of_arm(arm: Arm) -> Parameters:
     rows = [
         _quantity(f"joint{i}.{key}", getattr(joint, key), stds.get(f"{joint.name}.{key}"))
         for i, joint in enumerate(arm.joints, 1)
-        for key in ENTRIES
+        for key in DH_ROW
     ]
     joints = "".join("R" if joint.type is JointType.REVOLUTE else "P" for joint in arm.joints)
     return Parameters(quantities=tuple(rows), arm=arm.name, joints=joints)
@@ -110,7 +109,7 @@ def _joints(result: Content) -> Iterator[Quantity]:
     for i, joint in enumerate(_rows(result), 1):
         stds = joint.get("std")
         if isinstance(stds, Mapping):
-            for key in ENTRIES:
+            for key in DH_ROW:
                 if key in joint:
                     yield _quantity(f"joint{i}.{key}", joint[key], stds.get(key))
         if "offset_rad" in joint and joint["offset_rad"] is not None:

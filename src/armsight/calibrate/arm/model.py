@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.columns import POSE6
+from armsight.columns import DH_ROW, POSE6
 from armsight.fitting import Evaluation
 from armsight.kinematics import Arm, Convention, Coupling, fk, parameter_jacobian, parameter_names
 
 Array = NDArray[np.float64]
 
-LINK = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
-THETA, D = LINK.index("theta_rad"), LINK.index("d_m")
+THETA, D = DH_ROW.index("theta_rad"), DH_ROW.index("d_m")
 PARALLEL_RAD = 0.1
 """Axes nearer to parallel are nearly parallel: a direction known to 1e-3 rad leaves d to 1 % of a link (MATH 4.5)."""
 
@@ -139,7 +138,7 @@ class ArmModel:
         joints = tuple(
             replace(
                 joint,
-                **{key: getattr(joint, key) + change for key, change in zip(LINK, row.tolist(), strict=True)},
+                **{key: getattr(joint, key) + change for key, change in zip(DH_ROW, row.tolist(), strict=True)},
                 sign=joint.sign * (1.0 + float(scale)),
                 compliance=max(joint.compliance + give, 0.0),
             )

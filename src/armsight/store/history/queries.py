@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 from sqlalchemy import Connection, Select, Table, func, insert, select
 
-from armsight.columns import POSE7
+from armsight.columns import POSE6_STD, POSE7
 from armsight.fields import Doc
 from armsight.records.output import output
 from armsight.store.history.entry import Entry, InputFile, Quantity, RunHead, StoredPose
-from armsight.store.history.tables import POSE_STD, figures, inputs, parameters, poses, runs
+from armsight.store.history.tables import figures, inputs, parameters, poses, runs
 
 MANY = 500
 """Runs asked for at once: databases bound the number of values in a question."""
@@ -78,7 +78,7 @@ def _fill(connection: Connection, table: Table, number: int, rows: Sequence[Mapp
 
 
 def _pose_row(pose: StoredPose) -> dict[str, Any]:
-    values = zip((*POSE7, *POSE_STD), (*pose.xyz_m, *pose.quat_xyzw, *pose.std), strict=True)
+    values = zip((*POSE7, *POSE6_STD), (*pose.xyz_m, *pose.quat_xyzw, *pose.std), strict=True)
     return {"name": pose.name, **dict(values)}
 
 
@@ -157,7 +157,7 @@ def _stored(row: Any) -> StoredPose:
         name=row.name,
         xyz_m=(row.x_m, row.y_m, row.z_m),
         quat_xyzw=(row.qx, row.qy, row.qz, row.qw),
-        std=tuple(getattr(row, name) for name in POSE_STD),
+        std=tuple(getattr(row, name) for name in POSE6_STD),
     )
 
 

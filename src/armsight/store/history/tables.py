@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import Boolean, Column, Float, ForeignKey, Index, Integer, MetaData, String, Table, Text
 
-from armsight.columns import POSE7
+from armsight.columns import POSE6_STD, POSE7
 
 HEAD = "0001"
 """The schema that this armsight reads and writes: the last file of `migrations/versions`."""
@@ -57,7 +57,6 @@ def _quantities(name: str) -> Table:
 
 figures, parameters = _quantities("figures"), _quantities("parameters")
 
-POSE_STD = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
 
 poses = Table(
     "poses",
@@ -65,5 +64,5 @@ poses = Table(
     Column("run_id", ForeignKey("runs.id"), primary_key=True),
     Column("name", String(200), primary_key=True),
     *(Column(name, Float(53), nullable=False) for name in POSE7),
-    *(Column(name, Float(53)) for name in POSE_STD),
+    *(Column(name, Float(53)) for name in POSE6_STD),
 )

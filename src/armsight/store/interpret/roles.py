@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSITION, QUATERNION, STEREO_PIXELS
 from armsight.store.covariances import CAMERA_COVARIANCE, POSE_COLUMNS, POSE_EXTRAS, POSITION_COVARIANCE
 
 POSE = (*POSITION, *QUATERNION)
 POSE_FURTHER = (*POSE_COLUMNS[8:], *POSE_EXTRAS)
 PAIR_FRAMES = ("base_flange", "camera_target")
-PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +70,13 @@ ROLES: Mapping[str, Role] = {
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
         Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),
-        Role(name="sweep", position="maybe", rotation="maybe", joints="wanted", extras=("joint", *PIXELS, "std_px")),
+        Role(
+            name="sweep",
+            position="maybe",
+            rotation="maybe",
+            joints="wanted",
+            extras=("joint", *STEREO_PIXELS, "std_px"),
+        ),
         Role(name="sweep_joints", frames=(), joints="wanted", extras=("frame", "joint")),
     )
 }
