@@ -112,7 +112,7 @@ def _reported(job: JoinJob, arm: Arm | None) -> Reported:
         return commanded.reported
     if job.joints is None or arm is None:
         raise UsageError("--joints needs --arm")
-    names = job.table.of_joints([joint.name for joint in arm.joints])
+    names = job.table.of_arm(arm)
     found = read_reported_joints(job.joints, names)
     if found.q is None or found.q.shape[1] != arm.n:
         count = 0 if found.q is None else found.q.shape[1]

@@ -131,14 +131,16 @@ def read_values(arm: Arm, path: Path, format_: TableFormat = OURS) -> Motion:
     if is_bag(str(path)):
         motion = _of_arm(arm, joint_states(str(path)))
     else:
-        motion = read_joints(path, format_.of_joints([joint.name for joint in arm.joints]), timed=False)
+        motion = read_joints(path, format_.of_arm(arm), timed=False)
     return Motion(t_s=motion.t_s, q=arm.values(motion.q))
 
 
 def _of_arm(arm: Arm, states: JointStates) -> Motion:
     """Return joint states in the order of the arm's joints, by name; drivers publish them in any order."""
-    columns = columns_of([joint.name for joint in arm.joints], states.names)
-    return Motion(t_s=states.motion.t_s, q=states.motion.q[:, columns])
+    read = [i for i, joint in enumerate(arm.joints) if joint.driven or joint.name in states.names]
+    q = np.zeros((len(states.motion.t_s), arm.n))
+    q[:, read] = states.motion.q[:, columns_of([arm.joints[i].name for i in read], states.names)]
+    return Motion(t_s=states.motion.t_s, q=q)
 
 
 def write_poses_of_joints(arm: str, joints: Path, out: Path, format_: TableFormat = OURS) -> FkOutput:

@@ -61,7 +61,7 @@ def convert_table(
     if kind is not None and kind not in KINDS:
         raise UsageError(f"no kind of table is called {kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
     if arm is not None:
-        format_ = format_.of_joints([joint.name for joint in load_arm(arm).joints])
+        format_ = format_.of_arm(load_arm(arm))
     format_.check()
     kind = kind or kind_of_table(source, format_, KINDS)
     found = interpret(source, UNTIMED.get(kind, kind), format_)

@@ -8,7 +8,6 @@ from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
@@ -28,6 +27,7 @@ from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
 from armsight.report.verdicts import verify_verdict
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
+from armsight.verify.pairing import bare_arm
 from armsight.verify.results import IsoFigure, VerifyOutput
 
 Array = NDArray[np.float64]
@@ -306,8 +306,7 @@ def arrows(result: Verification, arm: Arm) -> Figure:
     longest = max(float(np.linalg.norm(error, axis=1).max()), 1e-12)
     scale = ARROW_SHARE * max(float(np.ptp(at, axis=0).max()), 1e-3) / longest
     ends = np.stack([at, at + scale * error, np.full_like(at, np.nan)], axis=1).reshape(-1, 3) / MM
-    bare = replace(arm, T_world_base=RigidTransform.identity(), T_flange_tool=result.mounts.tools[0], couplings=())
-    figure = arm_figure(bare, q[result.kept[:1]])
+    figure = arm_figure(replace(bare_arm(arm), T_flange_tool=result.mounts.tools[0]), q[result.kept[:1]])
     line = {
         "type": "scatter3d",
         "mode": "lines",

@@ -85,7 +85,8 @@ class Paired:
 def bare_arm(arm: Arm) -> Arm:
     """Return the arm's chain alone, from base to flange, in the joints' own values."""
     identity = RigidTransform.identity()
-    return replace(arm, T_world_base=identity, T_flange_tool=identity, couplings=(), covariance=None)
+    joints = tuple(replace(joint, driven=True) for joint in arm.joints)
+    return replace(arm, joints=joints, couplings=(), T_world_base=identity, T_flange_tool=identity, covariance=None)
 
 
 def without_computed(paired: Paired) -> Paired:

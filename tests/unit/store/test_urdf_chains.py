@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
+from typer.testing import CliRunner
 
 from armsight.app.arm_files import arm_file, arm_source, load_arm
+from armsight.app.kinematics import read_values, write_poses_of_joints
+from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk
 from armsight.store.urdf import arm_from_urdf
@@ -96,3 +100,46 @@ def test_a_chain_is_named_with_the_file(tmp_path: Path) -> None:
     odd = tmp_path / "a#b.urdf"
     odd.write_text(robot(joint("j1", "base", "end")), encoding="utf-8")
     assert load_arm(str(odd)).n == 1
+
+
+FOLLOWING = robot(
+    joint("turn", "base", "upper", "0 0 0.3"),
+    joint("lift", "upper", "fore", "0.4 0 0"),
+    joint("rod", "fore", "wrist", "0.3 0.1 0", more='<mimic joint="lift" multiplier="-1.2" offset="0.1"/>'),
+    joint("roll", "wrist", "hand", "0.2 0 0.1"),
+)
+
+
+@pytest.mark.parametrize(
+    ("names", "columns"),
+    [
+        (("turn", "lift", "roll"), (0, 1, 3)),
+        (("roll", "rod", "turn", "lift"), (3, 2, 0, 1)),
+        (("q1", "q2", "q4"), (0, 1, 3)),
+    ],
+)
+def test_a_log_needs_no_column_of_a_joint_that_mimics(tmp_path: Path, names: tuple[str, ...], columns: tuple[int, ...]):
+    (tmp_path / "arm.urdf").write_text(FOLLOWING)
+    arm = arm_from_urdf(FOLLOWING)
+    values = np.random.default_rng(3).uniform(-1.5, 1.5, (30, 4))
+    values[:, 2] = -1.2 * values[:, 1] + 0.1
+    np.savetxt(tmp_path / "q.csv", values[:, columns], "%.12g", ",", header=",".join(names), comments="")
+    turns = np.cumsum(values, axis=1)  # all joints turn about z
+    links = (0.4, 0.3 + 0.1j, 0.2)
+    places = sum(link * np.exp(1j * turn) for link, turn in zip(links, turns.T[:3], strict=True))
+    motion = read_values(arm, tmp_path / "q.csv")
+    found = np.array([fk(arm, q) for q in motion.q])
+    np.testing.assert_allclose(found[:, 0, 3] + 1j * found[:, 1, 3], places, atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * turns[:, 3]), found[:, 0, 0] + 1j * found[:, 1, 0], atol=1e-9)
+
+    write_poses_of_joints(str(tmp_path / "arm.urdf"), tmp_path / "q.csv", tmp_path / "poses.csv")
+    words = ["verify", "--measured", tmp_path / "poses.csv", "--joints", tmp_path / "q.csv", "-o", tmp_path / "v"]
+    done = CliRunner().invoke(app, [str(word) for word in (*words, "--arm", tmp_path / "arm.urdf")])
+    assert done.exit_code == 0, done.output
+
+
+def test_a_log_by_names_that_are_not_the_arms_is_told_what_they_are(tmp_path: Path) -> None:
+    (tmp_path / "q.csv").write_text("pan,tilt\n0.1,0.2\n")
+    with refuses(BadFile, "q1") as error:
+        read_values(arm_from_urdf(FOLLOWING), tmp_path / "q.csv")
+    assert names_it(error.value, "turn", "lift", "rod", "roll")

@@ -139,7 +139,7 @@ def _write_urdf(path: Path, arm: Arm) -> tuple[Path | None, tuple[str, ...]]:
 
 def _measurements(arm: Arm, path: Path, format_: TableFormat) -> ArmPoints:
     """Return points.csv with the controller's coupled readings parted into what each joint is driven to."""
-    points = read_arm_points(path, format_.of_joints([joint.name for joint in arm.joints]))
+    points = read_arm_points(path, format_.of_arm(arm))
     return replace(points, q=points.q @ arm.gearing.T) if arm.couplings and points.q.shape[1] == arm.n else points
 
 

@@ -159,7 +159,7 @@ def _tip_m(text: str) -> Array | None:
 def _joints(job: CellJob, arm: Arm) -> Motion:
     """Return the log; of a recording the readings of its robot."""
     if not is_recording(str(job.robot_log)):
-        return read_joints(job.robot_log, job.table.of_joints([joint.name for joint in arm.joints]), measured=True)
+        return read_joints(job.robot_log, job.table.of_arm(arm), measured=True)
     with Recording(recording_path(str(job.robot_log))) as recording:
         readings = list(recording.joints())
     return Motion(t_s=np.array([one.t_s for one in readings]), q=np.array([one.q for one in readings]))

@@ -162,7 +162,7 @@ def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
         commanded = read_commanded(job.commanded, job.table)
         return _Expected(arm=None, reported=commanded.reported, turned=commanded.turned, commanded=commanded)
     arm = load_arm(job.arm or "")
-    names = job.table.of_joints([joint.name for joint in arm.joints])
+    names = job.table.of_arm(arm)
     found = file.reported if job.joints is None else read_reported_joints(job.joints, names)
     if found is None or found.q is None:
         raise UsageError(

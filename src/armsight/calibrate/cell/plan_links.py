@@ -53,8 +53,9 @@ class Links:
 
     def __post_init__(self) -> None:
         base = in_convention(self.arm.based(), Convention.STANDARD)
-        joints = tuple(replace(joint, compliance=0.0) for joint in base.joints)
-        bare = replace(base, couplings=(), tool_points=(), covariance=None, T_flange_tool=RigidTransform.identity())
+        joints = tuple(replace(joint, compliance=0.0, driven=True) for joint in base.joints)
+        tool = RigidTransform.identity()
+        bare = replace(base, joints=joints, couplings=(), tool_points=(), covariance=None, T_flange_tool=tool)
         ends = (*(joint.name for joint in joints), "the flange")
         object.__setattr__(self, "prefixes", tuple(replace(bare, joints=joints[: i + 1]) for i in range(self.arm.n)))
         rests = self.chain(np.zeros((1, self.arm.n)))[0]

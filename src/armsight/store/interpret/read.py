@@ -66,7 +66,7 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     if path.suffix.lower() == ".mat":
         return _interpreted(mat_table(path, unnamed=bool(format_.columns)), wanted, format_)
     data = read_bytes(path, limit=MAX_BYTES)
-    plain = not format_.stated
+    plain = not (format_.stated or format_.following)
     if plain and (is_ours(data, wanted) or b"\x00" in data):
         return Interpreted(data=data, how="a table of ours")
     return _interpreted(_raw_of(data, path), wanted, format_, original=data)
@@ -113,12 +113,12 @@ def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: b
     if original is not None and raw.csv and not found.foreign and not format_.stated and raw.names:
         return Interpreted(data=original, how="a table of ours", missing=tuple(missing))
     if missing:
-        raise _missing(raw, role, found, missing)
+        raise _missing(raw, role, found, missing, format_.joints)
     notes = (f"read as {raw.how}: {', '.join(found.columns)}", *dict.fromkeys(found.notes))
     return Interpreted(data=found.csv(), how=raw.how, notes=notes, n=len(found.lines))
 
 
-def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str]) -> BadFile:
+def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str], of_arm: Sequence[str] = ()) -> BadFile:
     several = len(missing) > 1
     there = ", ".join(raw.names)[:200] or f"{len(raw.columns)} columns without names"
     understood = f"; understood are {', '.join(found.columns)}" if found.columns else ""
@@ -126,7 +126,8 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str]) -> 
     if role.time == "wanted" and missing == ["t_s"]:
         cure = "Times are needed here: add a column t_s in seconds"
     elif any(name.startswith("q") and name[1:].isdecimal() for name in missing):
-        cure = "Name the joints q1, q2, ... or q1_deg, ...; joints by their own names need the arm (--arm)"
+        cure = "Name the joints q1, q2, ... or q1_deg, ..."
+        cure += f", or as the arm does: {', '.join(of_arm)}" if of_arm else "; by their own names they need --arm"
     elif len(role.frames) > 1:
         cure = "Say whose poses they are: base_flange_x_m, ..., camera_target_x_m, ..."
     return BadFile(

@@ -307,12 +307,15 @@ def _joints(out: Standard, found: Found, role: Role, format_: TableFormat) -> No
     columns = found.kinds.get("joint", {})
     named = {int(key[1:]): column for key, column in columns.items() if key.startswith("=")}
     counted = {int(key): column for key, column in columns.items() if not key.startswith("=")}
-    if named and len(named) == len(format_.joints):
+    follow = [k for k in format_.following if k not in named]
+    if named and len(named) + len(follow) == len(format_.joints):
         ordered = [named[k] for k in sorted(named)]
         out.notes.append(f"joints by name: {', '.join(column.meaning.name for column in ordered)[:200]}")
     elif counted:
         first = min(counted)
-        if first not in (0, 1) or sorted(counted) != list(range(first, first + len(counted))):
+        follow = [k for k in format_.following if k + first not in counted]
+        numbers = sorted([*counted, *(k + first for k in follow)])
+        if first not in (0, 1) or numbers != list(range(first, first + len(numbers))):
             raise BadFile(
                 f"{out.where}: the columns {', '.join(c.meaning.name for c in counted.values())[:120]} are not counted "
                 "from 1 without a gap",
@@ -325,6 +328,10 @@ def _joints(out: Standard, found: Found, role: Role, format_: TableFormat) -> No
     else:
         return
     q = angles_rad(found, ordered, format_.joint_rad, "the arm")
+    if follow:  # 0 is what a joint without a drive reads: the arm knows its value
+        q = np.insert(q, [k - i for i, k in enumerate(follow)], 0.0, axis=1)
+        out.foreign = True
+        out.notes.append(f"joints that follow others, without a column: {', '.join(format_.joints[k] for k in follow)}")
     out.columns |= {f"q{k + 1}": q[:, k] for k in range(q.shape[1])}
     in_degrees = [c for c in ordered if (c.meaning.scale or format_.joint_rad) == UNITS["deg"][1]]
     if in_degrees:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from armsight.columns import QUATERNION
 from armsight.errors import UsageError
+from armsight.kinematics import Arm
 from armsight.store.interpret.rotations import EulerOrder, RobotFormat, euler_order, robot_format
 from armsight.units import DEG, MM
 
@@ -20,11 +21,12 @@ def _silent(text: str) -> None:
 class TableFormat:
     """What is said about a table: all empty for one of ours.
 
-    euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name
-    of ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where
-    an arm is known. as_stated: units and orders are taken as stated though the numbers look otherwise. on_hand: whether
-    the camera is on the hand, where it is known. measured: euler, columns and units of what was measured, where they
-    are others than the robot's. notify: called with what was understood, in words.
+    euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name of
+    ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where an
+    arm is known; following: the places of those that have no drive, which need no column. as_stated: units and orders
+    are taken as stated though the numbers look otherwise. on_hand: whether the camera is on the hand, where it is
+    known. measured: euler, columns and units of what was measured, where they are others than the robot's. notify:
+    called with what was understood, in words.
     """
 
     euler: str = ""
@@ -32,6 +34,7 @@ class TableFormat:
     robot: str = ""
     units: str = ""
     joints: tuple[str, ...] = ()
+    following: tuple[int, ...] = ()
     as_stated: bool = False
     on_hand: bool | None = None
     measured: tuple[str, str, str] | None = None
@@ -49,9 +52,9 @@ class TableFormat:
         """The robot maker's way. Raises UsageError."""
         return robot_format(self.robot) if self.robot else None
 
-    def of_joints(self, names: Sequence[str]) -> TableFormat:
+    def of_arm(self, arm: Arm) -> TableFormat:
         """Return it with the names of an arm's joints."""
-        return replace(self, joints=tuple(names))
+        return replace(self, joints=tuple(joint.name for joint in arm.joints), following=arm.undriven)
 
     @property
     def of_camera(self) -> TableFormat:
