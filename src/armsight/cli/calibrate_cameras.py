@@ -47,6 +47,8 @@ def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     _require_board(job)
     done = calibrate_camera(replace(job, workers=workers(job.workers)), face.progress("calibrating"))
     camera_tables(face, done, job.out)
+    for line in done.advice:
+        face.say(f"- {line}")
     if done.zoom is not None:
         zoom_tables(face, done.zoom)
     if done.noise is not None:

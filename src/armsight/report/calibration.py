@@ -66,7 +66,7 @@ def coverage(fit: CameraFit) -> float:
 
 def _doubts(run: CalibrationRun) -> list[str]:
     """Return what speaks against relying on the result."""
-    out = []
+    out = [f"{text}, as where squares are printed longer than wide" for text in run.doubts]
     if run.n_used < MIN_USED * run.n_images:
         out.append(f"only {run.n_used} of {run.n_images} {_noun(run)} could be used")
     if run.holdout_rms_px is not None and run.holdout_rms_px > OVERFITTED * run.rms_px:
@@ -88,9 +88,12 @@ def calibration_verdict(run: CalibrationRun) -> Verdict:
         sentence += f"; the cameras stand {figure_of(run.baseline_m / MM, 'mm', digits=5)} apart"
     doubts = _doubts(run)
     if doubts:
-        to_do = (
-            f"Take more {_noun(run)}, with the {run.thing} tilted and up to the images' corners, and calibrate again."
-        )
+        to_do = f"Take more {_noun(run)}, with the {run.thing} tilted and up to the images' corners, and calibrate again."
+        if run.doubts:
+            to_do = (
+                f"Measure the {run.thing} along both sides with a calliper; calibrate again with one whose squares are "
+                "square, from images as the camera takes them."
+            )
         sentence = f"{sentence}. But {'; '.join(doubts)}."
         return Verdict(level="warn", word="Usable with care", sentence=sentence, to_do=to_do)
     to_do = "Use it; calibrate again when focus, zoom or a mount has moved."

@@ -151,7 +151,8 @@ class CalibrationRun:
     n_images: images (or pairs) given; n_used: of them in the fit. rms_px and the other RMS are pooled over points;
     holdout: on images left out of the fit. metric: name and value in m of lengths on the board, measured by the rig
     on left-out pairs. alignment: lines on how the views stand to each other. facts: more lines for the table of inputs.
-    advice: what would make it better. thing: what the images show. boards: where they were, with pictures.
+    advice: what would make it better. doubts: where the board's squares, or the pixels, are none. thing: what the
+    images show. boards: where they were, with pictures.
     """
 
     title: str
@@ -168,6 +169,7 @@ class CalibrationRun:
     metric: Mapping[str, float] = field(default_factory=dict)
     rejected: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
+    doubts: Sequence[str] = ()
     advice: Sequence[str] = ()
     thing: str = "board"
     alignment: Sequence[tuple[str, str]] = ()

@@ -32,6 +32,7 @@ def camera_run(done: CameraCalibration, board: str, boards: BoardViews | None = 
         rms_px=done.rms_px,
         holdout_rms_px=done.holdout_rms_px,
         rejected=done.rejected,
+        doubts=done.doubts,
         advice=done.advice,
         boards=boards,
     )
@@ -91,6 +92,7 @@ def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
         rejected=done.rejected,
         alignment=[*alignment_lines(done), *data.results],
         facts=data.facts,
+        doubts=done.doubts,
         advice=done.advice,
         boards=data.boards,
     )

@@ -76,6 +76,7 @@ def calibrate_camera(
         residual_px=residual[seen],
         used=robust_fit.observations,
         T_camera_board=poses_of_boards(robust_fit.observations, robust_fit.fit),
+        doubts=not_square(robust_fit, covariance),
         advice=(*advice, *on_tilt, *shape.advice, *caveats(covariance, robust_fit), *robust_fit.notes),
     )
 
@@ -116,8 +117,8 @@ def view_rms(residual: Array, seen: NDArray[np.bool_]) -> tuple[float, ...]:
     return tuple(np.sqrt(squares / np.maximum(seen.sum(axis=(1, 2)), 1)).tolist())
 
 
-def _not_square(robust_fit: RobustFit, covariance: NamedCovariance) -> list[str]:
-    """Return advice where pixels would not be square: more often it is the board's squares."""
+def not_square(robust_fit: RobustFit, covariance: NamedCovariance) -> tuple[str, ...]:
+    """Return where pixels would not be square: more often it is the board's squares."""
     fit, told = robust_fit.fit, []
     for name in (name for name in fit.names if name.split(".")[-1] == "fx"):
         other = name[:-1] + "y"
@@ -127,17 +128,19 @@ def _not_square(robust_fit: RobustFit, covariance: NamedCovariance) -> list[str]
         each = np.array([1.0 / fit.value(name), -1.0 / fit.value(other)])
         doubt = float(np.sqrt(each @ covariance.block((name, other)) @ each))
         if abs(ratio - 1.0) > NOT_SQUARE + SURE * doubt:
-            told.append(
-                f"{name} and fy differ by {100 * abs(ratio - 1.0):.1f} %: cameras have square pixels, so the images "
-                "were stretched or the board's squares are none; measure the board along both sides with a calliper"
-            )
-    return told
+            told.append(f"{name} and fy differ by {100 * abs(ratio - 1.0):.1f} %")
+    return tuple(told)
 
 
 def caveats(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
     """Return advice on focal lengths that are not well known."""
     std = covariance.std()
-    return _not_square(robust_fit, covariance) + [
+    unequal = [
+        f"{text}: cameras have square pixels, so the images were stretched or the board's squares are none; measure "
+        "the board along both sides with a calliper"
+        for text in not_square(robust_fit, covariance)
+    ]
+    return unequal + [
         f"{name} is known to {100 * std[name] / robust_fit.fit.value(name):.1f} % only; "
         "tilt the board more, bring it closer"
         for name in robust_fit.fit.names

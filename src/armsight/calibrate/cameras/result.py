@@ -34,7 +34,8 @@ class CameraCalibration(Output):
 
     covariance: of the free intrinsics, by name (px; none for distortion). holdout_rms_px: None where there were too few
     views. sources, view_rms_px: of the views used. uv_px, residual_px (n, 2): every point used and its residual (model
-    minus detected). used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board.
+    minus detected). used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board. doubts:
+    where pixels would not be square.
     """
 
     rms_px: Annotated[float, Doc("Reprojection residual of the fit, RMS, px.")]
@@ -50,6 +51,7 @@ class CameraCalibration(Output):
     residual_px: Array
     used: Observations
     T_camera_board: Array
+    doubts: tuple[str, ...] = ()
     verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @figure("Images read.")
@@ -92,7 +94,7 @@ class StereoCalibration(Output):
     holdout_*: None where there were too few pairs. metric: on left-out pairs; where there were too few,
     metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. used: the
     observations in the fit; T_left_board (G, 4, 4): where they show the board. residual_px: of every point used (n, 2),
-    model minus detected, by side.
+    model minus detected, by side. doubts: where pixels would not be square.
     """
 
     rms_px: Annotated[float, Doc("Reprojection residual of the fit, RMS, px.")]
@@ -116,6 +118,7 @@ class StereoCalibration(Output):
     used: Observations
     residual_px: Mapping[str, Array]
     T_left_board: Array
+    doubts: tuple[str, ...] = ()
     verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @figure("Distance of the corners from their epipolar lines, RMS, px.")

@@ -14,6 +14,7 @@ from armsight.calibrate.cameras.cross_validation import left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
 from armsight.calibrate.cameras.monocular import (
     caveats,
+    not_square,
     require_points,
     require_views,
     required,
@@ -142,6 +143,7 @@ def judged(
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
         T_left_board=poses_of_boards(used, fit),
+        doubts=not_square(robust_fit, covariance),
         advice=(*advice, *told, *caveats(covariance, robust_fit), *robust_fit.notes),
     )
 
