@@ -37,6 +37,10 @@ IN_TESTS = {
     ("calibrate/handeye/pairs.py", "armsight calibrate robot-world"): (
         f"{REPORTS}test_base_and_tool.py::test_the_rig_stands_in_the_axes_of_the_base_link"
     ),
+    ("calibrate/timing/stamps.py", "Give its stamps in seconds"): (
+        "tests/truth/test_timing_calibration.py::"
+        "test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure"
+    ),
     ("calibrate/tooltip.py", "25 degrees"): f"{REPORTS}test_tips.py::test_a_narrow_pivot_is_refused_for_its_tilt",
     ("store/interpret/standard.py", "Give --columns with -"): (
         f"{REPORTS}test_tracker_files.py::test_of_two_bodies_nobody_chooses_by_a_name"

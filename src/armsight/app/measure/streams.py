@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.sources.frames import camera_source, is_recording
-from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
+from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
@@ -120,5 +120,5 @@ def _steady(stamps_s: Array, where: str, read: Callable[[], Iterator[AnyFrame]])
         )
     if len(stamps_s) < FEWEST_FRAMES:
         return Stream(t_s=stamps_s, read=read, clock_covariance=lambda at_s: np.zeros((2, 2)))
-    clock = steady(stamps_s, where)
+    clock = camera_clock(stamps_s, where)
     return Stream(t_s=clock.t_s, read=read, clock_covariance=clock.clock_covariance)

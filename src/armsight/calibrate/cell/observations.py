@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.timing.stamps import SteadyStamps, steady
+from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
@@ -116,7 +116,7 @@ def recording_of(
 ) -> CellRecording:
     """Return what was recorded, checked. Raises NotEnoughData, Inconsistent (another arm's log, degrees)."""
     _check_log(arm, motion)
-    clocks = (steady(tracks[0].t_s, SIDES[0]), steady(tracks[1].t_s, SIDES[1]))
+    clocks = (camera_clock(tracks[0].t_s, SIDES[0]), camera_clock(tracks[1].t_s, SIDES[1]))
     parts = []
     for side, (track, clock, (_, height)) in enumerate(zip(tracks, clocks, sizes, strict=True)):
         m = len(track.names)

@@ -22,7 +22,7 @@ from armsight.calibrate.timing.fit import (
 )
 from armsight.calibrate.timing.naming import named_by_motion, only_light, usual_count
 from armsight.calibrate.timing.result import TimingCalibration
-from armsight.calibrate.timing.stamps import SteadyStamps, steady
+from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
 from armsight.calibrate.timing.views import Views, common_lights, views_of
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Fit, Prior
@@ -66,7 +66,7 @@ def calibrate_timing(
     """
     _require_two_cameras(rig)
     _require_two_recordings(left, right)
-    clocks = (steady(left.t_s, SIDES[0]), steady(right.t_s, SIDES[1]))
+    clocks = (camera_clock(left.t_s, SIDES[0]), camera_clock(right.t_s, SIDES[1]))
     tracks = _named(rig, (left, right), clocks, len(positions_m) if positions_m else None)
     names = common_lights(*tracks)
     coarse = coarse_delay(rig, tracks, (clocks[0].t_s, clocks[1].t_s), names[0])

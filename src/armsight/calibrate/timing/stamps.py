@@ -27,6 +27,10 @@ MAX_STAMP_S = 1e7
 ROUNDS_OF_NUMBERS = 10
 MAX_JITTER = 0.25
 """Of a period: stamps that scatter more do not tell which frame is which."""
+SLOWEST_S = 2.0
+"""Frames further apart follow no light that moves: a camera's stamps in ms step by 2 and more at up to 500 Hz."""
+SMALLER = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Units of stamps, by how many make a second."""
 FOLLOW, FOLLOW_PERIOD = 0.1, 0.002
 """Shares of a stamp's offset by which the clock and its period follow while frames are counted."""
 
@@ -61,6 +65,20 @@ class SteadyStamps:
         """Return the covariance (2, 2) of the clock's offset (s) at a stamp, and its rate (ppm)."""
         move = np.array([[1.0, 1e-6 * (at_s - self.mid_s)], [0.0, 1.0]])
         return np.asarray(move @ self.covariance @ move.T)
+
+
+def camera_clock(stamps_s: Array, side: str) -> SteadyStamps:
+    """Return the steady clock of a camera's stamps (n,); raises as `steady`, and Inconsistent for ms, us and ns."""
+    period = float(np.median(np.diff(stamps_s))) if len(stamps_s) >= FEWEST_FRAMES else 0.0
+    unit = next((unit for unit, many in SMALLER.items() if period < SLOWEST_S * many), "ns")
+    if period > SLOWEST_S:
+        raise Inconsistent(
+            f"the stamps of the {side} camera step by {period:.4g}: as seconds no light that moves is followed, as "
+            f"{unit} they are {SMALLER[unit] / period:.3g} frames a second",
+            consequence="Taken as seconds they would tie no clock to another",
+            cure=f"Give its stamps in seconds, divided by {SMALLER[unit]:.0f}",
+        )
+    return steady(stamps_s, side)
 
 
 def steady(stamps_s: Array, side: str, *, complete: bool = False) -> SteadyStamps:
