@@ -273,6 +273,8 @@ def _other_readings(arrays: Arrays, setup: Setup) -> dict[str, Arrays]:
         "the camera's poses are T_target_camera": (RF, tF, *_inverse(RB, tB)),
         "the robot's quaternions are written w, x, y, z": (*_scalar_first(RF, tF, setup), RB, tB),
         "the camera's quaternions are written w, x, y, z": (RF, tF, rolled(RB), tB),
+        # a mirror in both frames of a pose is a half turn of both, and the position's other sign
+        "one table's axes are left-handed, as with y up (undone by the other sign of y, qx and qz)": (RF, tF, RB, -tB),
     }
 
 

@@ -220,6 +220,9 @@ def rotation_excitation(rotations: Rotation) -> RotationExcitation:
 
 STALE = 2.0
 """Turns that the camera sees and the robot does not say, by this factor: both turn alike, whatever is mounted where."""
+STALE_SHARE = 0.4
+"""Of the pairs: fewer readings of an earlier pose are left out as what the others contradict."""
+FRESH = "Read the robot's pose anew at every image, once the hand stands"
 TURN_CURE = (
     "Add poses that tilt the hand by 15 to 30 degrees about at least two axes that are not parallel. Where the arm "
     "cannot tilt (SCARA, palletiser, gantry), let the camera stand beside it and use `armsight calibrate robot-world`, "
@@ -235,6 +238,7 @@ def require_turning(pairs: PosePairs) -> RotationExcitation:
     found, seen = (rotation_excitation(poses.rotation) for poses in (pairs.T_base_flange, pairs.T_camera_target))
     first, second, _ = found.rms_rad
     if second >= LEAST_TURN_RAD:
+        _require_own_poses(pairs)
         return found
     _require_fresh(pairs, found, seen)
     if first < LEAST_TURN_RAD:
@@ -265,8 +269,24 @@ def _require_fresh(pairs: PosePairs, found: RotationExcitation, seen: RotationEx
     raise Inconsistent(
         cause,
         consequence="The hand turned and its readings do not say so: they are stale, or in another unit of angle",
-        cure="Read the robot's pose anew at every image, once the hand stands, and check the unit of its angles",
+        cure=f"{FRESH}, and check the unit of its angles",
     )
+
+
+def _require_own_poses(pairs: PosePairs) -> None:
+    """Raise Inconsistent where many robot poses are copies of earlier ones, from which the camera's turn away."""
+    robot, camera = pairs.T_base_flange.as_matrix(), pairs.T_camera_target.rotation
+    copies = {i: int(same[0]) for i in range(1, len(pairs)) if len(same := _same(robot, i))}
+    turn = {i: float((camera[first].inv() * camera[i]).magnitude()) for i, first in copies.items()}
+    stale = [i for i in copies if turn[i] > LEAST_TURN_RAD]
+    if len(stale) > STALE_SHARE * len(pairs):
+        raise Inconsistent(
+            f"the robot's pose of {len(stale)} of {len(pairs)} pairs ({pairs.names[stale[0]]} to "
+            f"{pairs.names[stale[-1]]}) repeats an earlier one, such as {pairs.names[copies[stale[0]]]}, to the last "
+            f"digit, and the camera's turns by up to {max(turn.values()) / DEG:.3g} degrees from there",
+            consequence="These readings are stale, and the others are too few to outvote them",
+            cure=f"{FRESH}; or leave these rows out where ten others are left",
+        )
 
 
 def require_metres(pairs: PosePairs) -> None:
