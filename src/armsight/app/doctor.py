@@ -19,13 +19,13 @@ from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_th
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.fields import Doc
+from armsight.geometry.lengths import wide_rig
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
 from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
-from armsight.store.foreign.numbers import LARGEST_BASELINE_M
 from armsight.units import MM
 
 
@@ -170,7 +170,7 @@ def doctor(
         cameras=[*cameras_there(), *genicam_cameras()],
         drivers=drivers,
         kernels=kernels,
-        problems=[*failed, *_problems(drivers, kernels), *_wide(told)],
+        problems=[*failed, *_problems(drivers, kernels), *_too_wide(told)],
         rig=told,
     )
 
@@ -222,14 +222,9 @@ def _compile(progress: Progress | None) -> list[str]:
     return [f"Not compiled: {', '.join(left)}. What stands above says why; where nothing does, install armsight anew."]
 
 
-def _wide(rig: RigResolution | None) -> list[str]:
+def _too_wide(rig: RigResolution | None) -> list[str]:
     """Return what is wrong with a rig that is wider than any that sees an arm."""
-    if rig is None or rig.baseline_m <= LARGEST_BASELINE_M:
-        return []
-    return [
-        f"The rig's cameras are {rig.baseline_m:.3g} m apart: lengths in centimetres, millimetres or squares look so. "
-        "Where they stand closer, calibrate with the board's square in metres, or convert the rig's file with --unit."
-    ]
+    return [text] if rig is not None and (text := wide_rig(rig.baseline_m)) else []
 
 
 def _problems(drivers: Mapping[str, Sequence[str]], kernels: KernelCache) -> list[str]:

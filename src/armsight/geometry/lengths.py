@@ -19,6 +19,19 @@ PITCH_M = 1.0
 """No board's points are so far apart."""
 TARGET_M = 15.0
 """No target's lights are so far apart: 15 mm taken as metres."""
+LARGEST_BASELINE_M = 1.0
+"""A pair further apart than this has its unit said: centimetres (7.5), millimetres (60) and squares of a board (2.4)
+look like wide rigs, and no rig of cameras that see a tool has been met that is wider than 0.6 m."""
+
+
+def wide_rig(baseline_m: float) -> str:
+    """Return what to look for where a rig is wider than any that sees an arm, else ''."""
+    if baseline_m <= LARGEST_BASELINE_M:
+        return ""
+    return (
+        f"The rig's cameras are {baseline_m:.3g} m apart: lengths in centimetres, millimetres or squares look so. "
+        "Where they stand closer, calibrate with the board's square in metres, or convert the rig's file with --unit."
+    )
 
 
 def check_metres(length_m: ArrayLike, most_m: float, what: str) -> None:

@@ -33,6 +33,7 @@ from armsight.drivers import (
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.geometry.lengths import wide_rig
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
@@ -136,7 +137,7 @@ def run(
         raise failure
     consistency = check.finish()
     outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
-    failure, about = failure or _nothing_seen(outputs, consistency, board=setup.target.is_board), about or About()
+    failure, about = failure or _nothing_seen(outputs, consistency, setup), about or About()
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
     summary = replace(summary, assumed_fps=about.assumed_fps, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
@@ -276,7 +277,7 @@ LIGHTS_ON = (
 WHOLE_BOARD = "the board must be whole, sharp and evenly lit in both views, and its counts and kind those of --target"
 
 
-def _nothing_seen(outputs: Outputs, consistency: Consistency, *, board: bool) -> NotEnoughData | None:
+def _nothing_seen(outputs: Outputs, consistency: Consistency, setup: Setup) -> NotEnoughData | None:
     """Return the error for a run in which no frame gave even a position, or in which there was none."""
     if outputs.n_seen:
         return None
@@ -296,7 +297,8 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency, *, board: bool) ->
     return NotEnoughData(
         f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
         consequence="There is no pose",
-        cure=f"Look at the report, which shows what was seen: {WHOLE_BOARD if board else LIGHTS_ON}",
+        cure=f"{wide_rig(setup.rig.baseline_m)} Look at the report, which shows what was seen: "
+        f"{WHOLE_BOARD if setup.target.is_board else LIGHTS_ON}".strip(),
     )
 
 

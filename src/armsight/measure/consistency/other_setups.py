@@ -8,8 +8,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import DataRefused
+from armsight.geometry.lengths import LARGEST_BASELINE_M
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured
@@ -40,6 +42,8 @@ MOVED_M = 0.02
 """A triangle that moved less between moments may be of lamps of the room."""
 EDGE = 0.25
 """A principal point nearer to an image's edge than this share of its width is not that of a whole image."""
+UNITS = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
+"""In which rigs come."""
 SIZES = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 2, 2.0, 3.0, 4.0)
 """Ratios of image sizes that drivers offer."""
 
@@ -79,8 +83,9 @@ def _fitting(setup: Setup, moments: Sequence[Measured]) -> int:
 
 def _others(setup: Setup, moments: Sequence[Measured]) -> list[OtherSetup]:
     """Return the usual mistakes undone, the plainest first."""
+    wide = setup.rig.baseline_m > LARGEST_BASELINE_M
     mirrored = _with_target(setup, np.array([1.0, -1.0, 1.0]))
-    out = [*_of_other_size(setup)]
+    out = [*_of_other_size(setup), *(_in_units(setup) if wide else [])]
     out.append(
         OtherSetup(
             setup=mirrored,
@@ -90,7 +95,7 @@ def _others(setup: Setup, moments: Sequence[Measured]) -> list[OtherSetup]:
         )
     )
     factor = _scale(setup, moments)
-    if factor is not None and abs(factor - 1.0) > SCALED:
+    if factor is not None and abs(factor - 1.0) > SCALED and not (wide and factor * max(UNITS.values()) > 0.5):
         out += [_rescaled(setup, factor), _rescaled(mirrored, factor, MIRRORED)]
     return out
 
@@ -106,6 +111,26 @@ def _rescaled(setup: Setup, factor: float, more: str = "") -> OtherSetup:
         "with the board's true square size"
     )
     return OtherSetup(setup=_with_target(setup, np.full(3, factor)), words=words, cure=cure)
+
+
+def _in_units(setup: Setup) -> list[OtherSetup]:
+    """Return a rig wider than any with its lengths in the units that rigs come in."""
+    rig, out = setup.rig, list[OtherSetup]()
+    for unit, size_m in UNITS.items():
+        left, right = (
+            RigidTransform.from_components(T.translation * size_m, T.rotation) for T in (rig.T_rig_left, rig.T_rig_right)
+        )
+        narrower = replace(rig, T_rig_left=left, T_rig_right=right, covariance=None)
+        out.append(
+            OtherSetup(
+                setup=replace(setup, rig=narrower),
+                words=f"The rig's cameras stand {rig.baseline_m:.4g} m apart, and with {narrower.baseline_m:.4g} m the "
+                f"target fits: the rig's lengths are {unit}, given as metres",
+                cure=f"Multiply xyz_m of both cameras in the rig's file by {size_m:g}, or calibrate the rig anew with "
+                "the board's square in metres",
+            )
+        )
+    return out
 
 
 def _with_target(setup: Setup, factors: Array) -> Setup:

@@ -12,16 +12,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_matrix
+from armsight.geometry.lengths import LARGEST_BASELINE_M
 from armsight.store.codec import LARGEST
 
 Array = NDArray[np.float64]
 
 ROTATION_TOLERANCE = 1e-4
 """Largest entry of R R^T - 1: files with five decimals stay below it, wrong matrices do not."""
-
-LARGEST_BASELINE_M = 1.0
-"""A pair further apart than this has its unit said: centimetres (7.5), millimetres (60) and squares of a board (2.4)
-look like wide rigs, and no rig of cameras that see a tool has been met that is wider than 0.6 m."""
 
 NEAREST_PX = 1.0
 """RMS distance over the image that a lens's nearest k1, k2, p1, p2, k3 may leave."""
