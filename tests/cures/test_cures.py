@@ -111,6 +111,9 @@ IN_TESTS = {
     ("store/urdf_tree.py", "with --tip, such as"): (
         f"{REPORTS}test_base_and_tool.py::test_one_of_two_tools_is_asked_for_and_the_cure_names_it"
     ),
+    ("measure/consistency/other_setups.py", "Multiply xyz_m of both cameras"): (
+        "tests/unit/app/test_other_unit.py::test_a_rig_in_another_unit_is_named_and_its_cure_works"
+    ),
 }
 """By module and words of the cure: the test that follows it, or shows the new data that it asks for."""
 

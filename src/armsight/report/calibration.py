@@ -88,7 +88,9 @@ def calibration_verdict(run: CalibrationRun) -> Verdict:
         sentence += f"; the cameras stand {figure_of(run.baseline_m / MM, 'mm', digits=5)} apart"
     doubts = _doubts(run)
     if doubts:
-        to_do = f"Take more {_noun(run)}, with the {run.thing} tilted and up to the images' corners, and calibrate again."
+        to_do = (
+            f"Take more {_noun(run)}, with the {run.thing} tilted and up to the images' corners, and calibrate again."
+        )
         if run.doubts:
             to_do = (
                 f"Measure the {run.thing} along both sides with a calliper; calibrate again with one whose squares are "

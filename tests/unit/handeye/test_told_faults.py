@@ -35,7 +35,7 @@ def right(result):
     return np.linalg.norm(off) < 2e-3
 
 
-@pytest.mark.parametrize("stale", [range(4, 18), range(0, 10)])
+@pytest.mark.parametrize("stale", [range(4, 18), range(10)])
 def test_readings_that_repeat_an_earlier_one_are_named_and_without_them_it_is_right(stale):
     robot, camera = poses()
     robot = robot.copy()

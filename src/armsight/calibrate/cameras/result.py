@@ -34,8 +34,8 @@ class CameraCalibration(Output):
 
     covariance: of the free intrinsics, by name (px; none for distortion). holdout_rms_px: None where there were too few
     views. sources, view_rms_px: of the views used. uv_px, residual_px (n, 2): every point used and its residual (model
-    minus detected). used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board. doubts:
-    where pixels would not be square.
+    minus detected). used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board.
+    doubts: where pixels would not be square.
     """
 
     rms_px: Annotated[float, Doc("Reprojection residual of the fit, RMS, px.")]

@@ -118,7 +118,8 @@ def _in_units(setup: Setup) -> list[OtherSetup]:
     rig, out = setup.rig, list[OtherSetup]()
     for unit, size_m in UNITS.items():
         left, right = (
-            RigidTransform.from_components(T.translation * size_m, T.rotation) for T in (rig.T_rig_left, rig.T_rig_right)
+            RigidTransform.from_components(T.translation * size_m, T.rotation)
+            for T in (rig.T_rig_left, rig.T_rig_right)
         )
         narrower = replace(rig, T_rig_left=left, T_rig_right=right, covariance=None)
         out.append(
