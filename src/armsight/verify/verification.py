@@ -181,8 +181,8 @@ def _check_senses(arm: Arm | None, paired: Paired, known: NDArray[np.intp]) -> N
         return
     measured = paired.measured.take(known)
     found = other_senses(arm, ArmPoints(q=paired.q[known], xyz_m=measured.xyz_m, point=measured.point))
-    # a mirrored frame is as if nearly all joints ran the other way, and is told as that
-    if found is not None and len(found[0].joints) <= arm.n // 2:
+    # a mirrored frame is as if nearly all joints ran the other way, and is told as that; zeros are found and told here
+    if found is not None and (found[0].exchanged or 0 < len(found[0].joints) <= arm.n // 2):
         raise found[0].refusal(arm, found[1])
 
 

@@ -1,13 +1,14 @@
-"""Joints that count the other way than the nominal arm has it: of all choices of senses the one that explains the rows.
+"""Joints that count the other way than the nominal arm has it, or whose readings are exchanged: what explains the rows.
 
 Home-made and retrofitted arms, and models typed by hand, have it: a reading that falls where the model's rises. Base,
-tool and the zeros of joints are free beside the senses, so that zeros that were set elsewhere hide nothing.
+tool and the zeros of joints are free beside the senses, so that zeros that were set elsewhere hide nothing. Where axes
+before and behind a joint can make its reversal by half turns, as in wrists, either is told with the other.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ STEPS = 25
 """Evaluations of one choice: those that fit need ten."""
 FITS = 0.05
 """Share of how far the tool moved that may be left: lengths of a home-made arm, not the next best choice of senses."""
+FITS_ALIKE = 0.02
+"""The same where zeros alone, or readings exchanged, explain the rows: no choice of senses is the worse for it."""
 NEXT = 0.3
 """... and of what choices leave that reverse others."""
 TOLD_ZERO_RAD = 2.0 * DEG
@@ -36,62 +39,142 @@ TOLD_ZERO_RAD = 2.0 * DEG
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Senses:
-    """Joints that run the other way, zeros (n,) by which the others are then off, and what is left, RMS in m."""
+    """Joints that run the other way, zeros (n,) by which the others are then off, and what is left, RMS in m.
+
+    exchanged: two joints whose readings stand in each other's place. alike: joints that run the other way and zeros
+    that explain the rows as well.
+    """
 
     joints: tuple[str, ...]
     zeros_rad: Array
     left_m: float
+    exchanged: tuple[str, ...] = ()
+    alike: tuple[tuple[tuple[str, ...], Array], ...] = ()
 
     def refusal(self, arm: Arm, given_m: float) -> Inconsistent:
-        """Return the refusal of an arm's file whose joints have other senses than its readings."""
-        named = ", ".join(self.joints)
-        off = [
-            (joint.name, zero)
-            for joint, zero in zip(arm.joints, self.zeros_rad.tolist(), strict=True)
-            if abs(zero) > TOLD_ZERO_RAD
-        ]
-        zeros = f" (and zeros off: {', '.join(f'{x} by {z / DEG:.1f}' for x, z in off)} degrees)" if off else ""
-        add = f", and add to theta_rad there {', '.join(f'{z:.3f} ({x})' for x, z in off)}" if off else ""
-        many = len(self.joints) > 1
+        """Return the refusal of an arm's file whose joints have other senses, zeros or places than its readings."""
+        named, both, off = ", ".join(self.joints), " and ".join(self.exchanged), _off(arm, self.zeros_rad)
+        many, add = len(self.joints) > 1, f"add to theta_rad there {', '.join(f'{z:.3f} ({x})' for x, z in off)}"
+        what = _words(arm, self.joints, self.zeros_rad)
+        if self.exchanged:
+            what = f"the readings of {both} exchanged{_zeros(off)}"
+            consequence = f"The columns of {both} stand in each other's place"
+            cure = f"Exchange the columns of {both} in the table" + (f"; in an arm.yaml {add}" if off else "")
+        elif self.joints:
+            consequence = f"The reading{'s' * many} of {named} run{'s' * (not many)} the other way than in the model"
+            cure = (
+                f"Change the sign of {named} in the arm's file: `sign: -1` there in an arm.yaml (`armsight convert "
+                f"arm` writes one){f', and {add}' if off else ''}; in a URDF reverse the axis"
+            )
+        else:
+            consequence = "The readings count from other places than in the model"
+            cure = f"In an arm.yaml (`armsight convert arm` writes one) {add}"
+        alike = "".join(f", and as well with {_words(arm, *one)}" for one in self.alike)
         return Inconsistent(
-            f"the nominal arm misses the positions by {given_m / MM:.3g} mm (root mean square); with {named} "
-            f"counted the other way it fits them to {self.left_m / MM:.2g} mm{zeros}",
-            consequence=f"The reading{'s' if many else ''} of {named} run{'' if many else 's'} the other way than in "
-            "the model, and nothing is written",
-            cure=f"Change the sign of {named} in the arm's file: `sign: -1` there in an arm.yaml (`armsight convert "
-            f"arm` writes one){add}; in a URDF reverse the axis",
+            f"the nominal arm misses the positions by {given_m / MM:.3g} mm (root mean square); with {what} it fits "
+            f"them to {self.left_m / MM:.2g} mm{alike}",
+            consequence=f"{consequence}{', or as the others say' if alike else ''}, and nothing is written",
+            cure=cure,
         )
 
 
+def _off(arm: Arm, zeros_rad: Array) -> list[tuple[str, float]]:
+    """Return the joints whose zeros are off by more than what is told, and by how much."""
+    each = zip(arm.joints, zeros_rad.tolist(), strict=True)
+    return [(joint.name, zero) for joint, zero in each if abs(zero) > TOLD_ZERO_RAD]
+
+
+def _words(arm: Arm, names: tuple[str, ...], zeros_rad: Array) -> str:
+    senses = f"{', '.join(names)} counted the other way" if names else "the senses as they are"
+    return senses + _zeros(_off(arm, zeros_rad))
+
+
+def _zeros(off: list[tuple[str, float]]) -> str:
+    return f" (and zeros off: {', '.join(f'{x} by {z / DEG:.1f}' for x, z in off)} degrees)" if off else ""
+
+
 def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
-    """Return the senses that explain the rows where the given ones do not, and their RMS error in m; else None."""
+    """Return the senses, zeros or exchange of two joints that explain the rows where the given ones do not, and the RMS
+    error with these in m; else None."""
     turning = np.flatnonzero(arm.revolute)
     if not 1 <= len(turning) <= MOST_JOINTS or len(points) < FEWEST or len(points.labels) > 1 or arm.couplings:
         return None
     rows = np.unique(np.linspace(0, len(points) - 1, ROWS).astype(np.intp))
     q, xyz_m = points.q[rows], points.xyz_m[rows]
-    choices = sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda signs: signs.count(-1.0))
-    found = [_fit(arm, turning, np.array(signs), q, xyz_m) for signs in choices]
-    left = np.array([one[0] for one in found])
-    given_m, alike = found[0][0], np.flatnonzero(left * NEXT <= left.min())
-    best = int(alike[0])  # of those that fit alike the one that reverses fewest
-    left_m, zeros = found[best]
     spread = float(np.sqrt(((xyz_m - xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    choices = [
+        np.array(signs) for signs in sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda s: s.count(-1.0))
+    ]
+    found = [_fit(arm, turning, signs, q, xyz_m) for signs in choices]
+    left = np.array([one[0] for one in found])
+    alike = np.flatnonzero(left * NEXT <= left.min())
+    if left.min() > FITS * spread:
+        return _exchanged(arm, turning, q, xyz_m, FITS_ALIKE * spread, left)
+    zeros = [_of_joints(arm, turning, one[1]) for one in found]
+    size = [float(np.abs(one).sum().round(1)) for one in zeros]
+    # of those that fit alike the one of the smallest zeros that reverses fewest
+    best, *others = sorted(alike, key=lambda i: (size[i], (choices[i] < 0.0).sum()))
     # a joint that turns the tool about itself, or a wrist that flips, fits both ways: the others are known all the same
-    common = np.all([np.array(choices[i]) < 0.0 for i in alike], axis=0)
-    if best == 0 or left_m > FITS * spread or not np.array_equal(common, np.array(choices[best]) < 0.0):
+    common = np.all([choices[i] < 0.0 for i in alike], axis=0)
+    ambiguous = alike[0] == 0 or not np.array_equal(common, choices[best] < 0.0)
+    if ambiguous and left[best] > FITS_ALIKE * spread:
         return None
-    names = tuple(arm.joints[j].name for j, sign in zip(turning, choices[best], strict=True) if sign < 0.0)
+    names = _reversed(arm, turning, choices[best])
+    if not names and not _off(arm, zeros[best]):
+        return None
     mirrored = _fit(arm, turning, np.ones(len(turning)), q, xyz_m * [-1.0, 1.0, 1.0])[0]
-    if len(names) > 1 and mirrored * NEXT <= left_m:
+    if len(names) > 1 and mirrored * NEXT <= left[best]:
         return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
-    every = np.zeros(arm.n)
-    every[turning] = zeros
-    every[[turning[0], turning[-1]]] = 0.0  # base and tool take these up
-    return Senses(joints=names, zeros_rad=every, left_m=left_m), given_m
+    if not ambiguous:
+        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best]), found[0][0]
+    told = [best]
+    for i in others:  # not those that reverse one more joint beside what is told, such as the last
+        if (size[i] == size[best] or i == 0) and all(((choices[k] < 0.0) & (choices[i] > 0.0)).any() for k in told):
+            told.append(i)
+    same = tuple((_reversed(arm, turning, choices[i]), zeros[i]) for i in told[1:])
+    given_m = _fit(arm, turning, choices[0], q, xyz_m, steps=1)[0]
+    return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same), given_m
 
 
-def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Array) -> tuple[float, Array]:
+def _reversed(arm: Arm, turning: NDArray[np.intp], signs: Array) -> tuple[str, ...]:
+    return tuple(arm.joints[j].name for j, sign in zip(turning, signs, strict=True) if sign < 0.0)
+
+
+def _exchanged(
+    arm: Arm, turning: NDArray[np.intp], q: Array, xyz_m: Array, most_m: float, left: Array
+) -> tuple[Senses, float] | None:
+    """Return the two joints whose readings stand in each other's place, where one pair explains the rows; else None.
+
+    left: of all choices of senses, RMS in m.
+    """
+    pairs = list(combinations(range(arm.n), 2))
+    ones = np.ones(len(turning))
+    found = [_fit(arm, turning, ones, _swapped(q, pair), xyz_m) for pair in pairs]
+    order = np.argsort([one[0] for one in found])
+    best_m, zeros = found[order[0]]
+    nearest = min([left.min(), *(found[i][0] for i in order[1:2])])
+    if best_m > min(most_m, NEXT * nearest):
+        return None
+    names = tuple(arm.joints[j].name for j in pairs[order[0]])
+    return Senses(joints=(), zeros_rad=_of_joints(arm, turning, zeros), left_m=best_m, exchanged=names), float(left[0])
+
+
+def _swapped(q: Array, pair: tuple[int, int]) -> Array:
+    out = q.copy()
+    out[:, pair] = q[:, pair[::-1]]
+    return out
+
+
+def _of_joints(arm: Arm, turning: NDArray[np.intp], zeros_rad: Array) -> Array:
+    """Return zeros (n,) of all joints: base and tool take up those of the first and the last one that turn."""
+    out = np.zeros(arm.n)
+    out[turning[1:-1]] = zeros_rad[1:-1]
+    return out
+
+
+def _fit(
+    arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Array, steps: int = STEPS
+) -> tuple[float, Array]:
     """Return what is left, RMS in m, and the zeros of the turning joints, base and tool free."""
     k, around, out_of_tool = len(turning), xyz_m - xyz_m.mean(axis=0), np.linalg.inv(arm.T_flange_tool.as_matrix())
 
@@ -107,7 +190,7 @@ def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Arr
 
     try:
         first = np.concatenate([np.zeros(k), arm.T_flange_tool.translation])
-        found = least_squares(residuals, first, x_scale=[0.1] * k + [0.05] * 3, max_nfev=STEPS, ftol=1e-6)
+        found = least_squares(residuals, first, x_scale=[0.1] * k + [0.05] * 3, max_nfev=steps, ftol=1e-6)
     except (ArmsightError, ValueError, np.linalg.LinAlgError):
         return np.inf, np.zeros(k)
     return float(np.sqrt(2.0 * found.cost / len(q))), np.remainder(found.x[:k] + np.pi, 2.0 * np.pi) - np.pi
