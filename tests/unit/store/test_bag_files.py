@@ -9,6 +9,8 @@ import shutil
 import sqlite3
 import subprocess
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -374,6 +376,17 @@ def test_a_message_of_another_content_is_named(tmp_path: Path) -> None:
     base.close()
     with refuses(BadFile, "message 4"):
         read(run)
+
+
+def test_while_a_database_that_kept_a_log_is_read_nothing_stands_beside_it(tmp_path: Path) -> None:
+    run = written(tmp_path / "run", StoragePlugin.SQLITE3)  # as the recorder's preset for resilience leaves it
+    with closing(sqlite3.connect(data_of(run))) as base:
+        base.execute("PRAGMA journal_mode = WAL")
+    before = untouched(run)
+    with BagFrames(f"bag:{run}:/camera") as source, ThreadPoolExecutor() as other:
+        frames = iter(source)
+        assert [other.submit(next, frames).result().t_s for _ in TIMES] == TIMES
+        assert untouched(run) == before
 
 
 YUV = [("uyvy", "uyvy"), ("yuv422", "uyvy"), ("yuyv", "yuyv"), ("yuv422_yuy2", "yuyv")]
