@@ -51,7 +51,7 @@ IN_TESTS = {
     ("store/bags.py", "`armsight record --repair {}"): (
         "tests/unit/store/test_bag_files.py::test_a_file_that_breaks_off_is_saved_as_its_cure_says"
     ),
-    ("store/bags.py", "`sqlite3 FILE"): (
+    ("store/bags.py", "`sqlite3 FILE '.clone mended.db3'`"): (
         "tests/unit/store/test_bag_files.py::test_a_damaged_database_is_saved_as_its_cure_says"
     ),
     ("app/path/picks.py", "; or leave them out with --skip"): (

@@ -237,19 +237,18 @@ def _listed(path: Path) -> tuple[list[Path], dict[str, int]]:
         content = parse_yaml(data, "metadata.yaml")["rosbag2_bagfile_information"]
         # Foxy's names begin with the folder's, those of Windows have its strokes
         paths = [folder / PureWindowsPath(name).name for name in content["relative_file_paths"]]
-        topics = content["topics_with_message_count"]
-        said = {one["topic_metadata"]["name"]: int(one["message_count"]) for one in topics}
+        said = {it["topic_metadata"]["name"]: int(it["message_count"]) for it in content["topics_with_message_count"]}
     except (BadFile, LookupError, TypeError, ValueError):
         paths, said = [], {}
     if path != folder and path not in paths:
         paths, said = [path], {}
-    paths = paths or [one for one in folder.glob("*") if not one.stem.endswith(".broken")]  # left by record --repair
-    paths = [
-        one for one in paths if one.is_file() and one.name.removesuffix(".zstd").endswith((".bag", ".mcap", ".db3"))
-    ]
+    paths = [one for one in paths if one.is_file()]
+    if not paths and path == folder:  # what record --repair put aside is not meant
+        paths = [one for one in folder.glob("*") if one.is_file() and not one.stem.endswith(".broken")]
+    paths = [one for one in paths if one.name.removesuffix(".zstd").endswith((".bag", ".mcap", ".db3"))]
     if not paths:
         raise BadFile(
-            f"{path} is no bag, and there is none in it",
+            f"{path} is {'no bag, and holds none' if path.exists() else 'not there'}",
             consequence="There are no messages",
             cure="Check the path: give a .bag, .mcap or .db3, or the folder that ros2 bag record made",
         )
@@ -357,5 +356,6 @@ def _unreadable(where: str, error: Exception) -> BadFile:
         consequence="There are no messages from there on",
         cure="Check its permissions, and the room for a copy in the folder of temporary files (TMPDIR)"
         if isinstance(error, OSError)
-        else "`sqlite3 FILE '.clone mended.db3'` saves what is whole of a .db3, rosbag reindex what is of a .bag",
+        else "Copy it again from its recorder; if it is so there, `sqlite3 FILE '.clone mended.db3'` saves what is whole "
+        "of a .db3, and rosbag reindex of a .bag",
     )

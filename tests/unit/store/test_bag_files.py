@@ -337,6 +337,12 @@ def test_what_metadata_say_beyond_what_is_there_is_told(tmp_path: Path) -> None:
     assert all_there(run)
 
 
+def test_files_that_were_renamed_are_read(tmp_path: Path) -> None:
+    run = written(tmp_path / "run", StoragePlugin.MCAP)
+    data_of(run).rename(run / "left.mcap")
+    assert all_there(run)
+
+
 def test_a_file_that_metadata_do_not_list_stands_for_itself(tmp_path: Path) -> None:
     run = written(tmp_path / "run", StoragePlugin.MCAP)
     data_of(run).write_bytes(b"")
