@@ -356,6 +356,6 @@ def _unreadable(where: str, error: Exception) -> BadFile:
         consequence="There are no messages from there on",
         cure="Check its permissions, and the room for a copy in the folder of temporary files (TMPDIR)"
         if isinstance(error, OSError)
-        else "Copy it again from its recorder; if it is so there, `sqlite3 FILE '.clone mended.db3'` saves what is whole "
-        "of a .db3, and rosbag reindex of a .bag",
+        else "Copy it again from its recorder; if it is so there, `sqlite3 FILE '.clone mended.db3'` saves what is "
+        "whole of a .db3, and rosbag reindex of a .bag",
     )
