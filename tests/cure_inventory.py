@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TypeGuard
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "armsight"
@@ -46,11 +47,18 @@ def cures() -> tuple[Cure, ...]:
             if isinstance(target, ast.Name)
         }
         for node in ast.walk(tree):
-            if isinstance(node, ast.keyword) and node.arg == "cure":
+            if _is_cure(node):
                 for text in texts(node.value, constants):
                     if text.strip("{} "):
                         found[Cure(path.relative_to(SOURCE).as_posix(), text)] = None
     return tuple(found)
+
+
+def _is_cure(node: ast.AST) -> TypeGuard[ast.keyword | ast.Assign]:
+    """Whether this gives a cure, or puts one together before it is given."""
+    if isinstance(node, ast.Assign):
+        return any(isinstance(target, ast.Name) and target.id == "cure" for target in node.targets)
+    return isinstance(node, ast.keyword) and node.arg == "cure"
 
 
 def texts(node: ast.expr, constants: dict[str, ast.expr]) -> Iterator[str]:

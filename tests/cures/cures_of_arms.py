@@ -141,7 +141,7 @@ ON_ARM = "--arm irb120"
 STREAMS = f"{HANDEYE} --robot-stream measured.csv --camera-stream measured.csv"
 
 TRIED = {
-    ("control/paths/outliers.py", "Take the outlier out"): (
+    ("control/paths/outliers.py", "Take the outlier out (armsight path smooth --outliers drop)"): (
         f"path export outlier.csv -o a.script --speed-m-s 0.01 {ON_ARM}",
         f"path smooth outlier.csv -o s.csv --outliers drop && path export s.csv -o a.script --speed-m-s 0.01 {ON_ARM}",
     ),

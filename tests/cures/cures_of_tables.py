@@ -98,6 +98,10 @@ FILES = {
     "rotvec.csv": table("x_m,y_m,z_m,rotvec_x_deg,rotvec_y_deg,rotvec_z_deg", [[*r[:3], 200, 80, 300] for r in ANGLES]),
     "middle.csv": table("x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", [[*r[:3], r[3], 120 + r[4] / 9, 150] for r in ANGLES]),
     "flat.csv": table("", [[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]] * 8),
+    "unnamed.csv": table("q1,q2,q3,a,b,c", [[0.1, 0.2, 0.3, 0.4, 0.5, 0.6 + 0.01 * k] for k in range(3)]),
+    "unnamed_deg.csv": table(
+        "q1_deg,q2_deg,q3_deg,a,b,c", [[5.0, 9.0, 3.0, 0.4, 0.5, 0.6 + 0.1 * k] for k in range(3)]
+    ),
     "gap.csv": table("q1,q2,q4", [[0.1, 0.2, 0.01 * k] for k in range(9)]),
     "nogap.csv": table("q1,q2,q3", [[0.1, 0.2, 0.01 * k] for k in range(9)]),
     "late.csv": "t_s\n1.7e18\n1.7e18\n",
@@ -179,6 +183,14 @@ TRIED = {
     ("store/interpret/assemble.py", "Give --columns with the cells"): (
         f"{TABLE} flat.csv --as poses",
         f"{{}} --columns {','.join(f'm{row}{column}' for row in range(4) for column in range(4))}",
+    ),
+    ("app/tables.py", "Name them in the first line, or give --columns"): (
+        f"{TABLE} unnamed.csv --as points",
+        "{} --columns q1,q2,q3,x_m,y_m,z_m",
+    ),
+    ("store/interpret/read.py", "Name them in the first line, or give --columns"): (
+        f"{TABLE} unnamed_deg.csv --as points",
+        "{} --columns q1_deg,q2_deg,q3_deg,x_m,y_m,z_m",
     ),
     ("store/interpret/read.py", "Say it with --as"): (f"{TABLE} none.csv", f"{TABLE} none.csv --as points"),
     ("store/interpret/standard.py", "Number the joints q1"): (

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
-from armsight.errors import UsageError
+from armsight.errors import BadFile, UsageError
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.store import write_text
@@ -65,6 +65,12 @@ def convert_table(
     format_.check()
     kind = kind or kind_of_table(source, format_, KINDS)
     found = interpret(source, UNTIMED.get(kind, kind), format_)
+    if found.missing:
+        raise BadFile(
+            f"{source}: no column of {kind} is {', '.join(found.missing)}",
+            consequence="The file is not used",
+            cure="Name them in the first line, or give --columns",
+        )
     rows = [row for row in csv.reader(io.StringIO(found.data.decode("utf-8-sig"), newline="")) if row]
     header = rows[0]
     words = [name for name in header if name in ("file", "point", "status", "spots")]
