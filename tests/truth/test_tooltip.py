@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.tooltip import MeasuredPoint, TipRecording, calibrate_tooltip, mean_tip
@@ -134,3 +135,31 @@ def test_recording_tells_when_it_is_enough() -> None:
     assert 8 < len(doubts) < 60
     assert "good enough" in recording.progress()
     assert TipRecording().with_pose(RigidTransform.identity()).progress().startswith("1 poses: ")
+
+
+@pytest.mark.parametrize(
+    "slip", [(np.array([0.0, 3 * MM, 0.0]), 0.0), (TIP - TIP[[1, 0, 2]] * [-1, 1, 1], 0.0), (0.0, 4 * MM)]
+)
+def test_two_settings_in_one_table_are_told_with_the_row(slip: tuple[NDArray[np.float64] | float, float]) -> None:
+    off, point = slip  # a tool that slipped, one turned by 90 degrees, a point that was moved
+    rng = np.random.default_rng(8)
+    R = Rotation.from_rotvec(rng.uniform(-25 * DEG, 25 * DEG, (40, 3)))
+    late = (np.arange(40) >= 20)[:, None]
+    t = POINT + late * np.array([point, 0.0, 0.0]) - R.apply(TIP + late * off) + rng.normal(0, 0.1 * MM, (40, 3))
+    both = RigidTransform.from_components(t, R)
+    with refuses(Inconsistent, "row 21"):
+        calibrate_tooltip(both)
+    for part, turned in ((both[:20], 0.0), (both[20:], 1.0)):  # the cure
+        assert calibrate_tooltip(part).tip_m == pytest.approx(TIP + turned * off, abs=0.3 * MM)
+
+
+@pytest.mark.parametrize("n", [8, 30])
+def test_a_point_that_is_not_where_it_was_measured_is_refused(n: int) -> None:
+    rng = np.random.default_rng(9)
+    for _ in range(20):
+        poses = pivot(rng, n, noise=0.5)
+        wrong = MeasuredPoint(xyz_m=POINT + 5 * MM * np.eye(3)[1], sigma_m=0.2 * MM)
+        with refuses(Inconsistent, "measured", "--point-sigma"):
+            calibrate_tooltip(poses, point=wrong)
+        right = MeasuredPoint(xyz_m=POINT + rng.normal(0, 0.2 * MM, 3), sigma_m=0.2 * MM)
+        assert calibrate_tooltip(poses, point=right).tip_m == pytest.approx(TIP, abs=1.5 * MM)

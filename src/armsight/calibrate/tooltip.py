@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.correlation import regions, widened
 from armsight.calibrate.tooltip_places import FAR, MIN_POSES, place_numbers, places_of
+from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.calibrate.tooltip_stream import PivotStream, TipFit, checked_times, slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
@@ -99,15 +100,15 @@ def calibrate_tooltip(
     times = None if t_s is None else checked_times(np.asarray(t_s, float), len(R))
     C = None if covariances is None else frozen_array("covariances", covariances, (len(R), 6, 6))
     _require_turning(_turns(R))
+    if point is not None:
+        require_point_there(calibrate_tooltip(poses, covariances, None, t_s), point.xyz_m, point.sigma_m)
     place = np.arange(len(R)) if times is not None else place_numbers(R)
     places = places_of(R, t, C, place)
     keep_places, (x, cov, e, V, _, _) = _agreed(*places.poses, point)
     keep, used = places.fine & keep_places[place], places.poses[0][keep_places]
-    turn = _turns(used)
-    _require_turning(turn)
-    _require_point(
-        e[keep_places], places.poses[1][keep_places], len(e), turn[1], float(np.sqrt(np.diag(cov)[:3].max()))
-    )
+    turn = _require_turning(_turns(used))
+    require_one_tool(R[keep], t[keep], np.flatnonzero(keep))
+    _require_point(e[keep_places], places.poses[1][keep_places], len(e), turn[1], cov)
     check_metres(np.linalg.norm(x[:3]), TOOL_M, "the tip would be off the turned frame by")
     prior = None if point is None else point.information()
     if times is not None:
@@ -353,9 +354,9 @@ def _require_metres(t: Array, point: MeasuredPoint | None) -> None:
         check_metres(np.linalg.norm(point.xyz_m), FAR_M, "the point that the tip rests on is away by")
 
 
-def _require_turning(turn: Array) -> None:
+def _require_turning(turn: Array) -> Array:
     if turn[1] >= LEAST_TURN_RAD:
-        return
+        return turn
     what = "about one axis only" if turn[0] >= LEAST_TURN_RAD else f"by only {turn[0] / DEG:.2g} degrees"
     raise Degenerate(
         f"the tool turns {what}",
@@ -364,9 +365,10 @@ def _require_turning(turn: Array) -> None:
     )
 
 
-def _require_point(e: Array, t: Array, n: int, turn_rad: float, std_m: float) -> None:
+def _require_point(e: Array, t: Array, n: int, turn_rad: float, cov: Array) -> None:
     """Raise where the residuals (k, 3) are as large as the motion of the frame (k, 3): Degenerate where the tool turned
-    so little that noise of the poses is enough for it, else Inconsistent. std_m: largest of the tip."""
+    so little that noise of the poses is enough for it, else Inconsistent. cov (6, 6): of tip and point."""
+    std_m = float(np.sqrt(np.diag(cov)[:3].max()))
     rms, moved = (float(np.sqrt((v**2).sum(axis=1).mean())) for v in (e, t - t.mean(axis=0)))
     if not (rms > LOOSE_M and rms > UNRELATED * moved):
         return
