@@ -42,6 +42,12 @@ IN_TESTS = {
         "test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure"
     ),
     ("calibrate/tooltip.py", "25 degrees"): f"{REPORTS}test_tips.py::test_a_narrow_pivot_is_refused_for_its_tilt",
+    ("calibrate/tooltip_premises.py", "Leave the point out"): (
+        "tests/truth/test_tooltip.py::test_a_point_that_is_not_where_it_was_measured_is_refused"
+    ),
+    ("calibrate/tooltip_premises.py", "on apart"): (
+        "tests/truth/test_tooltip.py::test_two_settings_in_one_table_are_told_with_the_row"
+    ),
     ("store/interpret/standard.py", "Give --columns with -"): (
         f"{REPORTS}test_tracker_files.py::test_of_two_bodies_nobody_chooses_by_a_name"
     ),

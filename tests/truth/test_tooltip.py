@@ -161,5 +161,6 @@ def test_a_point_that_is_not_where_it_was_measured_is_refused(n: int) -> None:
         wrong = MeasuredPoint(xyz_m=POINT + 5 * MM * np.eye(3)[1], sigma_m=0.2 * MM)
         with refuses(Inconsistent, "measured", "--point-sigma"):
             calibrate_tooltip(poses, point=wrong)
+        assert calibrate_tooltip(poses).tip_m == pytest.approx(TIP, abs=1.5 * MM)
         right = MeasuredPoint(xyz_m=POINT + rng.normal(0, 0.2 * MM, 3), sigma_m=0.2 * MM)
         assert calibrate_tooltip(poses, point=right).tip_m == pytest.approx(TIP, abs=1.5 * MM)
