@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.correlation import regions
 from armsight.calibrate.timing.sampling import sampling_times
 from armsight.errors import Ambiguous, Inconsistent
-from armsight.kinematics import Arm, dh_arm, fk, preset
+from armsight.kinematics import Arm, Joint, JointType, dh_arm, fk, preset
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses
 from armsight.store.verify_files import read_measured
@@ -398,3 +398,34 @@ def test_few_poses_of_an_arm_whose_geometry_is_off_blame_no_joint() -> None:
     assert found.cause is not None
     # joint 2's gear was blamed: of rows left out it takes off more than the geometry can of 24, of all rows far less
     assert found.cause.cause == "model"
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+@pytest.mark.parametrize("kind", [Kind.BACKLASH, Kind.ECCENTRICITY])
+def test_faults_are_told_of_joints_whose_zero_base_or_tool_take_up(joint: int, kind: Kind) -> None:
+    q, rng = poses(90)
+    way = np.sign(np.diff(q[:, joint], prepend=q[0, joint] - 1.0))
+    true = q.copy()
+    true[:, joint] += 0.001 * way if kind is Kind.BACKLASH else 0.002 * np.sin(q[:, joint] + 0.4)
+    result = verify(arm(), Reported(q=q), seen(TABLE, true, rng), Align.BOTH)
+    assert cause_of(result) == f"joint {joint + 1}" and result.cause is not None
+    assert result.cause.kind is kind
+    assert not result.cause.joints[joint].judged  # its zero stays open
+
+
+def test_a_slide_that_runs_long_is_told_by_its_scale() -> None:
+    rng = np.random.default_rng(91)
+    slide = Joint(name="rail", type=JointType.PRISMATIC, alpha_rad=QUARTER)
+    q = np.column_stack([rng.uniform(-1.0, 1.0, 60), poses(92)[0]])
+    turned = Rotation.from_euler("x", QUARTER)
+    run = RigidTransform.from_components(np.outer(1.003 * q[:, 0], [0.0, 0.0, 1.0]), turned)
+    T = BASE * run * RigidTransform.from_matrix(flange(TABLE, q[:, 1:])) * TOOL
+    noise = rng.normal(0.0, STD, (60, 6))
+    measured = Measured(
+        xyz_m=T.translation + noise[:, :3], rotation=(Rotation.from_rotvec(noise[:, 3:]) * T.rotation).as_matrix()
+    )
+    result = verify(replace(arm(), joints=(slide, *arm().joints)), Reported(q=q), measured, Align.BOTH)
+    assert cause_of(result) == "joint 1" and result.cause is not None
+    assert result.cause.kind is Kind.SCALE
+    value, std = result.cause.parameters["scale_m_per_m"]
+    assert abs(value - 0.003) < 3.0 * std < 0.0015

@@ -134,7 +134,8 @@ def find_cause(case: Case, aligned: ModelFit, speed: Array | None, acceleration:
     why = _too_little(case, able)
     if why:
         return Cause(cause="undecided", joints=judged, sentence=why, measurement_share=share)
-    offered = [e for e in effects(case.bare, case.q, speed, acceleration) if able[e.joint]]
+    # base or tool take up a joint's zero, not what changes with its reading or its direction
+    offered = [e for e in effects(case.bare, case.q, speed, acceleration) if able[e.joint] or e.kind is not Kind.ZERO]
     trial = _best_effect(case, aligned, offered)
     return _decide(case, aligned, trial, judged, share)
 

@@ -1,4 +1,5 @@
-"""What a joint can have wrong, as what is added to its reading: a zero, backlash, a gear's eccentricity, elasticity."""
+"""What a joint can have wrong, as what is added to its reading: a zero, backlash, a gear's eccentricity, a slide's
+scale, elasticity."""
 
 from __future__ import annotations
 
@@ -28,6 +29,7 @@ class Kind(StrEnum):
     ZERO = "zero offset"
     BACKLASH = "backlash"
     ECCENTRICITY = "gear eccentricity"
+    SCALE = "scale of the slide"
     LOAD = "elasticity under load"
     ACCELERATION = "elasticity under acceleration"
 
@@ -67,6 +69,9 @@ def effects(arm: Arm, q: Array, speed: Array | None, acceleration: Array | None)
             turn = np.stack([np.sin(q[:, i]), np.cos(q[:, i]) - np.cos(q[:, i]).mean()], axis=1)
             names = ("sin_rad", "cos_rad")
             found.append(Effect(joint=i, kind=Kind.ECCENTRICITY, names=names, basis=turn))
+        else:  # a screw's pitch, a belt's wheel, a warm scale
+            along = q[:, [i]] - q[:, i].mean()
+            found.append(Effect(joint=i, kind=Kind.SCALE, names=("scale_m_per_m",), basis=along))
         if np.ptp(load[:, i]) > LEAST_LOAD * max(float(np.ptp(load, axis=0).max()), 1e-12):
             found.append(Effect(joint=i, kind=Kind.LOAD, names=(f"load_{unit}_per_m",), basis=load[:, [i]]))
         if acceleration is not None and np.ptp(acceleration[:, i]) > 0.0:
