@@ -184,6 +184,16 @@ def test_backlash_and_eccentricity_are_told_from_a_zero() -> None:
         assert result.cause.kind is kind
 
 
+@pytest.mark.parametrize("seed", [90, 92])
+def test_backlash_of_a_joint_that_the_base_takes_up_is_no_two_sets_of_rows(seed: int) -> None:
+    q, rng = poses(seed, 120)
+    true = q.copy()
+    true[:, 0] += 0.002 * np.sign(np.diff(q[:, 0], prepend=q[0, 0] - 1.0))
+    result = verify(arm(), Reported(q=q), seen(TABLE, true, rng), Align.BOTH)
+    assert cause_of(result) == "joint 1" and result.cause is not None
+    assert result.cause.kind is Kind.BACKLASH and not result.rejected
+
+
 def test_too_few_rows_decide_nothing_and_poses_are_proposed() -> None:
     q, rng = poses(60, 10)
     result = verify(arm(), Reported(q=q), seen(changed(2, 3, 0.002), q, rng), Align.BOTH)

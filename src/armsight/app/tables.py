@@ -73,13 +73,12 @@ def convert_table(
         )
     rows = [row for row in csv.reader(io.StringIO(found.data.decode("utf-8-sig"), newline="")) if row]
     header = rows[0]
-    words = [name for name in header if name in ("file", "point", "status", "spots")]
     table = parse_table(
         found.data,
         str(source),
         (),
         optional=[name for name in header if not (name[0] == "q" and name[1:].isdecimal())],
-        text=words,
+        text=[name for name in header if name in ("file", "point", "status", "spots")],
         blank=header,
         series="q",
     )

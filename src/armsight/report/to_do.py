@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from armsight.verify import Kind
+from armsight.verify.alignment import FOREIGN
 from armsight.verify.results import VerifyOutput
 
 VERIFY: Mapping[str, str] = {
@@ -52,11 +53,23 @@ def hides(summary: VerifyOutput) -> bool:
     return hidden is not None and after is not None and hidden > after.rms_m
 
 
+MANY_FOREIGN = 0.1
+"""Share of the rows that miss what the others agree on from which something moved: slips and lost targets are fewer."""
+
+
+def foreign(summary: VerifyOutput) -> bool:
+    """Whether so many rows were left out as gross that those left are only a part of what happened."""
+    gross = sum(row.why.startswith(FOREIGN) for row in summary.rejected)
+    return gross > MANY_FOREIGN * (summary.n + gross)
+
+
 def after_verify(summary: VerifyOutput, *, with_arm: bool) -> str:
     """Return the next step after a verification."""
     cause = summary.cause
     if not with_arm:
         return "Hold the error against what the work allows; to learn its cause, give --arm and --joints as well."
+    if cause in ("none", "measurement") and foreign(summary):
+        return "Find out what moved at the rows left out (base, tool, target or rig), and verify each part by itself."
     if cause in ("none", "measurement") and hides(summary):
         return (
             "Correct nothing on these rows. They do not show where the tool is, as base and tool were laid best: find "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armsight.report.html import Verdict, in_degrees
-from armsight.report.to_do import after_mastering, after_verify, after_watching, hides
+from armsight.report.to_do import after_mastering, after_verify, after_watching, foreign, hides
 from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 
 VERIFY = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
@@ -14,11 +14,12 @@ WATCHED = 0.95
 
 
 def verify_verdict(summary: VerifyOutput) -> Verdict:
-    """Return what the page of a verification says first. What base and tool, laid best, may hide is not called good."""
+    """Return what the page of a verification says first. What base and tool, laid best, may hide is not called good,
+    nor is a part of the rows where the others are gross."""
     cause, with_arm = summary.cause, bool(summary.joints)
     level = VERIFY.get(cause, "bad")
     return Verdict(
-        level="warn" if level == "good" and hides(summary) else level,
+        level="warn" if level == "good" and (hides(summary) or foreign(summary)) else level,
         word=f"Cause: {cause}" if with_arm else "No cause looked for",
         sentence=in_degrees(summary.verdict),
         to_do=after_verify(summary, with_arm=with_arm),

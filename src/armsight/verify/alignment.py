@@ -27,6 +27,8 @@ GROSS_LEAST_M, GROSS_LEAST_RAD = 1e-4, 1e-3
 """Smaller errors are no gross ones, however well all others fit."""
 MOST_GROSS = 0.4
 """Share of gross rows beyond which nobody can say which ones are wrong."""
+FOREIGN = "misses what the other rows agree on"
+"""How the reason of a gross row begins."""
 TRIMMED, TRIM_ROUNDS = 0.6, 6
 """Share of the rows, the best ones, that the search for gross rows fits; how often it chooses anew."""
 DRAWS, DRAWN, DRAW_SEED = 40, 5, 3
@@ -132,7 +134,7 @@ def gross(residual: Array, typical: Array) -> NDArray[np.bool_]:
 
 
 def _why(residual: Array) -> str:
-    text = f"misses what the other rows agree on by {np.linalg.norm(residual[:3]) / MM:.3g} mm"
+    text = f"{FOREIGN} by {np.linalg.norm(residual[:3]) / MM:.3g} mm"
     if len(residual) == 6:
         text += f" and {np.linalg.norm(residual[3:]) / DEG:.3g} deg"
     return text
@@ -180,7 +182,7 @@ def _start(F: Array, measured: Measured, nominal: Mounts, how: Align) -> tuple[A
             best, least = (found, miss) if miss < least else (best, least)
     residual, _ = Model(measured=measured, expected=nothing_more(F)).linearised(best.vector)
     kept = np.flatnonzero(~gross(residual, residual))
-    return best.vector, kept if len(kept) >= 0.5 * len(every) else every
+    return best.vector, kept if len(kept) >= (1.0 - MOST_GROSS) * len(every) else every
 
 
 def _trimmed(F: Array, measured: Measured, mounts: Mounts, how: Align) -> tuple[Mounts, float, float]:
