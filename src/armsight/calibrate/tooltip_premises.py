@@ -71,5 +71,5 @@ def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> N
 def _tip(R: Array, t: Array) -> tuple[Array, float]:
     """Return tip and point (6,) by least squares, and the sum of squares that they leave, m^2."""
     J = slopes(R).reshape(-1, 6)
-    x = np.linalg.lstsq(J, -t.reshape(-1), rcond=None)[0]
+    x = np.asarray(np.linalg.lstsq(J, -t.reshape(-1), rcond=None)[0], np.float64)
     return x, float(((J @ x + t.reshape(-1)) ** 2).sum())
