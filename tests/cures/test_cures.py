@@ -37,6 +37,9 @@ IN_TESTS = {
     ("calibrate/handeye/pairs.py", "armsight calibrate robot-world"): (
         f"{REPORTS}test_base_and_tool.py::test_the_rig_stands_in_the_axes_of_the_base_link"
     ),
+    ("calibrate/handeye/premises.py", "on apart"): (
+        "tests/truth/test_handeye_places.py::test_a_mount_that_slipped_is_told_with_the_row"
+    ),
     ("calibrate/timing/stamps.py", "Give its stamps in seconds"): (
         "tests/truth/test_timing_calibration.py::"
         "test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure"

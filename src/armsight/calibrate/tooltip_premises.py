@@ -30,19 +30,11 @@ def require_one_tool(R: Array, t: Array, rows: NDArray[np.intp]) -> None:
 
     rows (n,): numbers of the poses, from 0.
     """
-    n = len(R)
-    if n < 2 * FEWEST:
+    found = two_settings(R, t)
+    if found is None:
         return
-    splits = np.unique(np.linspace(FEWEST, n - FEWEST, SPLITS).astype(int)).tolist()
-    _, whole = _tip(R, t)
-    parts = {k: (_tip(R[:k], t[:k]), _tip(R[k:], t[k:])) for k in splits}
-    at = min(splits, key=lambda k: parts[k][0][1] + parts[k][1][1])
-    (before, a), (after, b) = parts[at]
-    left, dof = max(a + b, 1e-300), 3 * n - 12
-    chance = float(f_sf((whole - left) / 6.0 / (left / dof), 6, dof)) * len(splits)
-    if left > SHARE * whole or chance > FALSE_ALARM:
-        return
-    tip, point = (float(np.linalg.norm(v)) / MM for v in np.split(after - before, 2))
+    at, moved = found
+    tip, point = (float(np.linalg.norm(v)) / MM for v in np.split(moved, 2))
     raise Inconsistent(
         f"from row {rows[at] + 1} on the poses want another tip than those before, by {tip:.3g} mm, and another "
         f"resting point, by {point:.3g} mm",
@@ -51,6 +43,24 @@ def require_one_tool(R: Array, t: Array, rows: NDArray[np.intp]) -> None:
         cure=f"Calibrate the rows before row {rows[at] + 1} and those from it on apart, or record again with tool and "
         "point clamped",
     )
+
+
+def two_settings(R: Array, t: Array) -> tuple[int, Array] | None:
+    """Return the first of poses R (n, 3, 3), t (n, 3) that have another tip or point than those before it.
+
+    With what these moved by (6,), m. None where one tip and point may serve all.
+    """
+    n = len(R)
+    if n < 2 * FEWEST:
+        return None
+    splits = np.unique(np.linspace(FEWEST, n - FEWEST, SPLITS).astype(int)).tolist()
+    _, whole = _tip(R, t)
+    parts = {k: (_tip(R[:k], t[:k]), _tip(R[k:], t[k:])) for k in splits}
+    at = min(splits, key=lambda k: parts[k][0][1] + parts[k][1][1])
+    (before, a), (after, b) = parts[at]
+    left, dof = max(a + b, 1e-300), 3 * n - 12
+    chance = float(f_sf((whole - left) / 6.0 / (left / dof), 6, dof)) * len(splits)
+    return None if left > SHARE * whole or chance > FALSE_ALARM else (at, after - before)
 
 
 def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> None:

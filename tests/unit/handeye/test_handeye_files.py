@@ -269,6 +269,10 @@ def test_angles_in_another_order_are_told_with_the_order_that_fits(tmp_path: Pat
         assert error["cure"] == "Give --euler zyx", error
         assert not out.exists()
     assert run(*words, "zyx").exit_code == 0
+    slipped = rows.copy()
+    slipped[7:, 6] += 0.02
+    path.write_text("\n".join(",".join(map(repr, row)) for row in slipped.tolist()))
+    assert "before row 8" in json.loads(run(*words, "zyx").stdout)["error"]["cure"]
     mixed = np.hstack([rows[:, :6], rows[::-1, 6:]])  # no order brings these together: the other causes are told
     path.write_text("\n".join(",".join(map(repr, row)) for row in mixed.tolist()))
     assert "--euler" not in json.loads(run(*words, "zyx").stdout)["error"]["cure"]

@@ -24,6 +24,7 @@ from armsight.calibrate.handeye.pairs import (
     require_metres,
     require_turning,
 )
+from armsight.calibrate.handeye.premises import require_one_mount
 from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
@@ -95,18 +96,26 @@ def _of_places(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     They share the robot's error there, which no number of them averages out.
     """
     found = _calibrate(pairs, setup, options)
-    first = places_of(pairs.T_base_flange)
-    if pairs.t_s is not None or len(first) == len(pairs):
+    if pairs.t_s is not None:
         return found
-    once = _calibrate(pairs.take(first), setup, options)
-    return advise(replace(found, covariance=once.covariance, dof=once.dof), options.target_pitch_m)
+    first = places_of(pairs.T_base_flange)
+    if len(first) < len(pairs):
+        once = _calibrate(pairs.take(first), setup, options)
+        found = replace(found, covariance=once.covariance, dof=once.dof, scale=once.scale)
+        found = advise(found, options.target_pitch_m)
+    require_one_mount(found, _places(pairs.T_base_flange))
+    return found
 
 
 def places_of(T_base_flange: RigidTransform) -> NDArray[np.intp]:
     """Return the first pair (G,) at each pose of the robot."""
+    return np.unique(_places(T_base_flange), return_index=True)[1]
+
+
+def _places(T_base_flange: RigidTransform) -> NDArray[np.intp]:
+    """Return (n,) at which pose of the robot each pair was taken."""
     R, t = T_base_flange.rotation.as_matrix().reshape(-1, 9), T_base_flange.translation
-    of = repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
-    return np.unique(of, return_index=True)[1]
+    return repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
 
 
 def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:
