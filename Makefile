@@ -32,6 +32,7 @@ check: install
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/structure.py
+	$(BIN)/python tools/ratchet.py
 
 guides: install
 	$(BIN)/python tools/follow_guides.py
