@@ -194,6 +194,20 @@ def test_backlash_of_a_joint_that_the_base_takes_up_is_no_two_sets_of_rows(seed:
     assert result.cause.kind is Kind.BACKLASH and not result.rejected
 
 
+def test_a_palletizer_whose_wrist_keeps_level_is_judged_all_the_same() -> None:
+    table = np.array(
+        [(0.15, QUARTER, 0.5, 0.0), (0.6, 0, 0, 0), (0.55, 0, 0, 0), (0.1, -QUARTER, 0.0, 0.0), (0, 0, 0.1, 0)]
+    )
+    rng = np.random.default_rng(1)
+    q = rng.uniform([-1.5, 0.5, -1.6, 0.0, -2.0], [1.5, 1.5, -0.4, 0.0, 2.0], (80, 5))
+    q[:, 3] = -q[:, 1] - q[:, 2]
+    true = q.copy()
+    true[:, 0] += np.deg2rad(0.1) * np.sin(q[:, 0])
+    result = verify(dh_arm("palletizer", table.tolist()), Reported(q=q), seen(table, true, rng), Align.BOTH)
+    assert cause_of(result) == "joint 1" and result.cause is not None
+    assert result.cause.kind is Kind.ECCENTRICITY
+
+
 def test_too_few_rows_decide_nothing_and_poses_are_proposed() -> None:
     q, rng = poses(60, 10)
     result = verify(arm(), Reported(q=q), seen(changed(2, 3, 0.002), q, rng), Align.BOTH)

@@ -134,10 +134,8 @@ def gross(residual: Array, typical: Array) -> NDArray[np.bool_]:
 
 
 def _why(residual: Array) -> str:
-    text = f"{FOREIGN} by {np.linalg.norm(residual[:3]) / MM:.3g} mm"
-    if len(residual) == 6:
-        text += f" and {np.linalg.norm(residual[3:]) / DEG:.3g} deg"
-    return text
+    rotated = f" and {np.linalg.norm(residual[3:]) / DEG:.3g} deg" if len(residual) == 6 else ""
+    return f"{FOREIGN} by {np.linalg.norm(residual[:3]) / MM:.3g} mm{rotated}"
 
 
 def _check_count(measured: Measured, how: Align) -> None:

@@ -6,6 +6,7 @@ geometry does not explain the same as well. Two joints that explain alike are tw
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm.parameter_selection import APART
 from armsight.calibrate.correlation import regions
+from armsight.errors import NotConverged
 from armsight.kinematics import Arm
 from armsight.verify.effects import Effect, Kind, effects, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
@@ -284,11 +286,12 @@ def _likeliest(
 ) -> tuple[_Trial, Account, int | None]:
     """Return the trial of the joint that is likeliest beside the geometry, its account, and another joint (from 0)
     that explains the errors about as well."""
-    fits = {
-        joint: trial.fitted if joint == trial.effect.joint else case.fit(aligned.p, effect)
-        for joint, (effect, _) in trial.single.items()
-    }
-    accounts = {joint: prior.account(fits[joint], effect) for joint, (effect, _) in trial.single.items()}
+    fits = {trial.effect.joint: trial.fitted}
+    for joint, (effect, _) in trial.single.items():
+        if joint not in fits:
+            with suppress(NotConverged):  # it runs along what the rows leave open: it is nobody's likeliest cause
+                fits[joint] = case.fit(aligned.p, effect)
+    accounts = {joint: prior.account(fit, trial.single[joint][0]) for joint, fit in fits.items()}
     best, *others = sorted(accounts, key=lambda joint: -accounts[joint].log_evidence)
     rival = others[0] if others else None
     if rival is not None and accounts[best].log_evidence - accounts[rival].log_evidence > 0.5 * RIVAL_LOG:
@@ -308,9 +311,8 @@ def _estimates(
     for i in able.tolist():
         effect, alone = trial.single[i]
         share = gain(trial.plain, alone)
-        kind = effect.kind if share > 0.0 else None
-        offset, std = float(account.zeros[i]), float(account.std[i])
-        out[i] = JointVerdict(judged=True, offset=offset, std=std, gain_heldout=share, kind=kind)
+        kind, offset = effect.kind if share > 0.0 else None, float(account.zeros[i])
+        out[i] = JointVerdict(judged=True, offset=offset, std=float(account.std[i]), gain_heldout=share, kind=kind)
     return tuple(out)
 
 
