@@ -192,7 +192,10 @@ TRIED = {
         f"{TABLE} unnamed_deg.csv --as points",
         "{} --columns q1_deg,q2_deg,q3_deg,x_m,y_m,z_m",
     ),
-    ("store/interpret/read.py", "Say it with --as"): (f"{TABLE} none.csv", f"{TABLE} none.csv --as points"),
+    ("store/interpret/read.py", "Say it with --as"): (
+        f"{TABLE} none.csv",
+        f"{TABLE} none.csv --as joints --columns q1,q2,q3",  # without columns it says what is missing
+    ),
     ("store/interpret/standard.py", "Number the joints q1"): (
         f"{TABLE} gap.csv --as joints",
         f"{TABLE} nogap.csv --as joints && {{}} --columns q1,q2,q3",
