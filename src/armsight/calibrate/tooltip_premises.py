@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-6
 """Chance that good poses are told to be of two tools, or a well measured point to be elsewhere."""
-
+AGREED = 1e-6
+"""Poses that agree to this (RMS; m, or rad) are of one tool, whatever their last digits say."""
 FEWEST, SPLITS = 5, 60
 """Poses of a part; and how many places to part the rows at are tried at most."""
-
 SHARE = 0.1
 """Two parts are told where they leave less than this share of the squares. Of 1,600 recordings of 10 to 100 poses with
 white noise none leaves less than 0.3; where positions walk at random while the tool is led once around, one in 200
@@ -30,8 +30,7 @@ def require_one_tool(R: Array, t: Array, rows: NDArray[np.intp]) -> None:
 
     rows (n,): numbers of the poses, from 0.
     """
-    found = two_settings(R, t)
-    if found is None:
+    if (found := two_settings(R, t)) is None:
         return
     at, moved = found
     tip, point = (float(np.linalg.norm(v)) / MM for v in np.split(moved, 2))
@@ -60,7 +59,8 @@ def two_settings(R: Array, t: Array) -> tuple[int, Array] | None:
     (before, a), (after, b) = parts[at]
     left, dof = max(a + b, 1e-300), 3 * n - 12
     chance = float(f_sf((whole - left) / 6.0 / (left / dof), 6, dof)) * len(splits)
-    return None if left > SHARE * whole or chance > FALSE_ALARM else (at, after - before)
+    one = whole < 3 * n * AGREED**2 or left > SHARE * whole or chance > FALSE_ALARM
+    return None if one else (at, after - before)
 
 
 def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> None:

@@ -43,13 +43,15 @@ def test_the_verdict_says_what_to_do():
     ],
 )
 def test_what_to_do_after_a_verification(cause, kind, said):
-    seen = SimpleNamespace(cause=cause, kind=kind, alignment=SimpleNamespace(hidden_m=None), after=None)
+    seen = SimpleNamespace(
+        cause=cause, kind=kind, alignment=SimpleNamespace(hidden_m=None), after=None, n=9, rejected=[]
+    )
     assert said in after_verify(seen, with_arm=True)
     assert "give --arm" in after_verify(seen, with_arm=False)
 
 
 def test_errors_that_base_and_tool_may_hide_are_not_called_nothing():
-    seen = SimpleNamespace(cause="measurement", kind=None, after=SimpleNamespace(rms_m=1e-4))
+    seen = SimpleNamespace(cause="measurement", kind=None, after=SimpleNamespace(rms_m=1e-4), n=9, rejected=[])
     for hidden_m, said in ((2e-3, "verify with --world"), (5e-5, "Correct nothing in the arm")):
         seen.alignment = SimpleNamespace(hidden_m=hidden_m)
         assert said in after_verify(seen, with_arm=True)
