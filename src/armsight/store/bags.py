@@ -24,6 +24,7 @@ from armsight.errors import ArmsightError, BadFile, BadImage, DeviceNotFound, In
 from armsight.records import Frame, Motion
 from armsight.store.atomic import read_bytes
 from armsight.store.recording import Recording
+from armsight.store.recording.record_reader import MAX_CHUNK
 from armsight.store.yamls import parse_yaml
 
 PREFIX = "bag:"
@@ -45,6 +46,9 @@ OTHER_CLOCK_NS = 86_400 * 10**9
 """Stamps a day from when they were written are of another clock, such as a simulation's, and count from its zero."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # begins a message that is compressed; others of ROS 2 begin with 0
+
+ROOM_LEFT = 1_000_000_000
+"""Bytes that a file which is unpacked leaves free in the folder of temporary files."""
 
 Written = tuple[int, str, bytes]  # time in ns, encoding (cdr or ros1), content
 
@@ -172,7 +176,7 @@ class BagTopic:
         for number in range(1, self.count + 1):
             try:
                 written_ns, encoding, data = next(messages)
-                data = zstandard.decompress(data) if data[:4] == ZSTD_MAGIC else data
+                data = _unpacked(data) if data[:4] == ZSTD_MAGIC else data
                 message = decoders[encoding](data, self._kind)
             except StopIteration:
                 raise _unreadable(f"{self.name} message {number}", EOFError("the bag ends before it")) from None
@@ -263,13 +267,25 @@ def _readable(path: Path, stack: ExitStack) -> Path:
     copy = Path(stack.enter_context(TemporaryDirectory()), path.name.removesuffix(".zstd"))
     if path.suffix == ".zstd":
         with path.open("rb") as packed, copy.open("wb") as plain:
-            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+            for part in zstandard.ZstdDecompressor().read_to_iter(packed):
+                if shutil.disk_usage(copy.parent).free < ROOM_LEFT:
+                    raise OSError("it unpacks to more than there is room for")
+                plain.write(part)
         return copy
     for one in (path, *logs):
         shutil.copyfile(one, copy.parent / one.name)
     with closing(sqlite3.connect(copy)) as base:
         base.execute("SELECT * FROM sqlite_master").fetchall()
     return copy
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Return a message that was written compressed. Raises ValueError: a few bytes can unpack to any size."""
+    with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+        plain = bytes(reader.read(MAX_CHUNK + 1))
+    if len(plain) > MAX_CHUNK:
+        raise ValueError(f"it unpacks to more than {MAX_CHUNK} bytes")
+    return plain
 
 
 def _bag1(path: Path, stack: ExitStack) -> _File:

@@ -29,6 +29,7 @@ from rosbags.typesys import Stores, get_typestore
 from armsight.app.record.record import mend
 from armsight.app.sources.bags import BagFrames
 from armsight.errors import BadFile, BadImage
+from armsight.store import bags
 from armsight.store.recording import repair
 from refusals import refuses
 
@@ -227,7 +228,7 @@ def test_files_of_one_folder_are_read_together_by_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["message", "file"])
-def test_compressed_by_message_or_by_file(tmp_path: Path, how: str) -> None:
+def test_compressed_by_message_or_by_file(tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run = written(tmp_path / "run", StoragePlugin.SQLITE3)
     path = data_of(run)
     pack = zstandard.ZstdCompressor().compress
@@ -246,6 +247,10 @@ def test_compressed_by_message_or_by_file(tmp_path: Path, how: str) -> None:
     before = untouched(run)
     assert all_there(run)
     assert untouched(run) == before
+    monkeypatch.setattr(bags, "MAX_CHUNK", 10)
+    monkeypatch.setattr(bags, "ROOM_LEFT", 1 << 62)
+    with refuses(BadFile, "unpacks"):
+        all_there(run)
 
 
 def killed(folder: Path, journal: str) -> Path:

@@ -40,7 +40,6 @@ from armsight.store.atomic import RowFile
 
 Array = NDArray[np.float64]
 
-
 POSES, POINTS, SPOTS, TUM = "poses.csv", "points.csv", "spots.csv", "poses.tum"
 SUMMARY, REPORT = "measure.json", "report.html"
 FILES = (POSES, POINTS, SPOTS, TUM, SUMMARY, REPORT)
