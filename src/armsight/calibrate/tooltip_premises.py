@@ -19,6 +19,8 @@ AGREED = 1e-6
 """Poses that agree to this (RMS; m, or rad) are of one tool, whatever their last digits say."""
 FEWEST, SPLITS = 5, 60
 """Poses of a part; and how many places to part the rows at are tried at most."""
+UNSEEN = 1e-12
+"""A direction that gives less than this share of the best one's information stays as in the fit of all poses."""
 SHARE = 0.1
 """Two parts are told where they leave less than this share of the squares. Of 1,600 recordings of 10 to 100 poses with
 white noise none leaves less than 0.3; where positions walk at random while the tool is led once around, one in 200
@@ -52,15 +54,21 @@ def two_settings(R: Array, t: Array) -> tuple[int, Array] | None:
     n = len(R)
     if n < 2 * FEWEST:
         return None
-    splits = np.unique(np.linspace(FEWEST, n - FEWEST, SPLITS).astype(int)).tolist()
-    _, whole = _tip(R, t)
-    parts = {k: (_tip(R[:k], t[:k]), _tip(R[k:], t[k:])) for k in splits}
-    at = min(splits, key=lambda k: parts[k][0][1] + parts[k][1][1])
-    (before, a), (after, b) = parts[at]
-    left, dof = max(a + b, 1e-300), 3 * n - 12
-    chance = float(f_sf((whole - left) / 6.0 / (left / dof), 6, dof)) * len(splits)
+    J = slopes(R).reshape(n, 3, 6)
+    x = np.linalg.lstsq(J.reshape(-1, 6), -t.reshape(-1), rcond=None)[0]
+    r = J @ x + t
+    whole = float((r**2).sum())
+    # a part's fit differs from that of all by what its own normal equations still ask for: running sums give both parts
+    k = np.unique(np.linspace(FEWEST, n - FEWEST, SPLITS).astype(int))
+    A, g = np.einsum("nia,nib->nab", J, J).cumsum(axis=0), np.einsum("nia,ni->na", J, r).cumsum(axis=0)
+    A, g = np.stack([A[k - 1], A[-1] - A[k - 1]]), np.stack([g[k - 1], g[-1] - g[k - 1]])
+    steps = -np.einsum("pkab,pkb->pka", np.linalg.pinv(A, rcond=UNSEEN, hermitian=True), g)
+    gain = -np.einsum("pka,pka->k", steps, g)
+    best = int(gain.argmax())
+    left, dof = max(whole - float(gain[best]), 1e-300), 3 * n - 12
+    chance = float(f_sf(float(gain[best]) / 6.0 / (left / dof), 6, dof)) * len(k)
     one = whole < 3 * n * AGREED**2 or left > SHARE * whole or chance > FALSE_ALARM
-    return None if one else (at, after - before)
+    return None if one else (int(k[best]), steps[1, best] - steps[0, best])
 
 
 def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> None:
@@ -77,9 +85,3 @@ def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> N
         "with --point-sigma",
     )
 
-
-def _tip(R: Array, t: Array) -> tuple[Array, float]:
-    """Return tip and point (6,) by least squares, and the sum of squares that they leave, m^2."""
-    J = slopes(R).reshape(-1, 6)
-    x = np.asarray(np.linalg.lstsq(J, -t.reshape(-1), rcond=None)[0], np.float64)
-    return x, float(((J @ x + t.reshape(-1)) ** 2).sum())

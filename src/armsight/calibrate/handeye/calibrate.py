@@ -98,12 +98,13 @@ def _of_places(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     found = _calibrate(pairs, setup, options)
     if pairs.t_s is not None:
         return found
-    first = places_of(pairs.T_base_flange)
+    place = _places(pairs.T_base_flange)
+    first = np.unique(place, return_index=True)[1]
     if len(first) < len(pairs):
         once = _calibrate(pairs.take(first), setup, options)
         found = replace(found, covariance=once.covariance, dof=once.dof, scale=once.scale)
         found = advise(found, options.target_pitch_m)
-    require_one_mount(found, _places(pairs.T_base_flange))
+    require_one_mount(found, place)
     return found
 
 

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
@@ -136,13 +137,10 @@ class PosePairs:
         """Return (row, earlier row, why) of rows whose camera pose repeats an earlier one to the last digit."""
         found: list[tuple[int, int, str]] = []
         camera, robot = self.T_camera_target.as_matrix(), self.T_base_flange.as_matrix()
-        for i in range(1, len(self)):
-            seen = _same(camera, i)
-            if not len(seen):
-                continue
-            moved = _same(robot, i)
-            both = [k for k in seen if k in moved]
-            first = int(both[0] if both else seen[0])
+        moved = _copies(robot)
+        for i, seen in _copies(camera).items():
+            both = [k for k in seen if k in moved.get(i, [])]
+            first = both[0] if both else seen[0]
             why = "repeats" if both else "has the same camera pose (a stale image?) as"
             found.append((i, first, f"{why} {self.names[first]}"))
         return tuple(found)
@@ -179,9 +177,12 @@ def _columns(poses: RigidTransform) -> Array:
     return np.concatenate([poses.translation, poses.rotation.as_quat(canonical=True)], axis=1)
 
 
-def _same(matrices: Array, row: int) -> NDArray[np.intp]:
-    """Return the earlier rows that are copies of the given one."""
-    return np.flatnonzero(np.abs(matrices[:row] - matrices[row]).max(axis=(1, 2)) <= SAME)
+def _copies(matrices: Array) -> dict[int, list[int]]:
+    """Return the rows of matrices (n, 4, 4) that are copies of earlier ones, in order, and which earlier ones."""
+    found: dict[int, list[int]] = {}
+    for first, row in sorted(cKDTree(matrices.reshape(-1, 16)).query_pairs(SAME, p=np.inf)):
+        found.setdefault(row, []).append(first)
+    return dict(sorted(found.items()))
 
 
 # How much the hand turned: what the poses can determine, before anything is solved.
@@ -260,8 +261,7 @@ def _require_fresh(pairs: PosePairs, found: RotationExcitation, seen: RotationEx
     """Raise Inconsistent where the camera's poses turn and the robot's, read along with them, do not."""
     if not seen.rms_rad[1] >= max(LEAST_TURN_RAD, STALE * found.rms_rad[1]):
         return
-    robot = pairs.T_base_flange.as_matrix()
-    copies = sum(len(_same(robot, i)) > 0 for i in range(1, len(pairs)))
+    copies = len(_copies(pairs.T_base_flange.as_matrix()))
     turns = [float(each.rms_rad[0]) / DEG for each in (found, seen)]
     cause = f"the robot's poses turn by {turns[0]:.2g} degrees (root mean square) and the camera's by {turns[1]:.2g}"
     if copies:
@@ -275,8 +275,8 @@ def _require_fresh(pairs: PosePairs, found: RotationExcitation, seen: RotationEx
 
 def _require_own_poses(pairs: PosePairs) -> None:
     """Raise Inconsistent where many robot poses are copies of earlier ones, from which the camera's turn away."""
-    robot, camera = pairs.T_base_flange.as_matrix(), pairs.T_camera_target.rotation
-    copies = {i: int(same[0]) for i in range(1, len(pairs)) if len(same := _same(robot, i))}
+    camera = pairs.T_camera_target.rotation
+    copies = {i: same[0] for i, same in _copies(pairs.T_base_flange.as_matrix()).items()}
     turn = {i: float((camera[first].inv() * camera[i]).magnitude()) for i, first in copies.items()}
     stale = [i for i in copies if turn[i] > LEAST_TURN_RAD]
     if len(stale) > STALE_SHARE * len(pairs):
