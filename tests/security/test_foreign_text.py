@@ -34,9 +34,10 @@ from armsight.errors import BadFile
 from armsight.kinematics import Arm, pose, preset
 from armsight.kinematics.symbolic import python_source
 from armsight.records import PoseStatus, Spots, TargetPose, TaughtPath
+from armsight.records.verdict import Verdict
 from armsight.report import html as pages
 from armsight.report.arm_view import arm_report
-from armsight.report.html import Card, Page, Verdict, bullets, table
+from armsight.report.html import Card, Page, bullets, table
 from armsight.report.path_report import path_report
 from armsight.store import tables
 from armsight.store.arm_file import read_arm
@@ -128,7 +129,7 @@ def test_every_part_of_a_page_shows_markup_as_text(name: str) -> None:
     page = Page(
         title=name,
         subtitle=name,
-        verdict=Verdict(level=name, word=name, sentence=name, to_do=name),
+        verdict=Verdict(level=name, headline=name, reasons=[name], next=[name]),
         cards=[Card(name=name, value=name, note=name)],
     )
     page.add(name, name, table([name], [[name]], numbers=[0]), bullets([name]))

@@ -16,6 +16,8 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from armsight.records.verdict import Verdict
+
 
 class Result(ByValue):
     """A result that prints itself. Subclasses give `title`, `rows` and `to_dict`."""
@@ -30,6 +32,12 @@ class Result(ByValue):
     def rows(self) -> Sequence[Row]:
         """Return (name, value with unit and standard deviation) as people read them."""
         raise NotImplementedError
+
+    @property
+    def verdict_(self) -> Verdict | None:
+        """What it comes to, in the words of terminal, page and report; None of what gives no verdict."""
+        found: Verdict | None = getattr(getattr(self, "detail", None), "verdict_", None)
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, lists and texts in SI units, as the command line's --json gives them."""

@@ -84,4 +84,3 @@ def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> N
         cure="Leave the point out, the tip does not need it; or measure it in the frame of the poses, and say how well "
         "with --point-sigma",
     )
-

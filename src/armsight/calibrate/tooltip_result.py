@@ -14,9 +14,16 @@ from armsight.records import NamedCovariance, frozen_array
 from armsight.records.fields import Shape
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PointStd, RejectedRow
+from armsight.records.verdict import MEANING, Verdict
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 Vector = Annotated[Array, Shape((3,))]
+
+MANY_REJECTED = 0.1
+"""Share of the poses left out beyond which those that agree are only a part of what happened."""
+TURNED_RAD = 20.0 * DEG
+"""Turn of the tool about its second axis, RMS, from which nothing is asked for any more."""
 
 
 @output
@@ -91,6 +98,24 @@ class TipCalibration(Output):
                 f"errors of their place: they are worth {self.n_places} poses.",
             )
         return (*told, *self.remarks)
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        std_mm = float(np.linalg.norm(self.std_tip.translation_m)) / MM
+        said = f"The tip is known to {std_mm:.2g} mm (one standard deviation) from {self.n_used} poses"
+        level, headline, todo = (
+            "good",
+            "Good",
+            "Use it; calibrate again when the tool was changed or has hit something.",
+        )
+        if len(self.rejected_rows) > MANY_REJECTED * len(self.used):
+            level, headline = "care", "Usable, with poses left out"
+            todo = "Look at the poses left out: the tip may have left its point there."
+        elif self.rotation_excitation_rms_rad[1] < TURNED_RAD:
+            level, headline = "care", "Turned too little"
+            said += f", which turn by {self.rotation_excitation_rms_rad[1] / DEG:.2g} degrees about the second axis"
+            todo = f"Turn the tool by more than {TURNED_RAD / DEG:.0f} degrees to several sides, and calibrate again."
+        return Verdict(level=level, headline=headline, reasons=[f"{said}."], next=[todo])
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the tip by coordinate."""

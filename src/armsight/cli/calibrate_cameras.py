@@ -175,7 +175,7 @@ def _alignment_rows(found: MirrorAlignment | CheckedAlignment) -> list[list[str]
     ]
 
 
-@command(calibrate)
+@command(calibrate, judged=True)
 def target(face: CommandUI, job: requests.calibrate_cameras.TargetJob) -> None:
     """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""
     from armsight.app.calibrate.light_target import calibrate_lit_target
@@ -205,7 +205,7 @@ def target_tables(face: CommandUI, done: TargetCalibration, out: Path) -> None:
     face.say(f"Result: {out}")
 
 
-@command(calibrate, in_place=True)
+@command(calibrate, in_place=True, judged=True)
 def timing(face: CommandUI, job: requests.calibrate_cameras.TimingJob) -> None:
     """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s."""
     from armsight.app.calibrate.timing import calibrate_cameras_timing

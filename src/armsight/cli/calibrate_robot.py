@@ -31,7 +31,7 @@ def handeye(face: CommandUI, job: requests.calibrate_robot.HandEyeJob) -> None:
     face.result(done)
 
 
-@command(calibrate, filed="calibrate tooltip")
+@command(calibrate, filed="calibrate tooltip", judged=True)
 def tooltip(
     face: CommandUI,
     *,
@@ -58,7 +58,7 @@ def tooltip(
     face.result(done)
 
 
-@command(calibrate, filed="calibrate pivot")
+@command(calibrate, filed="calibrate pivot", judged=True)
 def pivot(face: CommandUI, job: requests.calibrate_robot.PivotJob) -> None:
     """Find a tool's tip while you pivot it before the cameras; ends when it is known well enough."""
     from armsight.app.calibrate.pivot import run_pivot
@@ -150,7 +150,7 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
-@command(calibrate, filed="calibrate robot-world")
+@command(calibrate, filed="calibrate robot-world", judged=True)
 def robot_world(
     face: CommandUI,
     *,

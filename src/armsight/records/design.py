@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import Annotated
 
 from armsight.fields import Doc
-from armsight.records.output import Output, output
-from armsight.records.verdict import Verdict
+from armsight.records.output import Output, figure, output
+from armsight.records.verdict import MEANING, Verdict
+
+MOSTLY = 0.95
+"""Share of the volume from which on it counts as measured."""
 
 
 @output
@@ -138,4 +141,22 @@ class DesignOutput(Output):
     advice: Annotated[tuple[str, ...], Doc("What to do, and what to know.")]
     assumptions: Annotated[tuple[str, ...], Doc("What was taken for granted.")]
     report: Annotated[str, Doc("The report.")]
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        if self.simulation is not None and not self.simulation.agrees:
+            level, headline, todo = (
+                "bad",
+                "Not confirmed",
+                "Do not rely on these figures: the simulation says otherwise.",
+            )
+        elif self.reached is None:
+            level, headline = "good" if self.measured > MOSTLY else "care", "Forecast"
+            todo = "Give --wanted-mm to be told what reaches an accuracy."
+        elif self.reached:
+            level, headline, todo = "good", "Reached", "Build it as planned."
+        else:
+            first = next((one for one in self.changes if one.sufficient), None)
+            level, headline = "care" if first else "bad", "Not reached"
+            todo = f"Change the plan: {first.change}." if first else "Come closer, or want less."
+        return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo])

@@ -7,6 +7,9 @@ from typing import Annotated
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 
+MEANING = "What it comes to: the words of the report."
+"""Of the key `verdict_` of a result."""
+
 
 @output
 class Verdict(Output):

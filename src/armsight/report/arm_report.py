@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def arm_report(
     page = Page(
         title=f"Calibration of {result.nominal.name}",
         subtitle=f"{len(points)} measurements, {result.level}",
-        verdict=arm_verdict(result),
+        verdict=result.verdict_,
         cards=_cards(result),
     )
     if result.notes:
@@ -55,22 +55,6 @@ def arm_report(
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())
-
-
-def arm_verdict(result: ArmCalibration) -> Verdict:
-    """Return what the page says first."""
-    sentence = in_degrees(result.verdict)
-    if result.other_arm is not None:
-        to_do = "Correct nothing. Compare the arm's file with the arm's data sheet, then calibrate again."
-        return Verdict(level="bad", word="Another arm", sentence=sentence, to_do=to_do)
-    if result.gain:
-        to_do = "Use the corrected arm in place of the nominal one; then run `armsight verify` on new measurements."
-        if result.at_limit:
-            to_do = "Before you use it, look whether what is corrected so far is typed right or really built so."
-        level = "warn" if result.at_limit else "good"
-        return Verdict(level=level, word="Better", sentence=sentence, to_do=to_do)
-    to_do = "Go on with the nominal arm. For a gain, measure more joint positions, spread over all the arm's range."
-    return Verdict(level="warn", word="No gain", sentence=sentence, to_do=to_do)
 
 
 def _cards(result: ArmCalibration) -> list[Card]:

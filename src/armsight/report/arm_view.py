@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
+from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, spread
-from armsight.report.html import Card, Page, Verdict, figure_of, table, text
+from armsight.report.html import Card, Page, figure_of, table, text
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -56,13 +57,13 @@ def arm_report(arm: Arm, q: ArrayLike, *, created: datetime | None = None) -> st
 def _verdict(inside: bool, names: Sequence[str]) -> Verdict:
     if not inside:
         return Verdict(
-            level="bad", word="beyond limits", sentence="At least one joint is beyond its limit.", to_do=BACK
+            level="bad", headline="beyond limits", reasons=["At least one joint is beyond its limit."], next=[BACK]
         )
     if names:
         return Verdict(
-            level="warn", word="singular", sentence=f"Close to a singularity: {', '.join(names)}.", to_do=AWAY
+            level="care", headline="singular", reasons=[f"Close to a singularity: {', '.join(names)}."], next=[AWAY]
         )
-    return Verdict(level="good", word="free", sentence="Within limits and away from singularities.", to_do=FREE)
+    return Verdict(level="good", headline="free", reasons=["Within limits and away from singularities."], next=[FREE])
 
 
 def _cards(arm: Arm, q: Array, T: Array) -> list[Card]:

@@ -6,22 +6,16 @@ from datetime import datetime
 
 import numpy as np
 
-from armsight.calibrate.cameras.preconditions import COVERED, image_share
+from armsight.calibrate.cameras.preconditions import image_share
 from armsight.report.boards import add_boards
 from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, table, text, with_deviation
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
 from armsight.report.run import CalibrationRun, CameraFit
 from armsight.units import MM
 
-OVERFITTED = 1.5
-"""Left-out error over fitted error: above it the fit follows its own images more than the camera."""
-
 LONG_TABLE = 12
 """Rows above which a table is set in two columns."""
-
-MIN_USED = 0.7
-"""Share of the images used, below which the set itself is in doubt."""
 
 
 def calibration_report(run: CalibrationRun, *, created: datetime | None = None) -> str:
@@ -29,7 +23,7 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
     page = Page(
         title=run.title,
         subtitle=run.subtitle or f"{run.n_used} of {run.n_images} {_noun(run)} of the {run.thing} {run.board}",
-        verdict=calibration_verdict(run),
+        verdict=run.verdict,
         cards=_cards(run),
     )
     _add_parameters(page, run)
@@ -62,46 +56,6 @@ def _noun(run: CalibrationRun) -> str:
 def coverage(fit: CameraFit) -> float:
     """Return the share of the image that lies between the points (their convex hull)."""
     return image_share(fit.uv_px, fit.camera.width, fit.camera.height)
-
-
-def _doubts(run: CalibrationRun) -> list[str]:
-    """Return what speaks against relying on the result."""
-    out = [f"{text}, as where squares are printed longer than wide" for text in run.doubts]
-    if run.n_used < MIN_USED * run.n_images:
-        out.append(f"only {run.n_used} of {run.n_images} {_noun(run)} could be used")
-    if run.holdout_rms_px is not None and run.holdout_rms_px > OVERFITTED * run.rms_px:
-        ratio = run.holdout_rms_px / run.rms_px
-        out.append(f"{_noun(run)} left out of the fit are met {ratio:.1f} times worse than those in it")
-    for fit in run.cameras:
-        share = coverage(fit)
-        if len(fit.uv_px) and share < COVERED:
-            out.append(f"the {run.thing} covered only {100 * share:.0f} % of the {fit.name} image")
-    return out
-
-
-def calibration_verdict(run: CalibrationRun) -> Verdict:
-    """Return what the page says first."""
-    sentence = f"{run.n_used} of {run.n_images} {_noun(run)} fit to {figure_of(run.rms_px, 'px')} RMS"
-    if run.holdout_rms_px is not None:
-        sentence += f", {_noun(run)} left out of the fit to {figure_of(run.holdout_rms_px, 'px')}"
-    if run.baseline_m is not None:
-        sentence += f"; the cameras stand {figure_of(run.baseline_m / MM, 'mm', digits=5)} apart"
-    doubts = _doubts(run)
-    if doubts:
-        to_do = (
-            f"Take more {_noun(run)}, with the {run.thing} tilted and up to the images' corners, and calibrate again."
-        )
-        if run.doubts:
-            to_do = (
-                f"Measure the {run.thing} along both sides with a calliper; calibrate again with one whose squares are "
-                "square, from images as the camera takes them."
-            )
-        sentence = f"{sentence}. But {'; '.join(doubts)}."
-        return Verdict(level="warn", word="Usable with care", sentence=sentence, to_do=to_do)
-    to_do = "Use it; calibrate again when focus, zoom or a mount has moved."
-    if run.advice:
-        to_do = f"Use it; what would make it better stands below ({len(run.advice)})."
-    return Verdict(level="good", word="Good", sentence=f"{sentence}.", to_do=to_do)
 
 
 def _cards(run: CalibrationRun) -> list[Card]:

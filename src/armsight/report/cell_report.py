@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
-from armsight.calibrate.cell.result import NOTED_SCALE, UNLEARNED_BITS, Learned
+from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.report.figures import (
@@ -27,7 +27,7 @@ from armsight.report.figures import (
     points_in_space,
     subplot,
 )
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, table, text, with_deviation
 from armsight.report.scene import camera_line, line, scene_axes
 from armsight.units import DEG, MM
 
@@ -59,7 +59,7 @@ def cell_report(
     page = Page(
         title=f"Calibration of a cell with {nominal.name}",
         subtitle=f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots",
-        verdict=cell_verdict(done),
+        verdict=done.verdict_,
         cards=_cards(done),
     )
     if done.notes or done.advice:
@@ -114,19 +114,6 @@ def _add_parameters(page: Page, done: CellCalibration, inputs: Sequence[tuple[st
         page.add("Held as in the arm's file", "", f"<p>{text(', '.join(done.fixed))}</p>")
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-
-
-def cell_verdict(done: CellCalibration) -> Verdict:
-    """Return what the page says first."""
-    word, _, sentence = done.verdict.partition(": ")
-    known = f"{sentence[:1].upper()}{sentence[1:]} (one standard deviation, base axes, as both cameras measure it)."
-    if word == "good" and abs(done.scale.ratio - 1.0) > NOTED_SCALE * done.scale.std:
-        return Verdict(level="warn", word="Check the scale", sentence=known, to_do=f"{done.notes[-1]}.")
-    if word == "good":
-        to_do = "Use rig.yaml, world.yaml, target.yaml and arm.yaml; measure a place you know before you trust it."
-        return Verdict(level="good", word="Good", sentence=known, to_do=done.advice[0] if done.advice else to_do)
-    to_do = done.advice[0] if done.advice else "Record longer, with larger turns of the wrist, nearer to the cameras."
-    return Verdict(level="warn", word="Weak", sentence=known, to_do=to_do)
 
 
 def _cards(done: CellCalibration) -> list[Card]:

@@ -11,20 +11,15 @@ from numpy.typing import NDArray
 
 from armsight.records import PoseStatus
 from armsight.records.result_parts import Difference
+from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named_ticks, short_names
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
 from armsight.report.series import SCALE, Series
 from armsight.report.track import deviation_figure
 
 Array = NDArray[np.float64]
 
 CARDS = 4
-LEVELS = {
-    True: ("good", "They agree", "Use either of them."),
-    False: ("bad", "They differ", "Find out what moved or changed between them before you rely on either."),
-    None: ("warn", "Cannot be told", "Do not take them for alike: give results that hold their standard deviations."),
-}
-"""By whether they agree: level, word, and what to do."""
 BEYOND = 3.0
 """Standard deviations beyond which a bar is red."""
 
@@ -54,8 +49,7 @@ class CompareRun:
     kind: str
     a: str
     b: str
-    agree: bool | None
-    verdict: str
+    verdict: Verdict
     p: float | None
     rows: Sequence[Difference]
     effects: Sequence[tuple[str, str]]
@@ -63,18 +57,12 @@ class CompareRun:
     course: Course | None = None
 
 
-def compare_verdict(agree: bool | None, sentence: str) -> Verdict:
-    """Return what the page says first."""
-    level, word, to_do = LEVELS[agree]
-    return Verdict(level=level, word=word, sentence=sentence, to_do=to_do)
-
-
 def compare_report(run: CompareRun, *, created: datetime | None = None) -> str:
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title=f"Comparison of {KINDS[run.kind]}",
         subtitle=f"A is {run.a}, B is {run.b}",
-        verdict=compare_verdict(run.agree, run.verdict),
+        verdict=run.verdict,
         cards=[Card(name=name, value=value) for name, value in run.effects[:CARDS]],
     )
     if run.effects:

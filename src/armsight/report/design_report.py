@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.records.design import DesignChange, DesignOutput
 from armsight.report.figures import GREY, INK, Figure, Plot, axis, layout
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.report.html import Card, Page, bullets, figure_of, table
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -19,8 +19,6 @@ Array = NDArray[np.float64]
 COLOURS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
 """Viridis in eight steps, the least deviation dark: told apart by the colour-blind, and in grey."""
 MOST_SLICES = 6
-MOSTLY = 0.95
-"""Share of the volume from which on it counts as measured."""
 EDGES_PX, WIDE_PX, TALLEST_PX = 60.0, 400.0, 460.0
 """Of a slice: margins, width within them in a page of two columns, and the greatest height."""
 
@@ -51,7 +49,7 @@ def design_report(run: DesignRun, *, created: datetime) -> str:
         title="What a rig will measure",
         subtitle=f"baseline {figure_of(done.baseline_m / MM)} mm, focal length {figure_of(done.focal_px)} px; "
         f"the volume is in the axes of the {done.frame}",
-        verdict=design_verdict(done),
+        verdict=done.verdict_,
         cards=_cards(done),
     )
     if done.advice:
@@ -89,23 +87,6 @@ def design_report(run: DesignRun, *, created: datetime) -> str:
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def design_verdict(done: DesignOutput) -> Verdict:
-    """Return what the page says first."""
-    disagrees = done.simulation is not None and not done.simulation.agrees
-    if disagrees:
-        level, word, to_do = "bad", "Not confirmed", "Do not rely on these figures: the simulation says otherwise."
-    elif done.reached is None:
-        level, word = "good" if done.measured > MOSTLY else "warn", "Foretold"
-        to_do = "Give --wanted-mm to be told what reaches an accuracy."
-    elif done.reached:
-        level, word, to_do = "good", "Reached", "Build it as planned."
-    else:
-        first = next((one for one in done.changes if one.sufficient), None)
-        level, word = "warn" if first else "bad", "Not reached"
-        to_do = f"Change the plan: {first.change}." if first else "Come closer, or want less."
-    return Verdict(level=level, word=word, sentence=done.verdict, to_do=to_do)
 
 
 def _cards(done: DesignOutput) -> list[Card]:

@@ -28,7 +28,7 @@ from armsight.report.figures import (
     short_names,
     subplot,
 )
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
 from armsight.report.run import BoardViews
 from armsight.units import DEG, MM
 
@@ -53,7 +53,7 @@ def handeye_report(
     page = Page(
         title="Hand-eye calibration",
         subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
-        verdict=handeye_verdict(result),
+        verdict=result.verdict_,
         cards=_cards(result),
     )
     if result.advice:
@@ -92,19 +92,6 @@ def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str
         page.add("Left out", "", table(["pose", "why"], [[one.name, one.why] for one in result.rejected_pairs]))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-
-
-def handeye_verdict(result: HandEye) -> Verdict:
-    """Return what the page says first."""
-    to_do = result.concerns[0] if result.concerns else "Use it; calibrate again when camera or target has moved."
-    level, word = "good", "Good"
-    if result.scale is not None and result.scale.wrong:
-        level, word = "bad", "Measure the target"
-    elif result.rejected_pairs:
-        level, word = "warn", "Usable, with poses left out"
-    elif result.n_used < 10:
-        level, word = "warn", "Usable, few poses"
-    return Verdict(level=level, word=word, sentence=in_degrees(result.verdict), to_do=to_do)
 
 
 def _cards(result: HandEye) -> list[Card]:

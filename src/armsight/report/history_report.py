@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.drift import SMALLEST_STEP, Chart, Limits
+from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, in_degrees, table, with_deviation
 
 Array = NDArray[np.float64]
 
@@ -31,8 +32,6 @@ ABOUT = (
     "Above: each run less the mean of those before the change, with the deviation it tells; beyond the dotted lines "
     "one run alone is called a jump. Below: the sums of deviations up and down, and where a drift is called."
 )
-KEEP_ON = "File each calibration with --cell, and look again after the next one."
-ASK_MORE = "File further runs of the cell with --cell; nothing is known of drifts before that."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,21 +68,12 @@ class TrendPage:
     """What the page tells. few: no figure has enough runs. every_days: between two runs, the median."""
 
     cell: str
-    verdict: str
-    changed: bool
-    few: bool
+    verdict: Verdict
     n_runs: int
     apart_years: float
     every_days: float
     notes: Sequence[str]
     figures: Sequence[Charted]
-
-
-def trend_verdict(changed: bool, few: bool, to_do: Sequence[str], sentence: str) -> Verdict:
-    """Return what the page says first; to_do: of each figure, "" where there is nothing to do."""
-    level, word = ("bad", "Drift") if changed else ("warn", "Too few runs") if few else ("good", "Steady")
-    first = next((one for one in to_do if one), ASK_MORE if few else KEEP_ON)
-    return Verdict(level=level, word=word, sentence=in_degrees(sentence), to_do=first)
 
 
 def trend_report(run: TrendPage, *, created: datetime | None = None) -> str:
@@ -92,7 +82,7 @@ def trend_report(run: TrendPage, *, created: datetime | None = None) -> str:
     page = Page(
         title=f"History of {run.cell}",
         subtitle=f"{run.n_runs} runs, {_dates(run)}",
-        verdict=trend_verdict(run.changed, run.few, [one.to_do for one in run.figures], run.verdict),
+        verdict=run.verdict,
         cards=[
             Card(name="figures judged", value=str(len(run.figures))),
             Card(name="of these changed", value=str(changed)),

@@ -15,7 +15,7 @@ from datetime import datetime
 from importlib import resources
 
 from armsight._version import __version__
-from armsight.records.verdict import Verdict as TheVerdict
+from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, Plot, json_text
 from armsight.report.space import fitted_scene
 from armsight.units import NOTHING
@@ -42,10 +42,10 @@ section,.verdict,.cards div{background:var(--card);border:1px solid var(--line);
 section{padding:18px 20px;margin:16px 0}
 section>p{margin:0 0 10px;color:var(--soft);max-width:85ch}
 .verdict{margin:18px 0;padding:14px 18px;border-left:6px solid var(--good);font-size:17px}
-.verdict.warn{border-left-color:var(--warn)}.verdict.bad{border-left-color:var(--bad)}
+.verdict.care{border-left-color:var(--warn)}.verdict.bad{border-left-color:var(--bad)}
 .verdict strong{display:block;font-size:13px;letter-spacing:.06em;text-transform:uppercase;color:var(--good)}
 .verdict p{margin:8px 0 0}.verdict b{color:var(--blue);margin-right:4px}
-.verdict.warn strong{color:var(--warn)}.verdict.bad strong{color:var(--bad)}
+.verdict.care strong{color:var(--warn)}.verdict.bad strong{color:var(--bad)}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px}
 .cards div{padding:12px 14px}
 .cards b{display:block;font-size:22px;line-height:1.25;font-variant-numeric:tabular-nums}
@@ -148,22 +148,6 @@ class Card:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """The page's one sentence. level: good, warn or bad; word: the level in one word; to_do: the reader's next step."""
-
-    level: str
-    word: str
-    sentence: str
-    to_do: str
-
-    @property
-    def told(self) -> TheVerdict:
-        """The same words as programs get them."""
-        level = "care" if self.level == "warn" else self.level
-        return TheVerdict(level=level, headline=self.word, reasons=[self.sentence], next=[self.to_do])
-
-
 @dataclass(slots=True, kw_only=True)
 class Page:
     """A page under construction: sections are added in order. style: rules of its own, after the common ones."""
@@ -200,8 +184,8 @@ class Page:
             for card in self.cards
         )
         verdict = (
-            f'<div class="verdict {text(self.verdict.level)}"><strong>{text(self.verdict.word)}</strong>'
-            f"{text(self.verdict.sentence)}<p><b>What to do</b> {text(self.verdict.to_do)}</p></div>"
+            f'<div class="verdict {text(self.verdict.level)}"><strong>{text(self.verdict.headline)}</strong>'
+            f"{text(' '.join(self.verdict.reasons))}<p><b>What to do</b> {text(' '.join(self.verdict.next))}</p></div>"
         )
         figures = _base64(gzip.compress(json_text(self._figures).encode(), 9, mtime=0))
         when = created.strftime("%Y-%m-%d %H:%M")

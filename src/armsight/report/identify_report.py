@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Identification, Sweeps
 from armsight.kinematics import Arm
 from armsight.optics import SIDES, Rig, triangulate
+from armsight.records.verdict import Verdict
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -25,7 +26,7 @@ from armsight.report.figures import (
     layout,
     points_in_space,
 )
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -86,10 +87,10 @@ def identify_verdict(result: Identification, sweeps: Sweeps, rig: Rig | None) ->
     """Return what the page of an identified arm says first."""
     sure = all(joint.decided for joint in result.joints)
     return Verdict(
-        level="good" if sure else "warn",
-        word="Types decided" if sure else "A type is not decided",
-        sentence=_sentence(result, None if rig is None else _lean(rig, sweeps)),
-        to_do=_to_do(result),
+        level="good" if sure else "care",
+        headline="Types decided" if sure else "A type is not decided",
+        reasons=[_sentence(result, None if rig is None else _lean(rig, sweeps))],
+        next=[_to_do(result)],
     )
 
 

@@ -11,9 +11,10 @@ from scipy.special import bdtr
 from armsight.measure.results import ConsistencyOutput, OtherCause
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
+from armsight.records.verdict import Verdict
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.frames import sample_figure
-from armsight.report.html import Card, Page, Verdict, add_recordings, bullets, figure_of, table
+from armsight.report.html import Card, Page, add_recordings, bullets, figure_of, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
@@ -36,7 +37,7 @@ GOOD_SHARE = 0.95
 MAX_LOSSES = 25
 MAX_SAMPLES = 6
 
-VERDICTS = {"doubtful": ("warn", "Doubtful"), "inconsistent": ("bad", "Inconsistent")}
+VERDICTS = {"doubtful": ("care", "Doubtful"), "inconsistent": ("bad", "Inconsistent")}
 """How the verdict on the residuals shows."""
 
 TRUE_CLAIM = 0.999
@@ -81,7 +82,7 @@ def measure_verdict(run: MeasureRun) -> Verdict:
         losses = losses_of(run.poses)
         why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
         sentence = f"None of {n:,} frames gave a full pose.{why} {run.error}"
-        return Verdict(level="bad", word="No pose", sentence=sentence, to_do=MEASURE["No pose"])
+        return Verdict(level="bad", headline="No pose", reasons=[sentence], next=[MEASURE["No pose"]])
     middle = _median_columns(series.std[series.whole])
     sentence = (
         f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, half of them known to "
@@ -89,13 +90,13 @@ def measure_verdict(run: MeasureRun) -> Verdict:
         f"{figure_of(float(np.max(middle[3:])), '°', digits=2)} or better in their worst direction (one standard "
         "deviation)."
     )
-    level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("warn", "With gaps")
+    level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("care", "With gaps")
     if run.truth is not None:
         inside, low, high = _inside(errors := errors_of(run.poses, run.truth))
         position = figure_of(float(np.sqrt(np.nanmean((errors.values[:, :3] ** 2).sum(axis=1)))), "mm", digits=2)
         sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
         if not low <= inside <= high:
-            level, word = "warn", "Claim doubted"
+            level, word = "care", "Claim doubted"
     found = run.consistency
     if found is not None and found.verdict in VERDICTS:
         level, word = VERDICTS[found.verdict]
@@ -103,7 +104,7 @@ def measure_verdict(run: MeasureRun) -> Verdict:
     if run.error:
         level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
     unchecked, advice = (False, "") if found is None else (found.verdict == "unchecked", found.advice)
-    return Verdict(level=level, word=word, sentence=sentence, to_do=after_measuring(word, unchecked, advice))
+    return Verdict(level=level, headline=word, reasons=[sentence], next=[after_measuring(word, unchecked, advice)])
 
 
 def _rms_columns(values: Array) -> Array:

@@ -16,9 +16,10 @@ from armsight.control.paths import PathCheck, PathIssue, PathTrouble
 from armsight.kinematics import Arm
 from armsight.kinematics.target import start_values
 from armsight.records import TaughtPath
+from armsight.records.verdict import Verdict
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, thinned
-from armsight.report.html import Card, Page, Verdict, figure_of, table, text
+from armsight.report.html import Card, Page, figure_of, table, text
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -66,10 +67,13 @@ def path_report(
     slower = ", slower than asked in those below" if found.issues else ""
     verdict = (
         Verdict(
-            level="good", word="can be run", sentence=f"{arm.name} can run all {found.rows} rows{slower}.", to_do=RUN
+            level="good",
+            headline="can be run",
+            reasons=[f"{arm.name} can run all {found.rows} rows{slower}."],
+            next=[RUN],
         )
         if found.ok and not refused
-        else Verdict(level="bad", word="cannot be run", sentence=_sentence(arm, found, runs, refused), to_do=MEND)
+        else Verdict(level="bad", headline="cannot be run", reasons=[_sentence(arm, found, runs, refused)], next=[MEND])
     )
     page = Page(title=f"{name} on {arm.name}", subtitle=_subtitle(path), verdict=verdict, cards=_cards(path, found))
     around, alone = _scenes(path, arm, limits, found, runs)

@@ -8,8 +8,9 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text
+from armsight.report.html import Card, Page, bullets, figure_of, table, text
 from armsight.report.iso_symbols import value_of
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import MM
@@ -36,12 +37,14 @@ def repeats_verdict(summary: VerifyOutput) -> Verdict:
     given = any(item.value is not None for item in iso.values())
     worst = iso.get("RP_m")
     if worst is not None and worst.value is not None and worst.std is None:
-        return Verdict(level="warn", word="The visits drift", sentence=_headline(iso, summary.verdict), to_do=WARM_UP)
+        return Verdict(
+            level="care", headline="The visits drift", reasons=[_headline(iso, summary.verdict)], next=[WARM_UP]
+        )
     return Verdict(
-        level="good" if given else "warn",
-        word="Repeatability" if given else "No figure can be given",
-        sentence=_headline(iso, summary.verdict),
-        to_do=HOLD if given else MORE,
+        level="good" if given else "care",
+        headline="Repeatability" if given else "No figure can be given",
+        reasons=[_headline(iso, summary.verdict)],
+        next=[HOLD if given else MORE],
     )
 
 

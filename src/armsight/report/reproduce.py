@@ -10,8 +10,9 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, subplot
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.report.html import Card, Page, bullets, figure_of, table
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -176,12 +177,14 @@ def _verdict(done: Reproduction) -> Verdict:
         small = sum(share <= WANTED_SHARE for share in shares)
         return Verdict(
             level="good",
-            word="No printed figure to hold against",
-            sentence=(
-                "The paper prints curves only. armsight's error is at most a third of its method's on the "
-                f"same frames in {small} of {len(shares)} rows."
-            ),
-            to_do=READ,
+            headline="No printed figure to hold against",
+            reasons=[
+                (
+                    "The paper prints curves only. armsight's error is at most a third of its method's on the "
+                    f"same frames in {small} of {len(shares)} rows."
+                )
+            ],
+            next=[READ],
         )
     missed = [
         f"{item.title.partition(':')[0]}: {'; '.join(labels)}"
@@ -192,10 +195,10 @@ def _verdict(done: Reproduction) -> Verdict:
         f"armsight's error is at most a third of the paper's in {reached} of {len(compared)} rows that can be compared"
     )
     return Verdict(
-        level="warn" if missed else "good",
-        word="Reached in part" if missed else "Reached",
-        sentence=text + (f". Not in {'. '.join(missed)}." if missed else "."),
-        to_do=LOOK_UP if missed else READ,
+        level="care" if missed else "good",
+        headline="Reached in part" if missed else "Reached",
+        reasons=[text + (f". Not in {'. '.join(missed)}." if missed else ".")],
+        next=[LOOK_UP if missed else READ],
     )
 
 

@@ -13,6 +13,7 @@ from armsight.errors import Inconsistent
 from armsight.measure.results import ConsistencyOutput
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import Spots, Target, TargetPose, frozen_array
+from armsight.records.verdict import Verdict
 
 Array = NDArray[np.float64]
 
@@ -162,6 +163,7 @@ class CalibrationRun:
     n_images: int
     n_used: int
     rms_px: float
+    verdict: Verdict
     holdout_rms_px: float | None = None
     epipolar_rms_px: float | None = None
     holdout_epipolar_rms_px: float | None = None
@@ -169,7 +171,6 @@ class CalibrationRun:
     metric: Mapping[str, float] = field(default_factory=dict)
     rejected: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
-    doubts: Sequence[str] = ()
     advice: Sequence[str] = ()
     thing: str = "board"
     alignment: Sequence[tuple[str, str]] = ()

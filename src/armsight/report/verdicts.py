@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from armsight.report.html import Verdict, in_degrees
+from armsight.records.verdict import Verdict
+from armsight.report.html import in_degrees
 from armsight.report.to_do import after_mastering, after_verify, after_watching, foreign, hides
 from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 
-VERIFY = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
-MASTERING = {"none": "good", "undecided": "warn"}
-LIVE = {"good": "good", "warn": "warn", "stop": "bad", "unknown": "bad"}
+VERIFY = {"measurement": "good", "none": "good", "model": "care", "undecided": "care"}
+MASTERING = {"none": "good", "undecided": "care"}
+LIVE = {"good": "good", "warn": "care", "stop": "bad", "unknown": "bad"}
 WATCHED = 0.95
 """Share of the pairs that are compared, below which a run without alarm is not called good without a word."""
 
@@ -19,10 +20,10 @@ def verify_verdict(summary: VerifyOutput) -> Verdict:
     cause, with_arm = summary.cause, bool(summary.joints)
     level = VERIFY.get(cause, "bad")
     return Verdict(
-        level="warn" if level == "good" and (hides(summary) or foreign(summary)) else level,
-        word=f"Cause: {cause}" if with_arm else "No cause looked for",
-        sentence=in_degrees(summary.verdict),
-        to_do=after_verify(summary, with_arm=with_arm),
+        level="care" if level == "good" and (hides(summary) or foreign(summary)) else level,
+        headline=f"Cause: {cause}" if with_arm else "No cause looked for",
+        reasons=[in_degrees(summary.verdict)],
+        next=[after_verify(summary, with_arm=with_arm)],
     )
 
 
@@ -30,9 +31,9 @@ def mastering_verdict(summary: MasteringOutput) -> Verdict:
     """Return what the page of a check after a crash says first."""
     return Verdict(
         level=MASTERING.get(summary.cause, "bad"),
-        word=f"Cause: {summary.cause}",
-        sentence=in_degrees(summary.verdict),
-        to_do=after_mastering(summary.cause, all_judged=all(joint.judged for joint in summary.joints)),
+        headline=f"Cause: {summary.cause}",
+        reasons=[in_degrees(summary.verdict)],
+        next=[after_mastering(summary.cause, all_judged=all(joint.judged for joint in summary.joints))],
     )
 
 
@@ -40,12 +41,14 @@ def live_verdict(summary: VerifyLiveOutput) -> Verdict:
     """Return what the page of a supervision says first."""
     gaps = summary.level == "good" and summary.n_compared < WATCHED * summary.n
     return Verdict(
-        level="warn" if gaps else LIVE[summary.level],
-        word="good, with gaps" if gaps else summary.level,
-        sentence=in_degrees(summary.verdict),
-        to_do=after_watching(
-            summary.level,
-            levels_set=any(value is not None for value in summary.levels.to_dict().values()),
-            gaps=summary.n_compared < summary.n,
-        ),
+        level="care" if gaps else LIVE[summary.level],
+        headline="good, with gaps" if gaps else summary.level,
+        reasons=[in_degrees(summary.verdict)],
+        next=[
+            after_watching(
+                summary.level,
+                levels_set=any(value is not None for value in summary.levels.to_dict().values()),
+                gaps=summary.n_compared < summary.n,
+            )
+        ],
     )

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
-from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
 from armsight.app.live.station import Shown
 from armsight.app.live.views import Counts, LiveView, RunView, SideView, SpotView, live_view
@@ -28,6 +28,7 @@ from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
+from armsight.records.verdict import Verdict
 from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
 from refusals import refuses
@@ -128,9 +129,8 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
             right=str(boards.folder / "right"),
         )
     )
-    judged = again.verdict_  # few boards leave corners of the images bare: page, report and terminal say so alike
-    assert judged is not None and judged.level == "care" and not verdict.good
-    assert verdict.words == " ".join(judged.reasons + judged.next)
+    # few boards leave corners of the images bare: page, report and terminal say so alike
+    assert verdict.verdict.level == "care" and verdict.verdict.to_dict() == again.verdict_.to_dict()
     assert dict(verdict.rows)["baseline"] == f"{1e3 * again.baseline_m:.2f} mm"
     assert verdict.file.exists()
     assert verdict.report is not None
@@ -208,7 +208,7 @@ def test_a_tip_is_found_where_the_target_was_turned_about_it(tmp_path: Path) -> 
     for _ in range(30):
         step.accept(station)
     assert step.hint().what is Next.RUN
-    assert step.run(Silent()).good
+    assert step.run(Silent()).verdict.level == "good"
     np.testing.assert_allclose(read_tip(tmp_path / "tip.yaml").tip_m, tip, atol=1e-6)
 
 
@@ -272,7 +272,7 @@ def test_hand_eye_is_found_from_joints_and_poses(tmp_path: Path) -> None:
     for _ in cell.q:
         step.accept(cell.station)
     verdict = step.run(Silent())
-    assert verdict.good, verdict.words
+    assert verdict.verdict.level == "good", verdict.verdict.reasons
     found = read_handeye(tmp_path / "handeye.yaml").T_parent_camera.as_matrix()
     np.testing.assert_allclose(found, cell.T_flange_camera, atol=1e-6)
 
@@ -289,8 +289,8 @@ def test_a_hand_that_hardly_turned_is_not_to_be_trusted_and_the_axis_is_named(tm
     assert hint.what is Next.TURN_HAND and hint.axis in ("x", "y") and hint.share < 0.5
     assert 33.0 < float(dict(step.spread())["turned about its own z"].split()[0]) < 38.0
     verdict = step.run(Silent())
-    assert not verdict.good
-    assert "20 degrees" in verdict.words
+    assert verdict.verdict.level == "care"
+    assert "20 degrees" in verdict.verdict.next[0]
 
 
 def test_no_pose_is_taken_while_the_robot_moves(tmp_path: Path) -> None:
@@ -352,10 +352,11 @@ class Told:
     def drop(self, index: int) -> None:
         del self.taken[index]
 
-    def run(self, progress: Any) -> Verdict:
+    def run(self, progress: Any) -> StepResult:
         if self.fails is not None:
             raise self.fails
-        return Verdict(good=True, words=f"{len(self.taken)} taken", rows=(), file=Path("x.yaml"))
+        verdict = Verdict(level="good", headline="Good", reasons=[f"{len(self.taken)} taken"], next=[])
+        return StepResult(verdict=verdict, rows=(), file=Path("x.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -369,7 +370,7 @@ def test_why_nothing_was_calibrated_is_told_whatever_it_was(error: Exception, sa
     runner = GuidedStepRunner(Told(fails=error))
     runner.run(Silent())
     assert runner.state.not_done.startswith(said)
-    assert runner.state.verdict is None and runner.state.busy == ""
+    assert runner.state.result is None and runner.state.busy == ""
 
 
 def test_calibrate_pressed_while_a_sample_is_taken_waits_for_it_and_its_verdict_stays() -> None:
@@ -384,7 +385,7 @@ def test_calibrate_pressed_while_a_sample_is_taken_waits_for_it_and_its_verdict_
     step.leave.set()
     for thread in (accepting, running):
         thread.join(60.0)
-    verdict = runner.state.verdict
-    assert verdict is not None and verdict.words == "1 taken"
+    verdict = runner.state.result
+    assert verdict is not None and verdict.verdict.reasons == ["1 taken"]
     runner.drop(0)
-    assert runner.state.verdict is None, "it is of samples that are no more"
+    assert runner.state.result is None, "it is of samples that are no more"

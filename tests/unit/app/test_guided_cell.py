@@ -231,7 +231,7 @@ def test_the_result_is_the_commands_and_all_of_it_is_used_at_once(
     step = recorded(tmp_path, drawn, frames)
     assert step.hint().what is Next.RUN
     verdict = step.run(Silent())
-    assert verdict.good, verdict.words
+    assert verdict.verdict.level == "good", verdict.verdict.reasons
     assert verdict.rows[0][0].startswith("tip") and "mm" in verdict.rows[0][1]
     titles = dict(verdict.lists)
     assert any("joint j1" in line for line in titles["What it cannot tell"])
@@ -281,7 +281,7 @@ def test_what_the_command_refuses_is_told_in_full_and_nothing_is_written(
     runner = GuidedStepRunner(step)
     runner.run_told()
     why = runner.state.not_done
-    assert runner.state.verdict is None and names_it(why, "joint j3", "Record")
+    assert runner.state.result is None and names_it(why, "joint j3", "Record")
     (folder,) = tmp_path.glob("cell-*")
     assert [path.name for path in folder.iterdir()] == [FRAMES]
     runner.look()

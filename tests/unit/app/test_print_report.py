@@ -16,8 +16,9 @@ from armsight.app.print_report import BROWSERS, print_report
 from armsight.app.sources.frames import recordings_in
 from armsight.cli.commands import app
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
+from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, layout, points_in_space
-from armsight.report.html import Page, Verdict, add_recordings
+from armsight.report.html import Page, add_recordings
 from refusals import refuses
 
 
@@ -26,7 +27,7 @@ def report(tmp_path: Path) -> Path:
     page = Page(
         title="Title",
         subtitle="",
-        verdict=Verdict(level="good", word="Good", sentence="It is good.", to_do=""),
+        verdict=Verdict(level="good", headline="Good", reasons=["It is good."], next=[""]),
         cards=(),
     )
     cube = points_in_space("cube", np.random.default_rng(1).uniform(size=(20, 3)), {"size": 4})
@@ -90,7 +91,7 @@ def test_only_reports_are_printed_as_pdf_only(report: Path, tmp_path: Path, monk
 def test_a_report_tells_how_to_look_through_its_recording() -> None:
     files = recordings_in("my run.mcap:left", "my run.mcap:right", "camera:0", None, "other.mcap")
     assert files == ("my run.mcap", "other.mcap")
-    page = Page(title="", subtitle="", verdict=Verdict(level="good", word="", sentence="", to_do=""), cards=())
+    page = Page(title="", subtitle="", verdict=Verdict(level="good", headline="", reasons=[""], next=[""]), cards=())
     add_recordings(page, files)
     shown = page.html(created=datetime(2026, 1, 1))
     assert "rerun &#x27;my run.mcap&#x27;" in shown and "rerun other.mcap" in shown and "Foxglove" in shown

@@ -6,11 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.reports import camera_run
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera
 from armsight.errors import Inconsistent
 from armsight.records import BoardView
-from armsight.report.calibration import calibration_verdict
 from armsight.store import parse_board
 from refusals import names_it, refuses
 
@@ -46,11 +44,12 @@ def test_squares_that_are_none_pass_for_pixels_where_the_board_is_never_turned_a
     board = parse_board("checkerboard:9x6:0.025")
     done = calibrate_camera(views(board.xyz_m * [1.0, 1.04, 1.0], turn=0.0), board, QUICK)
     assert [text for text in done.advice if names_it(text, "fx", "fy", "calliper")]
-    verdict = calibration_verdict(camera_run(done, "a board"))
-    assert verdict.level == "warn" and names_it(verdict.sentence, "fx", "fy") and names_it(verdict.to_do, "calliper")
+    verdict = done.verdict_
+    assert verdict.level == "care" and names_it(verdict.reasons[0], "fx", "fy")
+    assert names_it(verdict.next[0], "calliper")
     plain = calibrate_camera(views(board.xyz_m, turn=0.0), board, QUICK)
     assert not [text for text in plain.advice if names_it(text, "calliper")]
-    assert not names_it(calibration_verdict(camera_run(plain, "a board")), "fx")
+    assert not names_it(plain.verdict_.reasons[0], "fx")
 
 
 @pytest.mark.parametrize(("true", "said"), [(0.3, 0.2), (0.25, 0.3), (0.2, 0.5)])

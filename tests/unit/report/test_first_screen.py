@@ -13,8 +13,9 @@ from armsight.calibrate.identify import Sweeps
 from armsight.cli.tables import figure
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance
+from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, axis, layout
-from armsight.report.html import STYLE, Page, Verdict, table, with_deviation
+from armsight.report.html import STYLE, Page, table, with_deviation
 from armsight.report.identify_report import LEANS, _lean
 from armsight.report.to_do import after_mastering, after_measuring, after_verify, after_watching
 from armsight.verify.effects import Kind
@@ -22,7 +23,7 @@ from refusals import names_it
 
 
 def page():
-    verdict = Verdict(level="good", word="Good", sentence="It is good.", to_do="Go <on>.")
+    verdict = Verdict(level="good", headline="Good", reasons=["It is good."], next=["Go <on>."])
     return Page(title="Title", subtitle="", verdict=verdict, cards=())
 
 

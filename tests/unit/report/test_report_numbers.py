@@ -9,9 +9,10 @@ from scipy.signal import savgol_coeffs
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.records import PoseStatus, TargetPose
+from armsight.records.verdict import Verdict
 from armsight.report.boards import chosen_views
 from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
-from armsight.report.html import Page, Verdict, figure_of, with_deviation
+from armsight.report.html import Page, figure_of, with_deviation
 from armsight.report.series import NEIGHBOURS, PARABOLA, Series, scatter_of, series_of
 from armsight.report.space import fitted_scene
 
@@ -170,7 +171,7 @@ def test_what_is_wider_than_the_page_says_so_and_plus_or_minus_has_its_sign():
     page = Page(
         title="1 +- 2",
         subtitle="",
-        verdict=Verdict(level="good", word="", sentence="off by 2 +-0.1 mm", to_do="Go on."),
+        verdict=Verdict(level="good", headline="", reasons=["off by 2 +-0.1 mm"], next=["Go on."]),
         cards=(),
     )
     shown = page.html(created=datetime(2026, 1, 1))

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference
+from armsight.records.verdict import Verdict
 from armsight.report import (
     CalibrationRun,
     CameraFit,
@@ -31,10 +33,9 @@ from armsight.report import (
 )
 from armsight.report.arm_view import arm_report
 from armsight.report.boards import add_boards
-from armsight.report.calibration import coverage
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
-from armsight.report.html import Page, Verdict, figure_of
+from armsight.report.html import Page, figure_of
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.series import errors_of, losses_of, ranges
 from refusals import names_it, refuses
@@ -183,6 +184,7 @@ def full_calibration(**more):
         "n_images": 10,
         "n_used": 9,
         "rms_px": 0.135,
+        "verdict": Verdict(level="care", headline="Usable with care", reasons=[HOSTILE], next=[HOSTILE]),
         "holdout_rms_px": 0.161,
         "holdout_epipolar_rms_px": 0.178,
         "baseline_m": 0.08319,
@@ -340,39 +342,25 @@ def test_a_truth_of_another_length_is_refused():
         full_run(residuals={"middle": np.zeros((1, 3))})
 
 
+UV = np.random.default_rng(2).uniform((0, 0), (640, 480), (500, 2))
 CALIBRATIONS = {
-    "Good": ({}, ""),
-    "Usable with care": ({"n_used": 5}, "only 5 of 10 pairs could be used"),
-    "Usable with care ": ({"holdout_rms_px": 0.5}, "3.7 times worse"),
+    "nothing": (9, 0.161, UV, ""),
+    "few used": (5, 0.161, UV, "only 5 of 10 pairs could be used"),
+    "over-fitted": (9, 0.5, UV, "3.7 times worse"),
+    "left out badly": (9, 0.7, UV, "0.7 px, beyond 0.6 px"),
+    "one corner": (9, 0.161, 0.3 * UV, "% of the left image"),
 }
 
 
-@pytest.mark.parametrize("word", CALIBRATIONS)
-def test_the_verdict_on_a_calibration(word):
-    more, reason = CALIBRATIONS[word]
-    text = Tags(calibration_report(full_calibration(**more))).text
-    assert word.strip() in text
-    assert reason in text
-    assert "83.190 mm apart" in text
-
-
-def test_a_board_kept_in_one_corner_is_said():
-    run = full_calibration()
-    fit = run.cameras[0]
-    corner = CameraFit(
-        name="left",
-        camera=CAMERA,
-        uv_px=0.3 * fit.uv_px,
-        residual_px=fit.residual_px,
-        sources=fit.sources,
-        view_rms_px=fit.view_rms_px,
-    )
-    spans = np.prod(np.ptp(fit.uv_px, axis=0)) / (CAMERA.width * CAMERA.height)
-    assert 0.5 < coverage(fit) <= spans  # few points in every part of it do not make it more
-    assert coverage(corner) == pytest.approx(0.09 * coverage(fit))
-    text = Tags(calibration_report(full_calibration(cameras=[corner, run.cameras[1]]))).text
-    assert "covered" in text
-    assert "left image" in text
+@pytest.mark.parametrize("case", CALIBRATIONS)
+def test_the_verdict_on_a_calibration(case):
+    used, left_out, uv, reason = CALIBRATIONS[case]
+    doubts = images_doubted(used, 10, 0.135, left_out, {"left": (CAMERA, uv)}, noun="pairs")
+    verdict = images_verdict("9 of 10 pairs fit", doubts, [], squares=False, noun="pairs")
+    assert verdict.level == ("care" if reason else "good")
+    assert reason in verdict.reasons[0] and len(doubts) == (0 if not reason else 2 if case == "left out badly" else 1)
+    page = Tags(calibration_report(full_calibration(verdict=verdict))).text
+    assert all(part in page for part in (verdict.headline, *verdict.reasons, *verdict.next))
 
 
 def test_a_calibration_without_points_still_makes_a_page():
@@ -430,7 +418,7 @@ def boards_page():
         pictures=[(k, picture) for k in range(3)],
     )
     page = Page(
-        title="boards", subtitle="", verdict=Verdict(level="good", word="Good", sentence="", to_do=""), cards=()
+        title="boards", subtitle="", verdict=Verdict(level="good", headline="Good", reasons=[""], next=[""]), cards=()
     )
     add_boards(page, views)
     return page.html(created=datetime(2026, 1, 1))
@@ -439,8 +427,9 @@ def boards_page():
 def compare_page():
     rows = [Difference(name="left.cx", unit="px", a=320.0, b=321.8, difference=1.8, std=0.43)] * 24
     course = Course(t_s=np.arange(50.0), values=np.full((50, 6), 1e-3), std=np.full((50, 6), 1e-3))
-    shared = {"kind": "rig", "a": "/a/very/long/way/to/a/result/before.yaml", "b": "after.yaml", "agree": False}
-    told = {"verdict": "It moved.", "p": 0.0, "effects": [("shift", "1.8 px")], "notes": ["One."]}
+    shared = {"kind": "rig", "a": "/a/very/long/way/to/a/result/before.yaml", "b": "after.yaml"}
+    verdict = Verdict(level="bad", headline="They differ", reasons=["It moved."], next=["Look."])
+    told = {"verdict": verdict, "p": 0.0, "effects": [("shift", "1.8 px")], "notes": ["One."]}
     return compare_report(CompareRun(rows=rows, course=course, **shared, **told))
 
 

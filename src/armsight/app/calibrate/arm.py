@@ -14,7 +14,6 @@ from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.requests.calibrate_robot import ArmJob
-from armsight.app.verdicts import of_arm, with_verdict
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -86,7 +85,7 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     urdf, lost = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
-    done = extended(
+    return extended(
         result,
         ArmOutput,
         proposals=None if proposal is None else nominal.readings(proposal.q).tolist(),
@@ -94,7 +93,6 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
         urdf=None if urdf is None else str(urdf),
         notes=(*result.notes, *lost),
     )
-    return with_verdict(done, of_arm)
 
 
 def _check_names(job: ArmJob) -> None:

@@ -15,7 +15,6 @@ from armsight.app.calibrate.results import CameraOutput, ZoomOutput
 from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
 from armsight.app.requests.calibrate_cameras import CameraJob, NoiseJob, StereoJob
 from armsight.app.sources.frames import open_pairs, open_source
-from armsight.app.verdicts import of_camera, of_stereo, with_verdict
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
@@ -60,7 +59,7 @@ def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> Camera
     zoom = _write(job, done, found)
     boards = camera_boards(done, board, pictures)
     write_camera_report(_report_of(job), done, board=job.board, boards=boards)
-    return with_verdict(extended(done, CameraOutput, noise=found.output if found else None, zoom=zoom), of_camera)
+    return extended(done, CameraOutput, noise=found.output if found else None, zoom=zoom)
 
 
 def _write(job: CameraJob, done: CameraCalibration, found: FoundNoise | None) -> ZoomOutput | None:
@@ -123,7 +122,7 @@ def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> Stereo
     write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
     boards = rig_boards(result, board, pictures)
     write_stereo_report(report_path(job.out), result, RigData(board=job.board, boards=boards))
-    return with_verdict(result, of_stereo)
+    return result
 
 
 def report_path(out: Path) -> Path:

@@ -15,7 +15,6 @@ from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
 from armsight.app.requests.calibrate_cell import CellJob
 from armsight.app.requests.shared import point_of
 from armsight.app.sources.frames import is_recording, recording_path
-from armsight.app.verdicts import of_cell, with_verdict
 from armsight.calibrate.cell import ArmTolerance, CellCalibration, CellOptions, calibrate_cell
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
@@ -69,7 +68,6 @@ def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCa
     done = calibrate_cell(arm, joints, tracks, target, sizes=sizes, options=options, progress=progress)
     if job.size is not None:
         _require_centred(done)
-    done = with_verdict(done, of_cell)
     _write(job, done)
     return done
 

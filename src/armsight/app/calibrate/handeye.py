@@ -15,7 +15,6 @@ from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
 from armsight.app.requests.calibrate_robot import HandEyeJob
-from armsight.app.verdicts import of_handeye, with_verdict
 from armsight.calibrate.handeye import (
     HandEye,
     RejectedPair,
@@ -64,7 +63,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     write_handeye(job.out, solved.result, inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
-    return with_verdict(replace(solved.result, camera_file=camera_file, proposals=proposed), of_handeye)
+    return replace(solved.result, camera_file=camera_file, proposals=proposed)
 
 
 def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:

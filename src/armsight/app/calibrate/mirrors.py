@@ -217,10 +217,9 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     done, missed = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
     forms = _forms(done)
-    result = mirrors_output(done, missed, forms=forms)
+    result = replace(mirrors_output(done, missed, forms=forms), lit=True)
     data = RigData(
         board=str(job.target),
-        thing="lit target",
         title=TITLE,
         results=_results(done, forms),
         boards=rig_boards(result, target, BoardPictures()),

@@ -30,9 +30,9 @@ def camera_run(done: CameraCalibration, board: str, boards: BoardViews | None = 
         n_images=done.n_images,
         n_used=done.n_used,
         rms_px=done.rms_px,
+        verdict=done.verdict_,
         holdout_rms_px=done.holdout_rms_px,
         rejected=done.rejected,
-        doubts=done.doubts,
         advice=done.advice,
         boards=boards,
     )
@@ -47,13 +47,12 @@ def write_camera_report(path: Path, done: CameraCalibration, *, board: str, boar
 class RigData:
     """What went into a rig's calibration, and what its report says beside the figures.
 
-    thing: what the images show, if not a board. results: lines beside the alignment. facts: for the end of the page.
+    results: lines beside the alignment. facts: for the end of the page.
     boards: where they were, with pictures.
     """
 
     board: str
     title: str = "Calibration of a pair of cameras"
-    thing: str = "board"
     results: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     boards: BoardViews | None = None
@@ -68,7 +67,7 @@ def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
     return CalibrationRun(
         title=data.title,
         board=data.board,
-        thing=data.thing,
+        thing=done.thing,
         cameras=[
             _fit(
                 side,
@@ -84,6 +83,7 @@ def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
         n_images=done.n_pairs,
         n_used=done.n_used,
         rms_px=done.rms_px,
+        verdict=done.verdict_,
         holdout_rms_px=done.holdout_rms_px,
         epipolar_rms_px=done.epipolar_rms_px,
         holdout_epipolar_rms_px=done.holdout_epipolar_rms_px,
@@ -92,7 +92,6 @@ def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
         rejected=done.rejected,
         alignment=[*alignment_lines(done), *data.results],
         facts=data.facts,
-        doubts=done.doubts,
         advice=done.advice,
         boards=data.boards,
     )

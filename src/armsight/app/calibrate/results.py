@@ -6,14 +6,16 @@ from typing import Annotated
 
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras.verdict import GOOD_RMS_PX
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
-from armsight.calibrate.mirrors.diagnosis import Suspect
+from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, VAGUE, Suspect
 from armsight.fields import Doc
 from armsight.optics.mirrors import FormError
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.optics.zoom import LeftOut
 from armsight.records import NoiseModel
 from armsight.records.output import Output, extended, figure, output
+from armsight.units import MM
 
 
 @output
@@ -83,11 +85,30 @@ class MirrorAlignment(Parallelism):
 
 @output
 class MirrorsOutput(StereoCalibration):
-    """armsight calibrate mirrors: as of a pair, in axes of the left view."""
+    """armsight calibrate mirrors: as of a pair, in axes of the left view. lit: from the lit target, not a board."""
 
     plate: PlateOutput
     one_lens: Annotated[bool, Doc("Whether one lens explains both views.")]
     forms: Annotated[list[FormError], Doc("How far the paper's equations are off; empty without a plate.")]
+    lit: bool = False
+
+    @property
+    def thing(self) -> str:
+        """What the images show."""
+        return "lit target" if self.lit else "board"
+
+    def doubted(self) -> list[str]:
+        """Return what speaks against relying on the rig, its mirrors included."""
+        out = StereoCalibration.doubted(self)  # slots make another class of it than super() knows
+        if self.lit and self.rms_px > GOOD_RMS_PX:  # lights leave nothing out of the fit
+            out.append(f"the lights are met to {self.rms_px:.3g} px, beyond {GOOD_RMS_PX} px")
+        if self.lit and self.n_used < GOOD_LIT:
+            out.append(f"{self.n_used} images are few, {GOOD_LIT} and more tell wrong ones")
+        if not self.one_lens:
+            out.append("one lens does not explain both views")
+        if self.baseline_std_m > VAGUE * self.baseline_m:
+            out.append(f"the baseline is known to {self.baseline_std_m / MM:.2g} mm only")
+        return out
 
     @figure("How parallel the two views stand, and the plate.")
     def alignment(self) -> MirrorAlignment:

@@ -18,12 +18,11 @@ from armsight.app.compare.calibrations import (
 from armsight.app.compare.parameters import Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
 from armsight.app.requests.files import CompareJob
-from armsight.app.verdicts import of_comparison, with_verdict
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
-from armsight.records.output import Output, output
+from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import Difference
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
@@ -38,6 +37,12 @@ from armsight.units import DEG, MM
 NOTHING = 1e-10
 """m, px or rad below which a difference is rounding."""
 
+LEVELS = {
+    True: ("good", "They agree", "Use either of them."),
+    False: ("bad", "They differ", "Find out what moved or changed between them before you rely on either."),
+    None: ("care", "Cannot be told", "Do not take them for alike: give results that hold their standard deviations."),
+}
+"""By whether they agree: level, word, and what to do."""
 SUMMARY, REPORT = "compare.json", "report.html"
 
 FORMATS: Mapping[str, str] = {
@@ -77,7 +82,11 @@ class CompareOutput(Output):
     ] = None
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str | None, Doc("The report; with -o.")] = None
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        level, headline, todo = LEVELS[self.agree]
+        return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo])
 
 
 def compare(job: CompareJob) -> CompareOutput:
@@ -110,7 +119,6 @@ def compare(job: CompareJob) -> CompareOutput:
         notes=list(found.notes),
         report=None if job.out is None else str(job.out / REPORT),
     )
-    done = with_verdict(done, of_comparison)
     if job.out is not None:
         job.out.mkdir(parents=True, exist_ok=True)
         write_json(job.out / SUMMARY, done.to_dict())
@@ -214,8 +222,7 @@ def _run(done: CompareOutput, tracks: Tracks | None) -> CompareRun:
         kind=done.kind,
         a=done.a,
         b=done.b,
-        agree=done.agree,
-        verdict=done.verdict,
+        verdict=done.verdict_,
         p=done.p,
         rows=rows,
         effects=[(one.name, _shown(one.value, one.unit)) for one in done.effects],

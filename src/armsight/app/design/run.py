@@ -12,7 +12,6 @@ from armsight.app.design.changes import VOLUME_SHARE, changes_of, reaches
 from armsight.app.design.plan import Plan, plan_of
 from armsight.app.design.volume import NOISE, RIG, Foretold, foretell, size_of
 from armsight.app.requests.design import DesignJob
-from armsight.app.verdicts import of_design, with_verdict
 from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.records import Progress, Silent
 from armsight.records.design import (
@@ -64,7 +63,7 @@ def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput
         from armsight.app.design.simulate import simulate_design
 
         simulation = simulate_design(job, found, progress)
-    done = with_verdict(_output(job, plan, found, changes, simulation), of_design)
+    done = _output(job, plan, found, changes, simulation)
     job.out.mkdir(parents=True, exist_ok=True)
     write_text(job.out / MAP, _table(found))
     write_text(job.out / REPORT, design_report(_run(done, found), created=datetime.now()))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_board
 from armsight.app.calibrate.cameras import calibrate_camera, calibrate_stereo, report_path
-from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import CameraJob, StereoJob
 from armsight.calibrate.cameras import BoardOptions
@@ -40,8 +40,6 @@ TILTED_SHARE = 0.5
 SAME = 0.01
 """A board of which all points are within this share of a picture's width from where they were adds nothing: it would
 only feign certainty."""
-GOOD_RMS_PX = 0.6
-"""Residual on images left out of the fit, beyond which boards, lenses or light are not as they should be."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -159,7 +157,7 @@ class BoardCalibration:
         for side in SIDES:
             (self.folder / side / f"{name}.png").unlink(missing_ok=True)
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Calibrate from the accepted pictures, with cross-validation; write the file and its report."""
         if len(self._views) < FEWEST:
             raise NotEnoughData(
@@ -173,22 +171,15 @@ class BoardCalibration:
             rig = calibrate_stereo(pair, progress)
             rows = [("RMS", f"{rig.rms_px:.3f} px"), ("baseline", f"{1e3 * rig.baseline_m:.2f} mm")]
             rows += [("± baseline", f"{1e3 * rig.std['baseline_m']:.3f} mm (1 σ)")]
-            left_out, advice, judged = rig.holdout_rms_px, rig.advice, rig.verdict_
+            left_out, verdict = rig.holdout_rms_px, rig.verdict_
         else:
             job = CameraJob(board=self.board, out=self.out, source=folders[0])
             camera = calibrate_camera(job, progress)
             rows = [("RMS", f"{camera.rms_px:.3f} px"), ("focal length", f"{camera.fx_px:.1f} px")]
             rows += [("± focal length", f"{camera.std['fx_px']:.2f} px (1 σ)")]
-            left_out, advice, judged = camera.holdout_rms_px, camera.advice, camera.verdict_
+            left_out, verdict = camera.holdout_rms_px, camera.verdict_
         rows += [("RMS of boards left out", "–" if left_out is None else f"{left_out:.3f} px")]
-        good = left_out is not None and left_out < GOOD_RMS_PX and judged is not None and judged.level == "good"
-        words = ". ".join(one[:1].upper() + one[1:] for one in advice) or (
-            "The boards agree with each other." if good else "The boards do not agree."
-        )
-        if judged is not None and judged.level != "good":  # as the report says it
-            words = " ".join(judged.reasons + judged.next)
-        care = not good and judged is not None and judged.level == "care"
-        return Verdict(good=good, care=care, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
+        return StepResult(verdict=verdict, rows=tuple(rows), file=self.out, report=report_path(self.out))
 
     def _clear(self) -> None:
         """Take away what an earlier calibration left, so that only what was accepted counts."""

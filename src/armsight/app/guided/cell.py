@@ -17,7 +17,7 @@ from armsight._files import real_path
 from armsight.app.arm_files import load_arm
 from armsight.app.calibrate.cell import ARM, REPORT, RIG, TARGET, WORLD, run_calibrate_cell
 from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch, ReadJoints
-from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import DetectionSettings
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
@@ -208,7 +208,7 @@ class CellStep:
             return self.log
         return self.recorder.folder / LOG if self.recorder is not None and self.watch.readings else None
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Calibrate; the files are written beside the recording. Raises as run_calibrate_cell."""
         recorder = self.require_recorder()
         if self.watch.seconds < LEAST_S:
@@ -262,17 +262,15 @@ class CellStep:
         return ""
 
 
-def _verdict(done: CellCalibration, folder: Path) -> Verdict:
+def _verdict(done: CellCalibration, folder: Path) -> StepResult:
     """Write where cameras and target are on the robot as the hand-eye calibration says it, and return the verdict."""
     write_handeye_poses(folder / HANDEYE, Setup.EYE_TO_HAND, done.T_base_rig, done.T_flange_target)
-    word, _, known = done.verdict.partition(": ")
     lists = [("What was learned", tuple(_learned(done)))]
     lists += [("What it cannot tell", (*done.gauges, *_held(done)))]
     if done.notes or done.advice:
         lists.insert(0, ("What to know, and to do", (*done.notes, *done.advice)))
-    return Verdict(
-        good=word == "good",
-        words=f"{known[:1].upper()}{known[1:]} (one standard deviation, base axes, as both cameras measure it).",
+    return StepResult(
+        verdict=done.verdict_,
         rows=tuple(_rows(done)),
         file=folder / RIG,
         report=folder / REPORT,

@@ -16,15 +16,15 @@ from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
 from armsight.app.calibrate.mirrors_lit_target import see_lights
 from armsight.app.calibrate.results import MirrorsOutput
-from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, GOOD_RMS_PX, TILTED, TILTED_SHARE, tilt
-from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
+from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, TILTED, TILTED_SHARE, tilt
+from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.preconditions import image_share
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
-from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, LEAST_LIT, VAGUE, mirrors_from_target
+from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.drivers import read_image
 from armsight.errors import ArmsightError, BadImage, DataRefused, NotEnoughData, UsageError
 from armsight.optics.parallelism import parallelism
@@ -195,7 +195,7 @@ class MirrorsStep:
         taken = self._views.pop(index)
         (self.folder / IMAGES / f"{taken.name}.png").unlink(missing_ok=True)
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Calibrate from the accepted images as the command does; write rig.yaml and its report."""
         fewest = LEAST_LIT if self.lit else FEWEST
         if len(self._views) < fewest:
@@ -206,7 +206,7 @@ class MirrorsStep:
             )
         return self._verdict(run_mirrors(self.job(), progress))
 
-    def _verdict(self, done: MirrorsOutput) -> Verdict:
+    def _verdict(self, done: MirrorsOutput) -> StepResult:
         std_m, left_out = done.std["baseline_m"], done.holdout_rms_px
         now = done.alignment
         rows = (
@@ -219,15 +219,7 @@ class MirrorsStep:
             ("right view turned", f"{1e3 * now.roll_rad:+.2f} mrad"),
             ("one lens explains both views", "yes" if done.one_lens else "no"),
         )
-        proved = done.rms_px if self.lit else left_out  # lights leave nothing out of the fit
-        enough = done.n_used >= (GOOD_LIT if self.lit else FEWEST)
-        good = (
-            proved is not None and proved < GOOD_RMS_PX and done.one_lens and enough and std_m < VAGUE * done.baseline_m
-        )
-        words = ". ".join(one[:1].upper() + one[1:] for one in done.advice) or (
-            "Both views agree with each other." if good else "The views do not agree."
-        )
-        return Verdict(good=good, words=words, rows=rows, file=self.out, report=report_path(self.out))
+        return StepResult(verdict=done.verdict_, rows=rows, file=self.out, report=report_path(self.out))
 
     def _seen(self, name: str, frame: Frame) -> _Taken:
         """Return what an image shows. Raises BadImage with what helps."""

@@ -14,11 +14,12 @@ from armsight.app.arm_files import load_arm
 from armsight.app.calibrate.arm import run_calibrate_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.handeye import calibrate_handeye, calibrate_tip
-from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.operator.cell_poses import flange_pose
 from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
 from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.calibrate.tooltip_result import TURNED_RAD
 from armsight.clock import Clock, SystemClock
 from armsight.columns import POSE7
 from armsight.errors import DeviceFailed, NotEnoughData
@@ -34,7 +35,6 @@ Array = NDArray[np.float64]
 ReadJoints = Callable[[], JointReading]
 """Returns the robot's newest joints in rad or m, their time on the machine's clock. Raises DeviceFailed."""
 
-TURNED = 20.0 * DEG
 """A rotation's RMS about an axis from which a lever is told well: sin 20 degrees is a third of the lever's length."""
 STILL = 2e-4
 """Joints (rad or m) that moved less while a pose was taken stood still: at 1 m it is 0.2 mm."""
@@ -104,13 +104,13 @@ class PoseSamples:
         """Return what is missing most: turns about a second axis, the robot elsewhere, poses."""
         rms, axes = self.turns()
         if self.read_joints is None:
-            wanting = len(self._poses) < max(self.fewest, self.enough) or rms[1] < TURNED
+            wanting = len(self._poses) < max(self.fewest, self.enough) or rms[1] < TURNED_RAD
             return Hint(what=Next.TURN_TARGET if wanting else Next.RUN)
         for i in (0, 1):
-            if rms[i] < TURNED:
+            if rms[i] < TURNED_RAD:
                 # of what there is, the axis of the hand that is furthest from those turned about enough
                 axis = int(np.argmin(np.abs(axes[:, :i]).max(axis=1))) if i else 0
-                return Hint(what=Next.TURN_HAND, axis=AXES[axis], share=float(rms[i] / TURNED))
+                return Hint(what=Next.TURN_HAND, axis=AXES[axis], share=float(rms[i] / TURNED_RAD))
         return Hint(what=Next.RUN if len(self._poses) >= self.enough else Next.MOVE_ROBOT)
 
     def spread(self) -> tuple[tuple[str, str], ...]:
@@ -119,7 +119,7 @@ class PoseSamples:
             return ()
         about = np.sqrt((self._turn_vectors() ** 2).mean(axis=0)) / DEG
         rows = tuple((f"turned about its own {axis}", f"{v:.0f} deg") for axis, v in zip(AXES, about, strict=True))
-        return (*rows, ("needed", f"{TURNED / DEG:.0f} deg about two of them"))
+        return (*rows, ("needed", f"{TURNED_RAD / DEG:.0f} deg about two of them"))
 
     def accept(self, station: Station) -> Sample:
         """Take the pose in a picture exposed from now on, and the joints, told before it and after.
@@ -185,7 +185,7 @@ class TipCalibrationStep(PoseSamples):
     enough: int = 30
     fewest: int = 8
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Write poses.csv and tip.yaml."""
         self.require()
         progress.update(0, 0, "solving")
@@ -199,10 +199,7 @@ class TipCalibrationStep(PoseSamples):
             ("± tip", f"{1e3 * std_m:.3f} mm (1 σ)"),
             ("the tip stayed within", f"{1e3 * tip.residual_rms_m:.3f} mm RMS"),
         )
-        words = (
-            f"{tip.n_used} poses agree on one point." if not tip.rejected else f"{len(tip.rejected)} poses left out."
-        )
-        return Verdict(good=tip.rotation_excitation_rms_rad[1] >= TURNED, words=words, rows=rows, file=self.out)
+        return StepResult(verdict=tip.verdict_, rows=rows, file=self.out)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -220,7 +217,7 @@ class HandEyeStep(PoseSamples):
         self._loaded = self._loaded or load_arm(str(self.arm))
         return self._loaded
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Write pairs.csv, handeye.yaml and its report."""
         self.require()
         progress.update(0, 0, "solving")
@@ -241,8 +238,7 @@ class HandEyeStep(PoseSamples):
                 f"{1e3 * done.loo_rms_m:.2f} mm, {done.loo_rms_rad / DEG:.3f} deg RMS",
             ),
         )
-        words = " ".join((done.verdict, *done.concerns))
-        return Verdict(good=not done.concerns, words=words, rows=rows, file=self.out, report=report_path(self.out))
+        return StepResult(verdict=done.verdict_, rows=rows, file=self.out, report=report_path(self.out))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -259,7 +255,7 @@ class ArmStep(PoseSamples):
         self._loaded = self._loaded or load_arm(self.model)
         return self._loaded
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Write points.csv, arm.yaml and its report."""
         self.require()
         progress.update(0, 0, "solving")
@@ -279,4 +275,4 @@ class ArmStep(PoseSamples):
             ("left-out error before", f"{1e3 * left_out.before.rms_m:.2f} mm RMS"),
             ("left-out error after", f"{1e3 * left_out.after.rms_m:.2f} mm RMS"),
         )
-        return Verdict(good=done.gain, words=done.verdict, rows=shown, file=self.out, report=report_path(self.out))
+        return StepResult(verdict=done.verdict_, rows=shown, file=self.out, report=report_path(self.out))

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from armsight.app.live.station import Station
 from armsight.records import Progress
+from armsight.records.verdict import Verdict
 
 
 class Next(StrEnum):
@@ -66,22 +67,19 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """good: whether the result can be trusted. words: of the calibration itself. rows: names and values for a table.
+class StepResult:
+    """What a calibration came to. verdict: the result's own; rows: names and values for a table.
 
-    care: it is not good, but may be used by who knows what words say. file: what was written; report: beside it, None
-    where there is none. lists: more to read, title and lines. use: under which keys of the cell which files stand, None
-    for none, where it is not the one file of the step.
+    file: what was written; report: beside it, None where there is none. lists: more to read, title and lines. use:
+    under which keys of the cell which files stand, None for none, where it is not the one file of the step.
     """
 
-    good: bool
-    words: str
+    verdict: Verdict
     rows: tuple[tuple[str, str], ...]
     file: Path
     report: Path | None = None
     lists: tuple[tuple[str, tuple[str, ...]], ...] = ()
     use: tuple[tuple[str, Path | None], ...] = ()
-    care: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,6 +133,6 @@ class Guided(Protocol):
         """Forget a sample."""
         ...
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Calibrate and write the file."""
         ...

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from armsight.app.guided.poses import PoseSamples
-from armsight.app.guided.step import Charted, Figure, Guided, Hint, Sample, Verdict
+from armsight.app.guided.step import Charted, Figure, Guided, Hint, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.errors import ArmsightError
 from armsight.records import Progress
@@ -56,7 +56,7 @@ class GuidedStepState:
     """What a page shows. busy: what is being done, empty for nothing. refused: why the last sample was not taken.
 
     curves: figures by the number of samples. count: of what was done so far, so that a page knows that something was.
-    verdict: of the last calibration; not_done: why there is none. Both go with the next sample taken or dropped.
+    result: of the last calibration; not_done: why there is none. Both go with the next sample taken or dropped.
     """
 
     hint: Hint
@@ -67,7 +67,7 @@ class GuidedStepState:
     count: int = 0
     busy: str = ""
     refused: str = ""
-    verdict: Verdict | None = None
+    result: StepResult | None = None
     not_done: str = ""
 
 
@@ -126,7 +126,7 @@ class GuidedStepRunner:
             return
         try:
             before, now = self._state, self._looked()
-            kept = {name: getattr(before, name) for name in ("count", "refused", "verdict", "not_done")}
+            kept = {name: getattr(before, name) for name in ("count", "refused", "result", "not_done")}
             now = replace(now, **kept)
             self._state = before if now == before else now
         finally:
@@ -135,12 +135,12 @@ class GuidedStepRunner:
     def run(self, progress: Progress) -> None:
         """Calibrate; the verdict, or why there is none, stands in the state."""
         with self._lock:
-            before = replace(self._state, busy="run", refused="", not_done="", verdict=None)
+            before = replace(self._state, busy="run", refused="", not_done="", result=None)
             self._state = before
-            verdicts: list[Verdict] = []
-            why = _why(lambda: verdicts.append(self.step.run(progress)))
-            verdict = verdicts[0] if verdicts else None
-            self._state = replace(before, count=before.count + 1, busy="", verdict=verdict, not_done=why)
+            results: list[StepResult] = []
+            why = _why(lambda: results.append(self.step.run(progress)))
+            result = results[0] if results else None
+            self._state = replace(before, count=before.count + 1, busy="", result=result, not_done=why)
 
     def run_told(self) -> None:
         """Calibrate as run does, so that every page sees how far it is and may end it; once where several ask."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from armsight.app.calibrate.spots_of_frames import LIVE_S
 from armsight.app.calibrate.timing import calibrate_cameras_timing
-from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.errors import NotEnoughData
@@ -66,7 +66,7 @@ class TimingStep:
             self._recording.unlink(missing_ok=True)
         self._recording, self._pairs, self._seconds = None, 0, 0.0
 
-    def run(self, progress: Progress) -> Verdict:
+    def run(self, progress: Progress) -> StepResult:
         """Calibrate and write rig.yaml anew with the timing."""
         if self._recording is None:
             raise NotEnoughData("nothing was recorded", consequence="Nothing was calibrated", cure="Record first")
@@ -78,4 +78,4 @@ class TimingStep:
             ("± in the middle", f"{1e3 * done.std_middle_s:.3f} ms (1 σ)"),
             ("drift", f"{done.drift_ppm:.1f} ppm"),
         )
-        return Verdict(good=not done.advice, words=done.verdict, rows=rows, file=self.out)
+        return StepResult(verdict=done.verdict_, rows=rows, file=self.out)

@@ -21,12 +21,11 @@ from armsight.app.history.series import (
     require_one_arm,
 )
 from armsight.app.requests.history import TrendJob
-from armsight.app.verdicts import of_trend, with_verdict
 from armsight.calibrate.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
-from armsight.records.output import Output, output
-from armsight.records.verdict import Verdict
+from armsight.records.output import Output, figure, output
+from armsight.records.verdict import MEANING, Verdict
 from armsight.report.history_report import Charted, TrendPage, trend_report
 from armsight.store.atomic import write_json, write_text
 from armsight.store.history.database import reading
@@ -46,6 +45,8 @@ OFTEN = 24.0 * YEAR_DAYS
 """Runs a year at the most: many results of one afternoon are no reason for limits as wide as a year of such days'."""
 MOST_SAID = 3
 """Changes that the verdict tells, the surest first."""
+KEEP_ON = "File each calibration with --cell, and look again after the next one."
+ASK_MORE = "File further runs of the cell with --cell; nothing is known of drifts before that."
 SHOWN = {"m": (MM, "mm"), "rad": (DEG, "deg")}
 TO_DO = {
     "joint-zeros": "Check that joint's mastering (armsight verify --mastering); master it, or take the calibrated arm",
@@ -110,7 +111,13 @@ class TrendOutput(Output):
     false_alarms_apart_years: Annotated[float, Doc("Years of a cell in which one false alarm is to be expected.")]
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str, Doc("The report.")]
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        few = all(one.state == "few" for one in self.figures)
+        todo = next((one.to_do for one in self.figures if one.to_do), ASK_MORE if few else KEEP_ON)
+        level, headline = ("bad", "Drift") if self.changed else ("care", "Too few runs") if few else ("good", "Steady")
+        return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,7 +165,6 @@ def trend(job: TrendJob) -> TrendOutput:
         notes=[*_notes(figures, doubted), *_short(judgements), *_of_runs(found)],
         report=str(report),
     )
-    done = with_verdict(done, of_trend)
     job.out.mkdir(parents=True, exist_ok=True)
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(report, trend_report(_page(done, judgements)))
@@ -375,9 +381,7 @@ def _page(done: TrendOutput, judgements: Sequence[_Judgement]) -> TrendPage:
         )
     return TrendPage(
         cell=done.cell,
-        verdict=done.verdict,
-        changed=done.changed,
-        few=all(one.state == "few" for one in done.figures),
+        verdict=done.verdict_,
         n_runs=done.n_runs,
         apart_years=done.false_alarms_apart_years,
         every_days=YEAR_DAYS / float(np.median([one.runs_a_year for one in judgements])),

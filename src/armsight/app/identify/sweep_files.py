@@ -17,7 +17,6 @@ from armsight.app.identify.results import IdentifiedJoint, IdentifyOutput, Joint
 from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob
 from armsight.app.sources.frames import open_pairs
-from armsight.app.verdicts import of_identification
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound, placed_by
 from armsight.drivers import is_video
@@ -30,7 +29,7 @@ from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
 from armsight.records.result_parts import RejectedRow
-from armsight.report.identify_report import identify_report
+from armsight.report.identify_report import identify_report, identify_verdict
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
@@ -129,7 +128,7 @@ def identified(
     write_text(report_path(job.out), identify_report(solved.result, sweeps, rig, nominal=solved.nominal, inputs=files))
     done = identify_output(solved.result, notes=notes, plan=plan)
     held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(solved.left_out, job.held, strict=True)]
-    return replace(done, left_out=held or None, verdict_=of_identification(solved.result, sweeps, rig))
+    return replace(done, left_out=held or None, verdict_=identify_verdict(solved.result, sweeps, rig))
 
 
 def _check_paper(result: Identification) -> None:

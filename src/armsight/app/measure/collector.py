@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.verdicts import of_measurement
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import MeasureOutput
 from armsight.optics import SIDES
@@ -20,6 +19,7 @@ from armsight.report import (
     Sample,
     measure_report,
 )
+from armsight.report.measure import measure_verdict
 from armsight.store import write_text
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ class Collector:
             consistency=summary.consistency,
         )
         write_text(path, measure_report(run))
-        return replace(summary, verdict_=of_measurement(run))
+        return replace(summary, verdict_=measure_verdict(run))
 
     def _keep_residuals(self, number: int, pose: TargetPose) -> None:
         vectors = pose.residual_px.reshape(-1, len(SIDES), 2)  # (n, side, u v), model minus measured

@@ -29,7 +29,6 @@ from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.sources.bags import read_motion
 from armsight.app.sources.frames import recordings_in
-from armsight.app.verdicts import of_measurement
 from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
@@ -38,6 +37,7 @@ from armsight.measure.results import ConsistencyOutput, FrameTime, MeasureOutput
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report
+from armsight.report.measure import measure_verdict
 from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, write_text
 from armsight.store.atomic import RowFile, write_json
 from armsight.units import MM, MS
@@ -75,7 +75,7 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
     progress.update(0, 0, "writing the report")
     shown = _report(job, setup, world, done, moved, summary)
     write_text(job.out / REPORT, measure_report(shown))
-    summary = replace(summary, verdict_=of_measurement(shown))
+    summary = replace(summary, verdict_=measure_verdict(shown))
     write_json(job.out / SUMMARY, summary.to_dict())
     return summary
 

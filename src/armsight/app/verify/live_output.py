@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.verdicts import of_verification, with_verdict
 from armsight.columns import POSE6
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
+from armsight.report.verdicts import live_verdict
 from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM
 from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, VerifyLiveOutput
@@ -124,7 +124,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
         doubts=list(doubts),
         verdict=_verdict(log, series, known, grave),
     )
-    return with_verdict(done, of_verification)
+    return replace(done, verdict_=live_verdict(done))
 
 
 def _errors(series: LiveSeries, known: NDArray[np.bool_]) -> LiveErrors:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from armsight._files import real_path
 from armsight.app.arm_files import load_arm
 from armsight.app.requests.verify import VerifyJob
-from armsight.app.verdicts import of_verification, with_verdict
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm
-from armsight.report.repeats_report import repeats_report
+from armsight.report.repeats_report import repeats_report, repeats_verdict
+from armsight.report.verdicts import verify_verdict
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes, write_json
@@ -124,7 +124,7 @@ def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
 
 
 def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
-    done = with_verdict(done, of_verification)
+    done = replace(done, verdict_=(repeats_verdict if done.after is None else verify_verdict)(done))
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / ERRORS, table)
     write_text(job.out / REPORT, page)

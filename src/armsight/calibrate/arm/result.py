@@ -16,7 +16,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,6 @@ class ArmCalibration(Output):
     ]
     correlation: Correlation | None = None
     n_places: int | None = None
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @property
     def nominal(self) -> Arm:
@@ -154,6 +153,21 @@ class ArmCalibration(Output):
     def noise(self) -> ArmNoise:
         turned = self.fitted.sigma_rad if self.model.turned else None
         return ArmNoise(place_m=self.position_noise_m, rotation_rad=turned)
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        level, headline = "care", "No gain"
+        todo = "Go on with the nominal arm. For a gain, measure more joint positions, spread over all the arm's range."
+        if self.other_arm is not None:
+            level, headline = "bad", "Another arm"
+            todo = "Correct nothing. Compare the arm's file with the arm's data sheet, then calibrate again."
+        elif self.gain and self.at_limit:
+            headline = "Better"
+            todo = "Before you use it, look whether what is corrected so far is typed right or really built so."
+        elif self.gain:
+            level, headline = "good", "Better"
+            todo = "Use the corrected arm in place of the nominal one; then run `armsight verify` on new measurements."
+        return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo])
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""

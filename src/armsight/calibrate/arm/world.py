@@ -29,6 +29,8 @@ from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd, RejectedRow
+from armsight.records.verdict import MEANING, Verdict
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 _Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]
@@ -41,6 +43,8 @@ WORLD_FIT_SEED = 11
 """The same measurements give the same answer."""
 WEIGHING_ROUNDS = 5
 """Fits with what the one before left unexplained; two or three settle it."""
+MANY_REJECTED = 0.1
+"""Share of the rows left out beyond which those that agree are only a part of what happened."""
 LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
 
@@ -50,6 +54,7 @@ class WorldCalibration(Output):
     """armsight calibrate robot-world.
 
     covariance: of T_base_rig, dt, dw in base axes. residual_m (m,). rejected_rows: (row from 0, why).
+    doubts: the notes by which it may be wrong beyond its deviations.
     """
 
     T_base_rig: Annotated[RigidTransform, Doc("Where the rig stands, in base axes.")]
@@ -57,6 +62,7 @@ class WorldCalibration(Output):
     residual_m: Array
     rejected_rows: tuple[tuple[int, str], ...]
     notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
+    doubts: tuple[str, ...] = ()
 
     @figure("Standard deviations of T_base_rig.")
     def std(self) -> PoseStd:
@@ -70,6 +76,19 @@ class WorldCalibration(Output):
     @figure("Rows that the result rests on.")
     def n_used(self) -> int:
         return len(self.residual_m) - len(self.rejected_rows)
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        position_mm = 1.96 * max(self.std.translation_m) / MM
+        said = f"Where the rig stands is known to {position_mm:.2g} mm (95 %) from {self.n_used} points"
+        level, headline, todo = "good", "Good", "Use it; calibrate again when the rig or the arm's base has moved."
+        if self.doubts:
+            level, headline, todo = "care", "Scale in doubt", f"{self.doubts[0]}."
+        elif len(self.rejected_rows) > MANY_REJECTED * len(self.residual_m):
+            level, headline = "care", "Usable, with rows left out"
+            said += f", which {len(self.rejected_rows)} others contradict"
+            todo = "Look at the rows left out: readings of other moments, or a beacon that slipped."
+        return Verdict(level=level, headline=headline, reasons=[f"{said}."], next=[todo])
 
     @figure("Rows left out.")
     def rejected(self) -> tuple[RejectedRow, ...]:
@@ -92,14 +111,14 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     local = _positions(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))
     T, kept = _majority(base, points.xyz_m, len(of_places(points)))
-    notes = check_motion_scale(base[kept], points.xyz_m[kept])
+    doubts = check_motion_scale(base[kept], points.xyz_m[kept])
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     typical, spread = float(np.median(size[kept])), spread_m(points.xyz_m)
     if 2 * len(kept) < len(points) or typical > MOST_SHARE * spread:
         raise senseless(size, spread)
     out = np.setdiff1d(np.arange(len(points)), kept)
     _check_others(base, points.xyz_m, kept, out)
-    notes += (*links_told(arm), *((points.unweighed,) if points.unweighed else ()))
+    notes = (*doubts, *links_told(arm), *((points.unweighed,) if points.unweighed else ()))
     if points.covariance is None:
         found = _refine(T, *_independent(arm, points.take(kept)), 0.0)
     else:
@@ -109,7 +128,9 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     notes = (*notes, *told)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
-    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected_rows=rejected, notes=notes)
+    return WorldCalibration(
+        T_base_rig=T, covariance=covariance, residual_m=size, rejected_rows=rejected, notes=notes, doubts=doubts
+    )
 
 
 def _independent(arm: Arm, points: ArmPoints) -> tuple[ArmPoints, Array]:

@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.observations import Observations
+from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
 from armsight.fields import Doc
 from armsight.optics import SIDES, Camera, LensKind, Rig
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import RejectedFile
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 
@@ -52,7 +54,6 @@ class CameraCalibration(Output):
     used: Observations
     T_camera_board: Array
     doubts: tuple[str, ...] = ()
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @figure("Images read.")
     def n_images(self) -> int:
@@ -85,6 +86,14 @@ class CameraCalibration(Output):
     @figure("Standard deviations by name: fx_px, fy_px, cx_px, cy_px, k1 ... k3.")
     def std(self) -> dict[str, float]:
         return std_by_key(self.covariance)
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        seen = {"camera": (self.camera, self.uv_px)}
+        doubts = images_doubted(self.n_used, self.n_images, self.rms_px, self.holdout_rms_px, seen)
+        found = f"{self.n_used} of {self.n_images} images fit to {self.rms_px:.3g} px RMS{left_out_words(self)}"
+        squares = [f"{text}, as where squares are printed longer than wide" for text in self.doubts]
+        return images_verdict(found, squares + doubts, self.advice, squares=bool(squares))
 
 
 @output
@@ -119,7 +128,6 @@ class StereoCalibration(Output):
     residual_px: Mapping[str, Array]
     T_left_board: Array
     doubts: tuple[str, ...] = ()
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @figure("Distance of the corners from their epipolar lines, RMS, px.")
     def epipolar_rms_px(self) -> float:
@@ -137,6 +145,28 @@ class StereoCalibration(Output):
     def alignment(self) -> Parallelism:
         return parallelism(self.rig)
 
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        found = (
+            f"{self.n_used} of {self.n_pairs} pairs fit to {self.rms_px:.3g} px RMS{left_out_words(self)}; the cameras "
+            f"stand {self.baseline_m / MM:.5g} mm apart"
+        )
+        squares = [f"{text}, as where squares are printed longer than wide" for text in self.doubts]
+        doubts = squares + self.doubted()
+        return images_verdict(found, doubts, self.advice, squares=bool(squares), noun="pairs", thing=self.thing)
+
+    @property
+    def thing(self) -> str:
+        """What the images show."""
+        return "board"
+
+    def doubted(self) -> list[str]:
+        """Return what speaks against relying on the pairs."""
+        seen = {side: (self.rig.camera(side), uv) for side, uv in self.uv_px.items()}
+        return images_doubted(
+            self.n_used, self.n_pairs, self.rms_px, self.holdout_rms_px, seen, noun="pairs", thing=self.thing
+        )
+
     @property
     def sources(self) -> tuple[tuple[str, ...], ...]:
         """Names of the two images of each pair used."""
@@ -146,6 +176,12 @@ class StereoCalibration(Output):
     def uv_px(self) -> dict[str, Array]:
         """Every point used (n, 2), by side."""
         return {side: self.used.uv[:, c][self.used.weight[:, c] > 0.0] for c, side in enumerate(SIDES)}
+
+
+def left_out_words(done: CameraCalibration | StereoCalibration) -> str:
+    """Return how well images left out of the fit are met, in words; empty where none was left out."""
+    noun = "images" if isinstance(done, CameraCalibration) else "pairs"
+    return "" if done.holdout_rms_px is None else f", {noun} left out of the fit to {done.holdout_rms_px:.3g} px"
 
 
 def std_by_key(covariance: NamedCovariance | None) -> dict[str, float]:

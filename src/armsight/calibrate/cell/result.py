@@ -18,7 +18,7 @@ from armsight.optics import Rig
 from armsight.records import Target
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,6 @@ class CellCalibration(Output):
     tip: Annotated[TipDeviation, Doc("How well the tip is known in base axes over the recording's volume.")]
     notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
     advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     @property
     def rig(self) -> Rig:
@@ -143,6 +142,21 @@ class CellCalibration(Output):
 
     @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
-        known = f"the tip to {1e3 * self.tip.measured_m:.2g} mm, {1e3 * self.tip.measured_worst_m:.2g} mm at worst"
-        odd = abs(self.scale.ratio - 1.0) > NOTED_SCALE * self.scale.std
-        return f"weak: {known}" if odd or self.tip.measured_worst_m > COARSE_M else f"good: {known}"
+        return f"{'good' if self.verdict_.level == 'good' else 'weak'}: {self._known}"
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        first, rest = self._known[0], self._known[1:]
+        known = f"{first.upper()}{rest} (one standard deviation, base axes, as both cameras measure it)."
+        if abs(self.scale.ratio - 1.0) > NOTED_SCALE * self.scale.std:
+            return Verdict(level="care", headline="Check the scale", reasons=[known], next=[f"{self.notes[-1]}."])
+        if self.tip.measured_worst_m > COARSE_M:
+            todo = "Record longer, with larger turns of the wrist, nearer to the cameras."
+            return Verdict(level="care", headline="Weak", reasons=[known], next=[*self.advice[:1]] or [todo])
+        todo = "Use rig.yaml, world.yaml, target.yaml and arm.yaml; measure a place you know before you trust it."
+        return Verdict(level="good", headline="Good", reasons=[known], next=[*self.advice[:1]] or [todo])
+
+    @property
+    def _known(self) -> str:
+        """How well the tip is known, in words."""
+        return f"the tip to {1e3 * self.tip.measured_m:.2g} mm, {1e3 * self.tip.measured_worst_m:.2g} mm at worst"

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from armsight.calibrate.handeye.result import HandEye
+from armsight.calibrate.handeye.result import FEW_PAIRS, HandEye
 from armsight.units import DEG, MM
 
 CLAIM_OFF = 1.5
 """Standard deviations of the camera's poses that are right within this factor need no word: 20 pairs tell it to 0.2."""
 
-FEW_PAIRS = 10
 WEAK_TURN_RAD = 8.0 * DEG
 """Below this second turn (root mean square) more tilt is the cheapest gain: errors shrink in proportion to it."""
 

@@ -19,7 +19,7 @@ from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
 from armsight.units import DEG, MM
 
 Vector3 = tuple[float, float, float]
@@ -55,6 +55,10 @@ class Proposal(Output):
     T_base_flange: Annotated[RigidTransform, Doc("Where to move the flange, in base axes.")]
     T_camera_target: RigidTransform
     expected_std_m: Annotated[float, Doc("Standard deviation of the camera's place to expect with it, m.")]
+
+
+FEW_PAIRS = 10
+"""Below it the answer and its uncertainty lean on each single pair."""
 
 
 @output
@@ -112,7 +116,6 @@ class HandEye(Output):
     offset: TimeOffset | None = None
     camera_file: Annotated[str | None, Doc("The freed camera that the result belongs to, where it was kept.")] = None
     proposals: Annotated[tuple[Proposal, ...] | None, Doc("Further poses, with --propose.")] = None
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
 
     def __post_init__(self) -> None:
         n = len(self.pairs)
@@ -217,6 +220,20 @@ class HandEye(Output):
         if self.scale is not None and self.scale.wrong:
             return text + ", but the target is not of the size that was given: measure it and run again."
         return text + "."
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        level, headline = "good", "Good"
+        if self.scale is not None and self.scale.wrong:
+            level, headline = "bad", "Measure the target"
+        elif self.rejected_pairs:
+            level, headline = "care", "Usable, with poses left out"
+        elif self.n_used < FEW_PAIRS:
+            level, headline = "care", "Usable, few poses"
+        elif self.concerns:
+            level, headline = "care", "Usable with care"
+        todo = self.concerns or ("Use it; calibrate again when camera or target has moved.",)
+        return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo[0]])
 
     @property
     def coverage_factor(self) -> float:

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from armsight.calibrate.light_target.result import TargetCalibration
+from armsight.calibrate.light_target.result import (
+    GOOD_FRAMES,
+    GOOD_TURN_RAD,
+    LARGE_SCALE,
+    MANY_REJECTED,
+    TargetCalibration,
+)
 from armsight.units import DEG, MM
 
-GOOD_FRAMES = 10
-GOOD_TURN_RAD = 10.0 * DEG
-"""Root mean square tilt below which a depth difference of the lights is hardly seen from the side."""
-
-LARGE_SCALE = 2.0
 RIG_RULES = 0.7
-MANY_REJECTED = 0.2
 EQUAL_SIGMA = 3.0
 
 

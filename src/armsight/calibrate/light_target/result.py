@@ -11,9 +11,17 @@ from armsight.calibrate.light_target.naming import pairs_of
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, Target, frozen_array, spot_target
 from armsight.records.output import Output, figure, output
+from armsight.records.verdict import MEANING, Verdict
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
+
+GOOD_FRAMES = 10
+GOOD_TURN_RAD = 10.0 * DEG
+"""Root mean square tilt below which a depth difference of the lights is hardly seen from the side."""
+LARGE_SCALE = 2.0
+MANY_REJECTED = 0.2
 
 
 @output
@@ -101,6 +109,20 @@ class TargetCalibration(Output):
     @figure("Reprojection residual of each frame by the shape of the others, RMS, px.")
     def loo_rms_px(self) -> float:
         return float(np.sqrt(np.mean(self.left_out_px**2)))
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        worst_mm = max(one.std_m for one in self.distances_m.values()) / MM
+        said = (
+            f"The lights' distances are known to {worst_mm:.2g} mm (one standard deviation) from {self.n_used} frames."
+        )
+        weak = self.n_used < GOOD_FRAMES or self.rotation_excitation_rms_rad[1] < GOOD_TURN_RAD
+        doubted = self.scale > LARGE_SCALE or len(self.rejected) > MANY_REJECTED * self.n_frames
+        if weak or doubted:
+            headline = "Spots do not fit" if doubted else "Weak"
+            return Verdict(level="care", headline=headline, reasons=[said], next=[f"{one}." for one in self.advice])
+        todo = "Use it; calibrate again when a light was moved."
+        return Verdict(level="good", headline="Good", reasons=[said], next=[todo])
 
 
 def distances_of(names: tuple[str, ...], X: Array, covariance: Array) -> dict[str, LightDistance]:

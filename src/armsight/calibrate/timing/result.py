@@ -11,6 +11,7 @@ from armsight.records import CameraTiming, NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.records.timing import CLOCK
+from armsight.records.verdict import MEANING, Verdict
 
 GOOD_DELAY_S = 1e-3
 """At 0.5 m/s this is half a millimetre."""
@@ -105,5 +106,13 @@ class TimingCalibration(Output):
 
     @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
-        advice = self.advice
-        return f"good: clocks to {1e3 * self.std_middle_s:.2g} ms" if not advice else "weak: " + "; ".join(advice)
+        weak = self.verdict_.level != "good"
+        return f"weak: {'; '.join(self.advice)}" if weak else f"good: clocks to {1e3 * self.std_middle_s:.2g} ms"
+
+    @figure(MEANING)
+    def verdict_(self) -> Verdict:
+        said = f"The clocks are known to each other to {1e3 * self.std_middle_s:.2g} ms (one standard deviation)."
+        if self.advice:
+            return Verdict(level="care", headline="Weak", reasons=[said], next=[f"{self.advice[0]}."])
+        todo = "Use it; calibrate again when a camera's rate, exposure or resolution was changed."
+        return Verdict(level="good", headline="Good", reasons=[said], next=[todo])

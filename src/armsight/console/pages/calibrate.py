@@ -132,7 +132,7 @@ class _Step:
         set_attribute(self._said, "data-count", str(state.count))
         if before is None or state.samples != before.samples:
             self._show(state)
-        if before is None or (state.verdict, state.not_done) != (before.verdict, before.not_done):
+        if before is None or (state.result, state.not_done) != (before.result, before.not_done):
             self._verdict.clear()
             with self._verdict:
                 show_verdict(self._console, self._runner.name, state)
@@ -190,30 +190,28 @@ def _plots(state: GuidedStepState) -> None:
 
 def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
     """Put the verdict of a step onto the page, or why there is none; nothing before it was asked for."""
-    verdict = state.verdict
-    if verdict is None and not state.not_done:
+    done = state.result
+    if done is None and not state.not_done:
         return
     with card(texts.VERDICT):
-        if verdict is None:
+        if done is None:
             _lamp("bad", texts.NOT_CALIBRATED)
             text_of("p", state.not_done)
             return
-        if verdict.care:
-            _lamp("warn", texts.WITH_CARE)
-        else:
-            _lamp("good" if verdict.good else "bad", texts.GOOD if verdict.good else texts.NOT_GOOD)
-        text_of("p", verdict.words)
-        rows_table(verdict.rows)
-        text_of("p", texts.SAVED.format(file=_inside(console, verdict.file)))
+        verdict = done.verdict
+        _lamp("warn" if verdict.level == "care" else verdict.level, verdict.headline)
+        text_of("p", " ".join((*verdict.reasons, *verdict.next)))
+        rows_table(done.rows)
+        text_of("p", texts.SAVED.format(file=_inside(console, done.file)))
         with ui.element("div").classes("row"):
-            if verdict.report is not None:
-                href = f"/console/files/{_inside(console, verdict.report)}"
+            if done.report is not None:
+                href = f"/console/files/{_inside(console, done.report)}"
                 text_of("a", texts.REPORT, href=href, target="_blank")
-            used = verdict.use or (((USED_AS[name], verdict.file),) if name in USED_AS else ())
-            if (verdict.good or verdict.care) and used:
+            used = done.use or (((USED_AS[name], done.file),) if name in USED_AS else ())
+            if verdict.level != "bad" and used:
                 words = texts.USE_LENS if name in LENSES else texts.USE_IT
                 button(words, partial(_use, console, used), testid="use")
-        for title, lines in verdict.lists:
+        for title, lines in done.lists:
             text_of("h3", title)
             with ui.element("ul").classes("lines"):
                 for line in lines:

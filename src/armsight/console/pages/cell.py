@@ -185,11 +185,11 @@ class _CellPage:
         self._show_progress(state)
         if before is None or state.samples != before.samples:
             self._show_samples(state)
-        if before is None or (state.verdict, state.not_done) != (before.verdict, before.not_done):
+        if before is None or (state.result, state.not_done) != (before.result, before.not_done):
             self._verdict.clear()
             with self._verdict:
                 show_verdict(self._console, CELL, state)
-                if state.verdict is not None and state.verdict.good:
+                if state.result is not None and state.result.verdict.level == "good":
                     text_of("p", texts.USE_HELP).classes("hint")
 
     def _show_lamps(self, lamps: tuple[Lamp, ...]) -> None:
@@ -269,7 +269,7 @@ def _logs_in(folder: Path) -> list[str]:
 
 def place_of(state: GuidedStepState, lamps: tuple[Lamp, ...], step: CellStep) -> int:
     """Return which of the three steps a person is at."""
-    if state.busy == "run" or state.verdict is not None or state.not_done:
+    if state.busy == "run" or state.result is not None or state.not_done:
         return RESULT
     if step.recording or state.samples:
         return RESULT if state.samples and state.hint.what in (Next.RUN, Next.BRING_LOG) else MOVE
