@@ -11,6 +11,7 @@ import cures_of_lights
 import cures_of_motions
 import cures_of_robots
 import cures_of_runs
+import cures_of_scenes
 import cures_of_tables
 
 PARTS = (
@@ -24,6 +25,7 @@ PARTS = (
     cures_of_cells,
     cures_of_devices,
     cures_of_lights,
+    cures_of_scenes,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}

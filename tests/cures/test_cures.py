@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from armsight.errors import ArmsightError
 from cure_inventory import NAMES, ROOT, Cure, cures
 
-UNTRIED = 15
+UNTRIED = 0
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
 
 REPORTS = "tests/golden/reports/"
@@ -122,6 +122,28 @@ IN_TESTS = {
     ),
     ("measure/consistency/other_setups.py", "Multiply xyz_m of both cameras"): (
         "tests/unit/app/test_other_unit.py::test_a_rig_in_another_unit_is_named_and_its_cure_works"
+    ),
+    ("app/batch/work.py", "fewer workers at once (--jobs)"): (
+        "tests/unit/app/test_batch.py::"
+        "test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cure_says"
+    ),
+    ("cli/batch_commands.py", "Give fewer workers (--jobs)"): (
+        "tests/unit/cli/test_batch.py::test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone"
+    ),
+    ("calibrate/arm/senses.py", "In an arm.yaml (`armsight convert arm` writes one)"): (
+        f"{REPORTS}test_senses.py::test_readings_that_count_from_other_places_are_named_and_the_cure_works"
+    ),
+    ("calibrate/cell/calibrate.py", "Check that --model is this arm"): (
+        "tests/truth/test_cell.py::"
+        "test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_is_the_cure"
+    ),
+    ("measure/poses/beacon.py", "cover or mask the others (--mask)"): (
+        "tests/unit/spots/test_coloured_rivals.py::"
+        "test_of_lights_that_look_alike_the_one_that_a_mask_leaves_is_the_beacon"
+    ),
+    ("measure/poses/beacon.py", "or give diameter_m in target.yaml"): (
+        "tests/unit/spots/test_coloured_rivals.py::"
+        "test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked"
     ),
 }
 """By module and words of the cure: the test that follows it, or shows the new data that it asks for."""

@@ -139,6 +139,17 @@ def test_a_fault_is_refused_and_the_recording_without_it_is_the_cure(
         assert names_it(error, f"j{int(str(told['joint'])) + 1}")
 
 
+def test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_is_the_cure(
+    good: tuple[CellWorld, CellCalibration],
+) -> None:
+    world, found = good
+    grown = {name: tuple(1.03 * x for x in place) for name, place in world.target.items()}
+    with pytest.raises(Inconsistent) as caught:
+        calibrated(replace(world, target=grown))
+    assert names_it(caught.value, "target", "--model", "in metres and as built") and "0.97" in caught.value.cause
+    assert abs(found.scale.ratio - 1.0) < 4.0 * found.scale.std
+
+
 def test_a_missing_camera_is_refused() -> None:
     world = make_cell(SEED, seconds=SECONDS)
     empty = type(world.right)(

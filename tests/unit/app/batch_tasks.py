@@ -17,7 +17,8 @@ def work(job: Job, folder: Path) -> Ended:
     if "count" in told:  # how often each job was run, whatever became of it
         with Path(str(told["count"])).open("a") as file:
             file.write(job.name + "\n")
-    if told.get("kill") == "always" or (told.get("kill") == "once" and not Path(str(told["mark"])).exists()):
+    crowded = told.get("kill") == "crowded" and int(Path(str(told["mark"])).read_text()) > 1
+    if crowded or told.get("kill") == "always" or (told.get("kill") == "once" and not Path(str(told["mark"])).exists()):
         if told["kill"] == "once":
             Path(str(told["mark"])).touch()
         os.kill(os.getpid(), signal.SIGKILL)

@@ -103,6 +103,25 @@ def test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_
         assert {k: v for k, v in row.items() if k not in told} == {k: v for k, v in rows[name].items() if k not in told}
 
 
+def test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cure_says(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of several workers that share the memory the system kills one: here they are told how many they are."""
+
+    @contextmanager
+    def counted(workers: Workers) -> Iterator[Any]:
+        (tmp_path / "workers").write_text(str(workers.n))
+        yield cluster
+
+    monkeypatch.setattr(batch_run, "connected", counted)
+    jobs = [job("small"), job("large", kill="crowded", mark=str(tmp_path / "workers"))]
+    done = run(jobs, tmp_path / "out", workers=Workers(n=2))
+    assert done.statuses == {"done": 1, "killed": 1}
+    assert "fewer workers at once (--jobs)" in table(tmp_path / "out")["large"]["cure"]
+    done = run(jobs, tmp_path / "out", workers=Workers(n=1), resume=True)
+    assert done.statuses == {"done": 2} and done.n_kept == 1
+
+
 def test_resume_does_what_is_missing_changed_or_failed_by_chance(tmp_path: Path) -> None:
     rig, count = tmp_path / "rig.yaml", tmp_path / "count"
     rig.write_text("1")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.optics import LensKind
 from armsight.records import BoardView
 from armsight.store import parse_board
@@ -126,3 +128,12 @@ def test_a_pair_of_a_fisheye_and_a_pinhole() -> None:
     swapped = BoardOptions(lens=LensKind.PINHOLE, right_lens=LensKind.FISHEYE, folds=0)
     with refuses(Inconsistent, "left camera", "fisheye"):
         calibrate_stereo(left, right, BOARD, swapped)
+
+
+def test_a_view_of_one_row_of_the_board_is_refused_and_left_out_cures_it() -> None:
+    """Its points lie on a line: no pose of the board follows from them."""
+    views = seen(FISHEYE, np.random.default_rng(1))[0]
+    row = replace(views[3], index=views[3].index[:9], uv_px=views[3].uv_px[:9])
+    with refuses(Degenerate, "on one line", "Leave the view out"):
+        calibrate_camera([*views[:3], row, *views[4:]], BOARD, OPTIONS)
+    calibrate_camera([*views[:3], *views[4:]], BOARD, OPTIONS)

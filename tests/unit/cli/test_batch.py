@@ -83,8 +83,10 @@ def job(folder: Path, *words: str, command: str = "kinematics fk") -> Job:
     return checked_job("a", command, words, NO_SETTINGS, "row")
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+@pytest.mark.usefixtures("on_cluster")
 def test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = job(tmp_path, "--arm", "ur10", "--joints", str(joints(tmp_path / "joints.csv")))
     assert one.inputs == ("ur10", str(tmp_path / "joints.csv"))
@@ -97,7 +99,12 @@ def test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone(
         monkeypatch.setattr("armsight.app.kinematics.write_poses_of_joints", fails)
         ended = run_command(one, tmp_path)
         assert ended.exit_code == code and ended.error is not None and told in ended.error.cause
+        assert ("fewer workers (--jobs)" in ended.error.cure) == (code == 4)
     assert "Traceback" in ended.said
+    monkeypatch.undo()
+    words = ["kinematics", "fk", "--arm", "ur10", "--joints", "{}"]
+    at = ["--each", str(tmp_path / "joints.csv"), "-o", tmp_path / "out"]
+    assert armsight("batch", "--json", "--jobs", "1", *at, "--", *words).json["statuses"] == {"done": 1}
 
 
 def test_settings_are_those_of_who_began_the_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,8 @@ def match_beacon(
     match = match_few(setup.model, pairs, known=setup.target.model_known, prediction=prediction)
     if match.best is None or len(match.best.pair) > 1:
         of_size = " and of its diameter_m" if known else ""
-        cure = "cover or mask the others (--mask)" + ("" if known else ", or give diameter_m in target.yaml")
+        by_size = chosen and not known  # of several lights that nobody chose, a size tells none
+        cure = "cover or mask the others (--mask)" + (", or give diameter_m in target.yaml" if by_size else "")
         why = f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}"
         return Match(best=None, why=why, cause=Unseen.AMBIGUOUS)
     if not (chosen or match.predicted):
@@ -87,7 +88,6 @@ def _untold(lights: int, radius_px: float | None) -> str:
 
 
 def _nothing(left: Spots, right: Spots) -> str:
-    """Return why there is no pair."""
     if len(left) and len(right):
         return (
             "no light of the beacon's colour in the left image agrees with one in the right image (epipolar distance)"

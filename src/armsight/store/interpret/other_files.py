@@ -125,7 +125,6 @@ def _columns(name: str, array: Array, n: int) -> dict[str, Array]:
 
 
 def _names(name: str, k: int) -> list[str]:
-    """Return names for the k columns of a variable."""
     group = list(column_names(name))
     if len(group) == k:
         return group

@@ -110,7 +110,8 @@ def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: b
     """Return the table brought to our columns; the original where only columns of ours were understood."""
     found = standard_table(raw, role, format_)
     missing = sorted(role.required - set(found.columns))
-    if original is not None and raw.csv and not found.foreign and not format_.stated and raw.names:
+    ours = original is not None and raw.csv and not found.foreign and not format_.stated and raw.names
+    if original is not None and ours and missing != ["t_s"]:
         return Interpreted(data=original, how="a table of ours", missing=tuple(missing))
     if missing:
         raise _missing(raw, role, found, missing, format_.joints)
