@@ -87,7 +87,7 @@ EXPORT = f"-o a.script --speed-m-s 0.01 {ON_ARM}"
 FILES = {
     "camera.yml": f"%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n{CAMERA}",
     "two.yml": pair(),
-    "gap.csv": HEAD + "".join(ROWS[:15] + ROWS[46:]),
+    "leap.csv": HEAD + "".join(ROWS[:15] + ROWS[46:]),
 }
 TRIED = {
     ("calibrate/cell/plan_scene.py", "Look at the joints' limits, the workspace and the forbidden boxes (--limits)"): (
@@ -105,8 +105,8 @@ TRIED = {
         f"{MIRRORS} --image mirrors --plate-mm 3 && {MIRRORS.replace('x.yaml', 'y.yaml')} --image mirrors --plate-mm 0",
     ),
     ("control/paths/outliers.py", "where it is meant put rows between (armsight path resample)"): (
-        f"path export gap.csv {EXPORT}",
-        f"path resample gap.csv -o g.csv --step-m 0.002 && path export g.csv {EXPORT}",
+        f"path export leap.csv {EXPORT}",
+        f"path resample leap.csv -o g.csv --step-m 0.002 && path export g.csv {EXPORT}",
     ),
     ("control/paths/outliers.py", "armsight play --keep-rotation"): (
         planned(spread(2)),

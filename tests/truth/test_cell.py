@@ -146,7 +146,7 @@ def test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_
     grown = {name: tuple(1.03 * x for x in place) for name, place in world.target.items()}
     with pytest.raises(Inconsistent) as caught:
         calibrated(replace(world, target=grown))
-    assert names_it(caught.value, "target", "--model", "in metres and as built") and "0.97" in caught.value.cause
+    assert names_it(caught.value, "target", "--model", "as built") and "0.97" in caught.value.cause
     assert abs(found.scale.ratio - 1.0) < 4.0 * found.scale.std
 
 

@@ -49,7 +49,7 @@ def test_readings_that_count_from_other_places_are_named_and_the_cure_works(tmp_
     rows = np.column_stack([q - [0.0, 0.0, 0.6, 0.0, 0.0, 0.0], arm.fk(q)[:, :3, 3]])
     points = tmp_path / "x.csv"
     np.savetxt(points, rows, delimiter=",", header="q1,q2,q3,q4,q5,q6,x_m,y_m,z_m", comments="")
-    with refuses(Inconsistent, "count from other places", "0.600 (j3)", "theta_rad") as caught:
+    with refuses(Inconsistent, "other places", "0.600 (j3)", "theta_rad") as caught:
         calibrated(tmp_path, points)
     done = calibrated(tmp_path, points, corrected(tmp_path, caught.value.cure))
     assert done.after.max_m < 1e-4

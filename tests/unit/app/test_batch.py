@@ -117,7 +117,7 @@ def test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cu
     jobs = [job("small"), job("large", kill="crowded", mark=str(tmp_path / "workers"))]
     done = run(jobs, tmp_path / "out", workers=Workers(n=2))
     assert done.statuses == {"done": 1, "killed": 1}
-    assert "fewer workers at once (--jobs)" in table(tmp_path / "out")["large"]["cure"]
+    assert "(--jobs)" in table(tmp_path / "out")["large"]["cure"]
     done = run(jobs, tmp_path / "out", workers=Workers(n=1), resume=True)
     assert done.statuses == {"done": 2} and done.n_kept == 1
 

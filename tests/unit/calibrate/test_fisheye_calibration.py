@@ -134,6 +134,6 @@ def test_a_view_of_one_row_of_the_board_is_refused_and_left_out_cures_it() -> No
     """Its points lie on a line: no pose of the board follows from them."""
     views = seen(FISHEYE, np.random.default_rng(1))[0]
     row = replace(views[3], index=views[3].index[:9], uv_px=views[3].uv_px[:9])
-    with refuses(Degenerate, "on one line", "Leave the view out"):
+    with refuses(Degenerate, "on one line", "Leave"):
         calibrate_camera([*views[:3], row, *views[4:]], BOARD, OPTIONS)
     calibrate_camera([*views[:3], *views[4:]], BOARD, OPTIONS)
