@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 
 MM = 1e-3
 """One millimetre in metres."""
@@ -16,6 +17,14 @@ MS = 1e-3
 
 NOTHING = 1e-9
 """Below this no figure that people read says anything, in mm, degrees or px: 64-bit numbers are no finer."""
+
+DISPLAY: Mapping[str, tuple[str, float]] = {
+    "m": ("mm", MM),
+    "rad": ("deg", DEG),
+    "m/s": ("mm/s", MM),
+    "1": ("", 1.0),
+}
+"""The unit in which people read what is computed in an SI unit, and what one of it is in SI."""
 
 WRITTEN = {"m": 1.0, "mm": MM, "rad": 1.0, "deg": DEG, "m/s": 1.0, "mm/s": MM}
 """Units that people may write behind a number, in SI."""
@@ -53,3 +62,17 @@ def read_quantity(text: str, quantity: str) -> float:
     if not unit and abs(value) > MOST[quantity]:
         raise ValueError(f"{text} {quantity} cannot be meant: write {' or '.join(text + unit for unit in units)}")
     return value
+
+
+def displayed(unit: str) -> tuple[str, float]:
+    """Return the unit in which people read a quantity of an SI unit, and its size in SI; others as they are."""
+    return DISPLAY.get(unit, (unit, 1.0))
+
+
+def displayed_name(name: str) -> tuple[str, str, float]:
+    """Return a quantity's name without its unit, the unit in which people read it, and what one of it is in SI.
+
+    'j2.d_m' is ('j2.d', 'mm', 1e-3); a name without a unit of DISPLAY is as it is.
+    """
+    stem, _, unit = name.rpartition("_")
+    return (stem, *DISPLAY[unit]) if stem and unit in DISPLAY else (name, "", 1.0)

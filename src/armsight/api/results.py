@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.columns import POSE6
 from armsight.records import ByValue
 from armsight.records.output import Row as Row
 from armsight.records.output import as_html, as_text
-from armsight.units import DEG, MM
+from armsight.units import MM, displayed_name
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -62,22 +63,13 @@ def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) 
     return f"{value * scale:.{digits}f} +- {std * scale:.{digits}f} {unit}".rstrip()
 
 
-POSE_UNITS: Mapping[str, tuple[str, float]] = {
-    "x_m": ("mm", 1.0 / MM),
-    "y_m": ("mm", 1.0 / MM),
-    "z_m": ("mm", 1.0 / MM),
-    "rx_rad": ("deg", 1.0 / DEG),
-    "ry_rad": ("deg", 1.0 / DEG),
-    "rz_rad": ("deg", 1.0 / DEG),
-}
-
-
 def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row]:
     """Return the rows of a pose: x, y, z in mm, rx, ry, rz in degrees, each with its standard deviation."""
     return [
-        (name.rpartition("_")[0], with_std(values[name], std.get(name), unit, scale=scale))
-        for name, (unit, scale) in POSE_UNITS.items()
+        (stem, with_std(values[name], std.get(name), unit, scale=1.0 / size))
+        for name in POSE6
         if name in values
+        for stem, unit, size in (displayed_name(name),)
     ]
 
 

@@ -19,7 +19,7 @@ from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses, write_tum
 from armsight.store.saving import file_to_write
-from armsight.units import DEG
+from armsight.units import displayed_name
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -120,10 +120,9 @@ class PoseTrack(Result):
         table = self.table()
         figure = make_subplots(rows=6, cols=1, shared_xaxes=True, vertical_spacing=0.02)
         for i, name in enumerate(POSE6, 1):
-            scale, unit = (1e3, "mm") if name.endswith("_m") else (1.0 / DEG, "deg")
-            label = name.rpartition("_")[0]
-            band = scale * 1.96 * table[f"s{name}"]
-            value = scale * table[name]
+            label, unit, size = displayed_name(name)
+            band = 1.96 / size * table[f"s{name}"]
+            value = table[name] / size
             for sign, fill in ((-1.0, None), (1.0, "tonexty")):
                 edge = go.Scatter(x=table["t_s"], y=value + sign * band, fill=fill, **BAND)
                 figure.add_trace(edge, row=i, col=1)

@@ -11,7 +11,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
-from armsight.units import DEG, MM, MS
+from armsight.units import MS, displayed
 
 if TYPE_CHECKING:
     from armsight.app.reproduce.run import ReproducedTable, ReproduceOutput
@@ -89,10 +89,9 @@ def compare(face: CommandUI, job: requests.files.CompareJob) -> None:
     from armsight.app.compare.run import compare as run
 
     done = run(job)
-    shown = {"m": (MM, "mm"), "rad": (DEG, "deg"), "m/s": (MM, "mm/s"), "1": (1.0, "")}
     rows = []
     for one in done.parameters:
-        factor, unit = shown.get(one.unit, (1.0, one.unit))
+        unit, factor = displayed(one.unit)
         std = None if one.std is None else one.std / factor
         sigmas = "-" if one.sigmas is None else f"{one.sigmas:+.1f}"
         name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
@@ -100,7 +99,7 @@ def compare(face: CommandUI, job: requests.files.CompareJob) -> None:
     face.say(done.verdict)
     face.table(f"B less A, {done.kind}", ["", "A", "B less A", "+-", "sigma", "unit"], rows)
     for effect in done.effects:
-        factor, unit = shown.get(effect.unit, (1.0, effect.unit))
+        unit, factor = displayed(effect.unit)
         face.say(f"  {effect.name}: {figure(effect.value / factor)} {unit}".rstrip())
     for text in done.notes:
         face.say(f"Note: {text}")

@@ -8,7 +8,7 @@ from armsight.app import requests
 from armsight.cli.command import command, history
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
-from armsight.units import DEG, MM
+from armsight.units import DISPLAY, displayed
 
 if TYPE_CHECKING:
     from armsight.app.history.looking import RunDifference
@@ -20,21 +20,18 @@ MOST_FIGURES = 200
 REPORTS = ("trend.json", "report.html")
 
 
-SHOWN = {"m": (MM, "mm"), "rad": (DEG, "deg")}
-
-
 def _name(one: Quantity | RunDifference | TrendFigure) -> str:
     """Return a number's name without its unit, which stands beside it as people read it."""
-    return one.name.removesuffix("_rad").removesuffix("_m") if one.unit in SHOWN else one.name
+    return one.name.removesuffix("_rad").removesuffix("_m") if one.unit in DISPLAY else one.name
 
 
-def _unit(unit: str) -> str:
-    return SHOWN.get(unit, (1.0, unit))[1]
+def _unit(one: Quantity | RunDifference | TrendFigure) -> str:
+    return displayed(one.unit)[0]
 
 
 def _shown(unit: str, *values: float | None, digits: int = 3) -> list[str]:
     """Return numbers in the unit that people read."""
-    size = SHOWN.get(unit, (1.0, unit))[0]
+    size = displayed(unit)[1]
     return [figure(None if value is None else value / size, digits) for value in values]
 
 
@@ -90,7 +87,7 @@ def show(face: CommandUI, job: requests.history.ShowJob) -> None:
         face.table("Given", ["flag", "path", "hash begins"], given)
     for title, numbers in (("Calibrated", done.parameters), ("Numbers", done.figures[:MOST_FIGURES])):
         rows = [[_name(one), *_shown(one.unit, one.value, digits=7), *_shown(one.unit, one.std)] for one in numbers]
-        rows = [[*row, _unit(one.unit)] for row, one in zip(rows, numbers, strict=True)]
+        rows = [[*row, _unit(one)] for row, one in zip(rows, numbers, strict=True)]
         if rows:
             face.table(title, ["", "value", "+-", "unit"], rows)
     face.result(done)
@@ -103,12 +100,17 @@ def compare(face: CommandUI, job: requests.history.CompareRunsJob) -> None:
 
     done = compare_runs(job)
     rows = [
-        [_name(one), *_shown(one.unit, one.difference, one.std), _unit(one.unit), "BEYOND" if one.exceeds else ""]
+        [
+            _name(one),
+            *_shown(one.unit, one.difference, one.std),
+            _unit(one),
+            "BEYOND" if one.exceeds else "",
+        ]
         for one in done.parameters
     ]
     if rows:
         face.table("Calibrated, B less A", ["", "by", "+-", "unit", "3 sigma"], rows)
-    rows = [[_name(one), *_shown(one.unit, one.a, one.b, one.difference), _unit(one.unit)] for one in done.figures]
+    rows = [[_name(one), *_shown(one.unit, one.a, one.b, one.difference), _unit(one)] for one in done.figures]
     if rows:
         face.table("Numbers", ["", "A", "B", "B less A", "unit"], rows[:MOST_FIGURES])
     for note in done.notes:
@@ -147,7 +149,7 @@ def trend(face: CommandUI, job: requests.history.TrendJob) -> None:
                 since = "" if one.since_run is None else f"run {one.since_run}"
                 sizes = _shown(one.unit, one.run_std, one.latest, one.latest_std)
                 state = one.state.upper() if since else one.state
-                rows.append([_name(one), state, str(one.n), *sizes, _unit(one.unit), since])
+                rows.append([_name(one), state, str(one.n), *sizes, _unit(one), since])
         head = ["", "state", "runs", "a run +-", "change", "+-", "unit", "since"]
         face.table(f"Cell {done.cell}, {command_}", head, rows)
     for note in done.notes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.units import DEG, MM, MS, NOTHING
+from armsight.units import DEG, MM, MS, NOTHING, displayed_name
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -85,10 +85,8 @@ def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
 
 def parameter(name: str, *values: float) -> list[str]:
     """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
-    for ending, factor, unit in (("_m", MM, "mm"), ("_rad", DEG, "deg")):
-        if name.endswith(ending):
-            return [f"{name.removesuffix(ending)}, {unit}", *(figure(value / factor, 4) for value in values)]
-    return [name, *(figure(value, 4) for value in values)]
+    stem, unit, factor = displayed_name(name)
+    return [f"{stem}, {unit}" if unit else stem, *(figure(value / factor, 4) for value in values)]
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:

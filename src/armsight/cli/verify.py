@@ -24,7 +24,7 @@ from armsight.cli.flags import Asked
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
-from armsight.units import DEG, MM, MS
+from armsight.units import DEG, MM, MS, displayed_name
 
 if TYPE_CHECKING:
     from armsight.app.verify.plan import VerifyPlanOutput
@@ -140,11 +140,11 @@ def verify_tables(face: CommandUI, done: VerifyOutput, out: Path) -> None:
     """Print a verification."""
     rows = []
     for name, item in done.task.items():
-        factor, unit = (DEG, "deg") if name.endswith("_rad") else (MM, "mm")
+        stem, unit, factor = displayed_name(name)
         own = done.measurement_std.get(name)
         values = (item.me, item.mae, item.max, item.sd, own)
         shown = [figure(None if value is None else value / factor) for value in values]
-        rows.append([f"{name.rsplit('_', 1)[0]} {unit}", *shown])
+        rows.append([f"{stem} {unit}", *shown])
     if rows:
         face.table("Measured minus expected", ["", "mean", "mean abs.", "largest", "sd", "measurement +-"], rows)
     _joints_and_frames(face, done)

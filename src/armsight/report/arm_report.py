@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
-from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
-from armsight.units import DEG, MM
+from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, with_deviation
+from armsight.units import MM, displayed_name
 
 Array = NDArray[np.float64]
 
@@ -78,10 +78,10 @@ def _corrections(result: ArmCalibration) -> str:
     std = result.std()
     rows = []
     for name in result.free:
-        unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
+        stem, unit, factor = displayed_name(name)
         unit, factor = ("mrad per m", 1e-3) if name.endswith(".sag") else (unit, factor)
         shown, uncertainty = with_deviation(result.change(name) / factor, std[name] / factor)
-        rows.append([name.removesuffix("_rad").removesuffix("_m"), shown, uncertainty, unit])
+        rows.append([stem, shown, uncertainty, page_unit(unit)])
     return table(["parameter", "change", "±", "unit"], rows, numbers=(1, 2))
 
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, spread
-from armsight.report.html import Card, Page, figure_of, table, text
-from armsight.units import DEG, MM
+from armsight.report.html import Card, Page, figure_of, page_unit, table, text
+from armsight.units import DEG, MM, displayed
 
 Array = NDArray[np.float64]
 
@@ -82,14 +82,14 @@ def _joint_table(arm: Arm, q: Array) -> str:
     rows = []
     for joint, value in zip(arm.joints, q, strict=True):
         turns = joint.type is JointType.REVOLUTE
-        scale, unit = (DEG, "°") if turns else (MM, "mm")
-        ends = [figure_of(end / scale, unit, digits=6) for end in (joint.lower, joint.upper)]
+        unit, scale = displayed("rad" if turns else "m")
+        ends = [figure_of(end / scale, page_unit(unit), digits=6) for end in (joint.lower, joint.upper)]
         geometry = (joint.a_m / MM, joint.alpha_rad / DEG, joint.d_m / MM, joint.theta_rad / DEG, joint.beta_rad / DEG)
         rows.append(
             [
                 joint.name,
                 joint.type.value,
-                figure_of(float(value) / scale, unit, digits=6),
+                figure_of(float(value) / scale, page_unit(unit), digits=6),
                 *ends,
                 *(figure_of(number, digits=7) for number in geometry),
             ]

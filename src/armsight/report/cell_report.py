@@ -27,9 +27,9 @@ from armsight.report.figures import (
     points_in_space,
     subplot,
 )
-from armsight.report.html import Card, Page, bullets, figure_of, table, text, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, text, with_deviation
 from armsight.report.scene import camera_line, line, scene_axes
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, displayed_name
 
 Array = NDArray[np.float64]
 
@@ -271,11 +271,10 @@ def _arm_table(done: CellCalibration, nominal: Arm) -> str:
         if joint not in joints or not hasattr(joints[joint], key):
             continue
         before = float(getattr(joints[joint], key))
-        unit, factor = ("mm", MM) if key.endswith("_m") else ("°", DEG)
+        stem, unit, factor = displayed_name(key)
         change, std = with_deviation(one.value / factor, one.std / factor)
         after, _ = with_deviation((before + one.value) / factor, one.std / factor)
-        words = f"{joint} {key.removesuffix('_m').removesuffix('_rad')}"
-        rows.append([words, figure_of(before / factor, digits=6), after, change, std, unit])
+        rows.append([f"{joint} {stem}", figure_of(before / factor, digits=6), after, change, std, page_unit(unit)])
     return table(["parameter", "file", "found", "change", "±", "unit"], rows, numbers=(1, 2, 3, 4))
 
 

@@ -28,9 +28,9 @@ from armsight.report.figures import (
     short_names,
     subplot,
 )
-from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, with_deviation
 from armsight.report.run import BoardViews
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, displayed_name
 
 Array = NDArray[np.float64]
 
@@ -136,9 +136,9 @@ def _poses(result: HandEye) -> list[str]:
         values = [*(pose.translation / MM), *(pose.rotation.as_rotvec() / DEG)]
         rows = []
         for (key, deviation), value in zip(std.items(), values, strict=True):
-            unit, factor = ("mm", MM) if key.endswith("_m") else ("°", DEG)
+            stem, unit, factor = displayed_name(key)
             shown, uncertainty = with_deviation(float(value), deviation / factor)
-            rows.append([key.rpartition("_")[0], shown, uncertainty, unit])
+            rows.append([stem, shown, uncertainty, page_unit(unit)])
         out.append(table([name, "value", "±", "unit"], rows, numbers=(1, 2)))
     return out
 

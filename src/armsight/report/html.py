@@ -250,6 +250,11 @@ def in_degrees(sentence: str) -> str:
     return re.sub(r"(?<=\d) deg(rees)?\b", "°", sentence)
 
 
+def page_unit(unit: str) -> str:
+    """Return the unit as pages write it: with the degree sign."""
+    return "°" if unit == "deg" else unit
+
+
 def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
     """Return a number for people with so many significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):

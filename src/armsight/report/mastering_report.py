@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import datetime
 
-from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, with_deviation
 from armsight.report.verdicts import mastering_verdict
-from armsight.units import DEG, MM
+from armsight.units import MM, displayed
 from armsight.verify.results import MasteringOutput
 
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
@@ -30,9 +30,9 @@ def mastering_report(
     rows = []
     for joint in summary.joints:
         value, std = joint.offset_rad, joint.std_rad
-        scale, unit = (MM, "mm") if joint.index in slides else (DEG, "°")
+        unit, scale = displayed("m" if joint.index in slides else "rad")
         shown = ("–", "–") if value is None else with_deviation(value / scale, None if std is None else std / scale)
-        rows.append([f"{joint.index} {joint.name}", *shown, unit, joint.why])
+        rows.append([f"{joint.index} {joint.name}", *shown, page_unit(unit), joint.why])
     page.add("Joints", ZEROS, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
     if summary.doubts:
         page.add("What to know", "", bullets(summary.doubts))

@@ -26,7 +26,6 @@ from armsight.units import MM
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-UNITS = ("mm", "mm", "mm", "°", "°", "°")
 
 INSIDE_95 = 12.591587243743977
 """95 % point of chi-square with six degrees of freedom: the squared size of a pose's 95 % ellipsoid."""
@@ -187,11 +186,11 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
     figures = np.stack([values.mean(axis=0), values.std(axis=0), rms, np.abs(values).max(axis=0), claimed], axis=1)
     rows = [
         [
-            f"{axis}, {unit}",
+            f"{axis}, {'mm' if i < 3 else '°'}",
             *(figure_of(float(figure)) for figure in figures[i]),
             figure_of(float(rms[i] / claimed[i])) if claimed[i] > 0.0 else "–",
         ]
-        for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
+        for i, axis in enumerate(AXES)
     ]
     inside, low, high = _inside(errors)
     page.add(

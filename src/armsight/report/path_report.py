@@ -65,16 +65,11 @@ def path_report(
     """
     runs = _runs(found.issues)
     slower = ", slower than asked in those below" if found.issues else ""
-    verdict = (
-        Verdict(
-            level="good",
-            headline="can be run",
-            reasons=[f"{arm.name} can run all {found.rows} rows{slower}."],
-            next=[RUN],
-        )
-        if found.ok and not refused
-        else Verdict(level="bad", headline="cannot be run", reasons=[_sentence(arm, found, runs, refused)], next=[MEND])
-    )
+    if found.ok and not refused:
+        level, headline, said, todo = "good", "can be run", f"{arm.name} can run all {found.rows} rows{slower}.", RUN
+    else:
+        level, headline, said, todo = "bad", "cannot be run", _sentence(arm, found, runs, refused), MEND
+    verdict = Verdict(level=level, headline=headline, reasons=[said], next=[todo])
     page = Page(title=f"{name} on {arm.name}", subtitle=_subtitle(path), verdict=verdict, cards=_cards(path, found))
     around, alone = _scenes(path, arm, limits, found, runs)
     page.add(

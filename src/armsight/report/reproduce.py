@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, subplot
-from armsight.report.html import Card, Page, bullets, figure_of, table
-from armsight.units import DEG, MM
+from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table
+from armsight.units import displayed
 
 Array = NDArray[np.float64]
 
 WANTED_SHARE = 1.0 / 3.0
 """armsight's error over the paper's that is wanted in each row where the paper's figure can be believed."""
 
-UNITS = {"m": ("mm", MM), "rad": ("°", DEG), "px": ("px", 1.0), "": ("", 1.0)}
 TRUTH, METHOD, OURS = GREY, ORANGE, BLUE
 PANEL_PX = 330
 READ = "Nothing; before you quote a figure, read the doubts about the printed ones and the assumptions below."
@@ -233,12 +232,12 @@ def _table(item: ComparisonTable) -> str:
     ]
     rows = []
     for row in item.rows:
-        unit, scale = UNITS[row.unit]
+        unit, scale = displayed(row.unit)
         values = (row.paper, row.paper_method, row.armsight, row.truth, *row.errors)
         shown = [figure_of(None if value is None else value / scale, digits=4) for value in values]
         share = "–" if row.share is None else f"{row.share:.3f}" if row.credible else f"({row.share:.3f})"
         of_method = "–" if row.share_of_method is None else f"{row.share_of_method:.3f}"
-        rows.append([f"{row.label}, {unit}" if unit else row.label, *shown, share, of_method])
+        rows.append([f"{row.label}, {page_unit(unit)}" if unit else row.label, *shown, share, of_method])
     kept = [k for k in range(len(head)) if any(row[k] != "–" for row in rows)]
     cells = [[row[k] for k in kept] for row in rows]
     return table([head[k] for k in kept], cells, numbers=tuple(range(1, len(kept))))

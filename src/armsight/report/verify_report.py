@@ -18,6 +18,7 @@ from armsight.report.html import (
     Page,
     bullets,
     figure_of,
+    page_unit,
     pair_of,
     table,
     text,
@@ -25,7 +26,7 @@ from armsight.report.html import (
 )
 from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
 from armsight.report.verdicts import verify_verdict
-from armsight.units import DEG, MM, MS
+from armsight.units import DEG, MM, MS, displayed_name
 from armsight.verify import Verification
 from armsight.verify.pairing import bare_arm
 from armsight.verify.results import IsoFigure, VerifyOutput
@@ -138,17 +139,13 @@ def _cards(summary: VerifyOutput) -> list[Card]:
     return cards
 
 
-def _unit(name: str) -> tuple[float, str]:
-    return (DEG, "°") if name.endswith("_rad") else (MM, "mm")
-
-
 def _task_table(summary: VerifyOutput) -> str:
     rows = []
     for name, figures in summary.task.items():
-        factor, unit = _unit(name)
+        stem, unit, factor = displayed_name(name)
         std = summary.measurement_std.get(name)
         shown = [figure_of(x / factor) for x in (figures.me, figures.mae, figures.max, figures.sd, figures.rms)]
-        rows.append([f"{name.rsplit('_', 1)[0]}, {unit}", *shown, figure_of(None if std is None else std / factor)])
+        rows.append([f"{stem}, {page_unit(unit)}", *shown, figure_of(None if std is None else std / factor)])
     header = ["", "mean", "mean absolute", "largest", "standard deviation", "RMS", "measurement's own ±"]
     return table(header, rows, numbers=range(1, len(header)))
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, displayed
 from armsight.verify.alignment import Align, align, free_names, gross
 from armsight.verify.cause import CHANCE, RIVAL_LOG, JointVerdict, judge
 from armsight.verify.deciding import best_poses
@@ -301,7 +301,7 @@ def _one_joint(
             return replace(mastering, cause="undecided", sentence=sentence, joints=joints)
     joints = _believed(case, mastering.joints, plain, (best.fitted, _zero(case, joint)))
     offset, std = joints[joint].offset or 0.0, joints[joint].std or 0.0
-    factor, unit = (DEG, "deg") if case.bare.revolute[joint] else (MM, "mm")
+    unit, factor = displayed("rad" if case.bare.revolute[joint] else "m")
     doubts = list(mastering.doubts)
     if joint == last:
         doubts.append("a target that has turned on the flange about the last joint's axis would look the same")

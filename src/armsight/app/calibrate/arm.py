@@ -39,6 +39,7 @@ from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells
 from armsight.store.urdf_writer import delete_urdf, urdf_text
 from armsight.store.worlds import write_world
+from armsight.units import displayed
 
 Array = NDArray[np.float64]
 
@@ -171,10 +172,10 @@ def corrections(result: ArmCalibration) -> str:
     doubts = np.sqrt(np.diag(to_readings @ _zero_covariance(result, names) @ to_readings.T))
     rows = ["joint,zero_correction,unit,std,scale"]
     for joint, zero, std in zip(joints, zeros.tolist(), doubts.tolist(), strict=True):
-        factor, unit = (np.rad2deg(1.0), "deg") if joint.type is JointType.REVOLUTE else (1e3, "mm")
-        uncertainty = f"{std * factor:.6g}" if std > 0.0 else ""
+        unit, size = displayed("rad" if joint.type is JointType.REVOLUTE else "m")
+        uncertainty = f"{std / size:.6g}" if std > 0.0 else ""
         scale = 1.0 + result.change(f"{joint.name}.scale")
-        rows.append(f"{joint.name},{zero * factor + 0.0:.6g},{unit},{uncertainty},{scale:.8g}")
+        rows.append(f"{joint.name},{zero / size + 0.0:.6g},{unit},{uncertainty},{scale:.8g}")
     return "\n".join(rows) + "\n"
 
 

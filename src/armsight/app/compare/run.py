@@ -24,6 +24,7 @@ from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import Difference
 from armsight.records.verdict import MEANING, Verdict
 from armsight.report.compare_report import CompareRun, Course, compare_report
+from armsight.report.html import page_unit
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
 from armsight.store.atomic import write_json
@@ -32,7 +33,7 @@ from armsight.store.handeye_file import HANDEYE_FORMAT
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml
 from armsight.store.zoom import CAMERA_FORMAT
-from armsight.units import DEG, MM
+from armsight.units import displayed
 
 NOTHING = 1e-10
 """m, px or rad below which a difference is rounding."""
@@ -54,7 +55,6 @@ FORMATS: Mapping[str, str] = {
 FOLDERS: Mapping[str, str] = {"verify.json": "verify", "poses.csv": "measure"}
 """What a folder holds by the file that tells it."""
 CALIBRATIONS = ("rig.yaml", "camera.yaml", "handeye.yaml", "arm.yaml")
-SHOWN: Mapping[str, tuple[float, str]] = {"m": (MM, "mm"), "rad": (DEG, "°"), "m/s": (MM, "mm/s"), "1": (1.0, "")}
 
 
 @output
@@ -207,17 +207,17 @@ def _first_effect(found: Compared) -> str:
 
 
 def _shown(value: float, unit: str) -> str:
-    factor, shown = SHOWN.get(unit, (1.0, unit))
+    shown, factor = displayed(unit)
     text = f"{value / factor:.3g}" if abs(value) > NOTHING else "0"
-    return f"{text}{shown}" if shown == "°" else f"{text} {shown}".strip()
+    return f"{text} {shown}".strip()
 
 
 def _run(done: CompareOutput, tracks: Tracks | None) -> CompareRun:
     rows = []
     for one in done.parameters:
-        factor, unit = SHOWN.get(one.unit, (1.0, one.unit))
+        unit, factor = displayed(one.unit)
         name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
-        rows.append(replace(one, name=name).in_unit(unit, factor))
+        rows.append(replace(one, name=name).in_unit(page_unit(unit), factor))
     return CompareRun(
         kind=done.kind,
         a=done.a,

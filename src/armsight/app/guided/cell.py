@@ -30,7 +30,7 @@ from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Progress
 from armsight.store.handeye_file import write_handeye_poses
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, displayed
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class CellStep:
         watch = self.watch
         rows = [("recorded", f"{watch.seconds:.0f} of {WANTED_S:.0f} s, {LEAST_S:.0f} at least")]
         for name, now, wanted, slides in self._joints():
-            unit, factor = ("mm", MM) if slides else ("deg", DEG)
+            unit, factor = displayed("m" if slides else "rad")
             rows.append((f"joint {name}", f"{now / factor:.0f} of {wanted / factor:.0f} {unit}"))
         if watch.n_pictures:
             rows += [(f"all lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in SIDES]

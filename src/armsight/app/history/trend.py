@@ -27,11 +27,12 @@ from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.verdict import MEANING, Verdict
 from armsight.report.history_report import Charted, TrendPage, trend_report
+from armsight.report.html import page_unit
 from armsight.store.atomic import write_json, write_text
 from armsight.store.history.database import reading
 from armsight.store.history.place import place_of
 from armsight.store.history.queries import Filter
-from armsight.units import DEG, MM
+from armsight.units import displayed, displayed_name
 
 SUMMARY, REPORT = "trend.json", "report.html"
 YEAR_DAYS = 365.25
@@ -47,7 +48,6 @@ MOST_SAID = 3
 """Changes that the verdict tells, the surest first."""
 KEEP_ON = "File each calibration with --cell, and look again after the next one."
 ASK_MORE = "File further runs of the cell with --cell; nothing is known of drifts before that."
-SHOWN = {"m": (MM, "mm"), "rad": (DEG, "deg")}
 TO_DO = {
     "joint-zeros": "Check that joint's mastering (armsight verify --mastering); master it, or take the calibrated arm",
     "hand-eye": "Check that camera and holder sit tight, calibrate hand-eye again, and use the new handeye.yaml",
@@ -285,20 +285,15 @@ def _verdict(judgements: Sequence[_Judgement], figures: Sequence[TrendFigure], r
     return " ".join(map(said, changed[:MOST_SAID])) + more
 
 
-def plain_name(name: str) -> str:
-    """Return a figure's name for people, who read its unit behind the number."""
-    return name.removesuffix("_rad").removesuffix("_m")
-
-
 def said(one: TrendFigure) -> str:
     """Return what has changed, since when and by how much, in words."""
-    factor, unit = SHOWN.get(one.unit, (1.0, one.unit))
+    unit, factor = displayed(one.unit)
     size, std = (one.latest or 0.0) / factor, (one.latest_std or 0.0) / factor
     verb = "has jumped" if one.state == Kind.JUMP else "has drifted"
     when = (one.since or "")[:10]
     last = " The last run alone says so: repeat it." if one.since_run == one.last_run else ""
     by = f"{size:+.3g} +- {std:.2g} {unit}"
-    return f"{plain_name(one.name)} ({one.command}) {verb} by {by} since run {one.since_run} ({when}).{last}"
+    return f"{displayed_name(one.name)[0]} ({one.command}) {verb} by {by} since run {one.since_run} ({when}).{last}"
 
 
 def _notes(figures: Sequence[TrendFigure], doubted: int) -> list[str]:
@@ -354,14 +349,14 @@ def _of_runs(found: Found) -> list[str]:
 def _page(done: TrendOutput, judgements: Sequence[_Judgement]) -> TrendPage:
     pictures = []
     for one, row in zip(judgements, done.figures, strict=True):
-        factor, unit = SHOWN.get(row.unit, (1.0, row.unit))
+        unit, factor = displayed(row.unit)
         change = one.found.change
         pictures.append(
             Charted(
-                name=plain_name(row.name),
+                name=displayed_name(row.name)[0],
                 command=row.command,
                 state=row.state,
-                unit="°" if unit == "deg" else unit,
+                unit=page_unit(unit),
                 scale=factor,
                 created=one.course.created,
                 runs=one.course.runs,

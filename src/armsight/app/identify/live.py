@@ -36,7 +36,7 @@ from armsight.store import World, read_rig, read_world
 from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
-from armsight.units import DEG, MM, read_value
+from armsight.units import DEG, MM, displayed, read_value
 
 Array = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ def _sweeps_question(robot: Robot, plan: Plan, revolute: Sequence[bool], pace: P
     """Return what is asked before the sweeps: each joint's way in degrees or mm."""
     ways = []
     for sweep in plan.sweeps:
-        unit, name = (DEG, "deg") if revolute[sweep.joint] else (MM, "mm")
+        name, unit = displayed("rad" if revolute[sweep.joint] else "m")
         first, last = sweep.q[0, sweep.joint] / unit, sweep.q[-1, sweep.joint] / unit
         ways.append(f"joint {sweep.joint + 1} from {first:.1f} to {last:.1f} {name}")
     return (

@@ -22,6 +22,7 @@ from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.requests.identify import LiveJob
 from armsight.clock import Clock, SystemClock
+from armsight.columns import DH_ROW
 from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
@@ -30,7 +31,7 @@ from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.sweeps import read_sweeps
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, displayed_name
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ STEPS = 24
 """Points of a fit that is drawn."""
 AXIS_M = 0.15
 """Half the length in which a joint's axis is drawn."""
-ENTRIES = (("a_m", "mm", MM), ("alpha_rad", "deg", DEG), ("d_m", "mm", MM), ("theta_rad", "deg", DEG))
+ENTRIES = tuple((name, *displayed_name(name)[1:]) for name in DH_ROW[:4])
 FASTEST_DEG_S, FASTEST_MM_S = 10.0, 20.0
 """Of a joint on its sweep at full override: the light goes through the pictures slowly enough to be followed."""
 AROUND_DEG, AROUND_M = 10.0, 0.05

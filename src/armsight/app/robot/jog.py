@@ -29,7 +29,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, output
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, displayed
 
 Array = NDArray[np.float64]
 
@@ -135,7 +135,7 @@ def question(job: JogJob, robot: Robot, guard: Guard, start: float) -> str:
     """Return what is asked before the joint moves: in degrees or mm, with the speed it may reach."""
     joint = guard.arm.joints[job.joint - 1]
     slides = not guard.arm.revolute[job.joint - 1]
-    unit, name = (MM, "mm") if slides else (DEG, "deg")
+    name, unit = displayed("m" if slides else "rad")
     most = (
         guard.bounds.speed[job.joint - 1] if slides else min(guard.bounds.speed[job.joint - 1], guard.limits.turn_rad_s)
     )
