@@ -202,7 +202,6 @@ def _steps(values: Array) -> Array:
 
 
 def _legend(steps: Array, unit: str) -> str:
-    """Return the colours with their ranges."""
     gap = "" if unit == "°" else " "
     items = [
         f'<span style="display:inline-block;white-space:nowrap;margin-right:14px">'

@@ -13,6 +13,7 @@ VERIFY: Mapping[str, str] = {
     "measurement": "Correct nothing in the arm: only a better measurement would show more.",
     "several joints": "Run `armsight calibrate arm` on these rows, which corrects zeros; then verify on others.",
     "model": "Run `armsight calibrate arm` on these rows and correct no joint before; then verify on others.",
+    "drift": "Let arm and rig warm up, fasten what is loose, and verify again; correct nothing on these rows.",
     "undecided": "Correct nothing on these rows. Measure more poses, more different ones, and verify again.",
 }
 MEASURE: Mapping[str, str] = {

@@ -7,7 +7,7 @@ from armsight.report.html import in_degrees
 from armsight.report.to_do import after_mastering, after_verify, after_watching, foreign, hides
 from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 
-VERIFY = {"measurement": "good", "none": "good", "model": "care", "undecided": "care"}
+VERIFY = {"measurement": "good", "none": "good", "model": "care", "drift": "care", "undecided": "care"}
 MASTERING = {"none": "good", "undecided": "care"}
 LIVE = {"good": "good", "warn": "care", "stop": "bad", "unknown": "bad"}
 WATCHED = 0.95

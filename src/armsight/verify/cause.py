@@ -16,7 +16,8 @@ from armsight.calibrate.arm.parameter_selection import APART
 from armsight.calibrate.correlation import regions
 from armsight.errors import NotConverged
 from armsight.kinematics import Arm
-from armsight.verify.effects import Effect, Kind, effects, still
+from armsight.verify.drift import drifting
+from armsight.verify.effects import Effect, JointVerdict, Kind, effects, shown, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
 from armsight.verify.geometry_prior import Account, GeometryPrior
@@ -51,30 +52,15 @@ SCATTER = 1.8
 """... and three times how far a scale estimated by the median of n rows is off, times the root of n."""
 UNTOLD_M = 5e-3
 """Errors of position (RMS) that are laid to a measurement whose standard deviations nobody says are smaller."""
-LAST_DIGIT_DEG = 1e-4
-"""Angles are told to this, and so no surer than this."""
 NO_ERROR_M = 1e-8
 """Smaller errors are rounding."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointVerdict:
-    """What is known of one joint: judged or why not; its zero (rad or m) with standard deviation where estimated; the
-    share that its best effect takes off left-out squares, and which effect that is, None where it takes nothing off."""
-
-    judged: bool
-    why: str = ""
-    offset: float | None = None
-    std: float | None = None
-    gain_heldout: float | None = None
-    kind: Kind | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cause:
     """What explains the errors of an arm, and by how much.
 
-    cause: none, joint N, several joints, model, measurement or undecided. joint: from 0, where one is named, with
+    cause: none, joint N, several joints, model, measurement, drift or undecided. joint: from 0, where one is named, and
     what it has wrong: kind, and parameters by name as (value, standard deviation). gains: shares of the left-out
     squares that the best single joint, all zeros, and geometry with zeros take off. measurement_share: of the squared
     error, None where the measurement's standard deviations are not known. rival: the other joint that would do.
@@ -230,11 +216,23 @@ def _decide(
         "model": gain(plain, min(everything, geometry, key=lambda fit: fit.left_out)),
     }
     cause = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
-    moved = moved_rig(
-        before, trial.fitted.noise, case, min(fit.squares for fit in (trial.own, zeros, geometry, everything))
-    )
-    if moved:
+    explained = min(fit.squares for fit in (trial.own, zeros, geometry, everything))
+    drift = drifting(before, trial.fitted.noise, case, aligned.mounts(case.measured.labels).base)
+    least = explained if drift is None else min(explained, drift[-1])
+    if moved := moved_rig(before, trial.fitted.noise, case, least):
         return replace(cause, sentence=moved)
+    found = _explained(case, aligned, trial, cause, able)
+    if drift is None or drift[2] < float(np.median(aligned.noise.measurement[:, 0])):
+        return found
+    if found.cause not in ("measurement", "undecided") and drift[-1] > explained:
+        return replace(found, sentence=f"{found.sentence} {drift[0]}")
+    found = replace(found, cause="drift", parameters=drift[1], sentence=drift[0])
+    return replace(found, joint=None, kind=None, rival=None, fitted=None)
+
+
+def _explained(case: Case, aligned: ModelFit, trial: _Trial, cause: Cause, able: NDArray[np.intp]) -> Cause:
+    """Return the cause by what joints, zeros and geometry explain, alike throughout the run."""
+    before, plain, gains, judged = trial.before, trial.plain, cause.gains, cause.joints
     prior = GeometryPrior.of(case, aligned)
     healthy, loose = prior.account(aligned, None), prior.account(aligned, None, able.tolist())
     if len(np.unique(poses_of(case.q))) >= REGIONAL:
@@ -244,9 +242,10 @@ def _decide(
     least = max(healthy.log_evidence + beyond, loose.log_evidence)
     if trial.gained and (one := _one_joint(case, aligned, trial, prior, cause, least)) is not None:
         return one
-    if _gained(before, plain, zeros) and loose.log_evidence - healthy.log_evidence > beyond:
+    if _gained(before, plain, before.with_joints(able)) and loose.log_evidence - healthy.log_evidence > beyond:
         return replace(cause, cause="several joints", sentence=_several(cause.joints, gains))
-    if _gained(before, plain, everything) or _gained(before, plain, geometry):
+    everything = before.with_geometry(before.joints[:, :, able])
+    if _gained(before, plain, everything) or _gained(before, plain, before.with_geometry()):
         return replace(cause, cause="model", sentence=_model(gains, trial))
     return _nothing(aligned, cause)
 
@@ -324,7 +323,7 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
     parameters = {
         name: (float(v), float(std)) for name, v, std in zip(effect.names, values, own.fault_std, strict=True)
     }
-    values_text = ", ".join(_shown(name, *pair) for name, pair in parameters.items())
+    values_text = ", ".join(shown(name, *pair) for name, pair in parameters.items())
     name = case.bare.joints[effect.joint].name
     rest = " The rest is the model's: `armsight calibrate arm` corrects it." if adds else ""
     return replace(
@@ -337,13 +336,6 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
         sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_text}. It takes "
         f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
     )
-
-
-def _shown(name: str, value: float, std: float) -> str:
-    if name.endswith("_rad"):
-        width = max(np.rad2deg(std), LAST_DIGIT_DEG)
-        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {width:.2g} deg"
-    return f"{name} {value:.4g} +- {std:.2g}"
 
 
 def _between(trial: _Trial, rival: int) -> str:

@@ -108,3 +108,28 @@ def gravity_load(arm: Arm, q: Array) -> Array:
             turned = np.cross(beyond, force).mean(axis=0)
             out[k, i] = T[i, :3, 2] @ (turned if arm.revolute[i] else force)
     return out
+
+
+LAST_DIGIT_DEG = 1e-4
+"""Angles are told to this, and so no surer than this."""
+
+
+def shown(name: str, value: float, std: float) -> str:
+    """Return a parameter in words, angles in degrees."""
+    if name.endswith("_rad"):
+        width = max(np.rad2deg(std), LAST_DIGIT_DEG)
+        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {width:.2g} deg"
+    return f"{name} {value:.4g} +- {std:.2g}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointVerdict:
+    """What is known of one joint: judged or why not; its zero (rad or m) with standard deviation where estimated; the
+    share that its best effect takes off left-out squares, and which effect that is, None where it takes nothing off."""
+
+    judged: bool
+    why: str = ""
+    offset: float | None = None
+    std: float | None = None
+    gain_heldout: float | None = None
+    kind: Kind | None = None

@@ -213,7 +213,7 @@ def jackknife_std(problem: Linear, added: Array, region: NDArray[np.intp], prior
             block=np.zeros(len(rows), dtype=np.intp),
             inflation=problem.inflation,
         )
-        left.append(_solved(some, added[rows], prior)[0])
+        left.append(solved(some, added[rows], prior)[0])
     if len(left) < 2:
         return np.zeros(added.shape[2])
     return np.asarray(np.sqrt((len(left) - 1.0) * np.var(left, axis=0)))
@@ -230,7 +230,7 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
     prior (K,): standard deviations about zero of the added ones, none where inf.
     """
     n_fixed, rows = problem.fixed.shape[2], problem.residual.shape[1]
-    _, theta, X, y, size, H, A = _solved(problem, added, prior)
+    _, theta, X, y, size, H, A = solved(problem, added, prior)
     b = X.T @ y
     squares = float(((y - X @ theta) ** 2).sum())
     block = np.repeat(problem.block, rows)
@@ -250,7 +250,7 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
     )
 
 
-def _solved(problem: Linear, added: Array, prior: Array | None) -> tuple[Array, ...]:
+def solved(problem: Linear, added: Array, prior: Array | None) -> tuple[Array, ...]:
     """Return the values (K,) of the columns added, then the scaled solution (B + K,), columns (m k, B + K), residuals
     (m k,), the columns' sizes, information with priors and without."""
     w, n_fixed = problem.weight, problem.fixed.shape[2]
@@ -321,7 +321,7 @@ def moved_rig(evidence: Evidence, noise: Noise, case: Case, explained: float) ->
     if m < 2 * FEWEST_ROWS:
         return ""
     splits = np.unique(np.linspace(FEWEST_ROWS, m - FEWEST_ROWS, SPLITS).astype(int))
-    columns = noise.whiten(_placement(case.measured.xyz_m, evidence.linear.residual.shape[1]))
+    columns = noise.whiten(placement(case.measured.xyz_m, evidence.linear.residual.shape[1]))
     plain = evidence.plain()
     tried = {int(k): fit_linear(evidence.linear, columns * (np.arange(m) >= k)[:, None, None]) for k in splits}
     at = min(tried, key=lambda k: tried[k].squares)
@@ -336,7 +336,7 @@ def moved_rig(evidence: Evidence, noise: Noise, case: Case, explained: float) ->
     )
 
 
-def _placement(xyz: Array, rows: int) -> Array:
+def placement(xyz: Array, rows: int) -> Array:
     """Return how residuals (m, rows) follow a small move (m, rows, 6) of the measuring frame about their mean."""
     columns = np.zeros((len(xyz), rows, 6))
     columns[:, :3, :3] = np.eye(3)

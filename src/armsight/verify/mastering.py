@@ -16,9 +16,9 @@ from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM, displayed
 from armsight.verify.alignment import Align, align, free_names, gross
-from armsight.verify.cause import CHANCE, RIVAL_LOG, JointVerdict, judge
+from armsight.verify.cause import CHANCE, RIVAL_LOG, judge
 from armsight.verify.deciding import best_poses
-from armsight.verify.effects import Effect, Kind
+from armsight.verify.effects import Effect, JointVerdict, Kind
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
 from armsight.verify.geometry_prior import GeometryPrior
 from armsight.verify.model import ModelFit, Mounts, mount_names

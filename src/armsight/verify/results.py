@@ -241,7 +241,7 @@ class VerifyOutput(Output):
     task: Annotated[dict[str, Figures], Doc("Errors in the base's axes: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad.")]
     measurement_std: Annotated[dict[str, float | None], Doc("The measurement's own, RMS; null where not known.")]
     joints: Annotated[list[VerifyJoint], Doc("Errors and zeros of the joints; empty without an arm.")]
-    cause: Annotated[str, Doc("none, joint N, several joints, model, measurement or undecided.")]
+    cause: Annotated[str, Doc("none, joint N, several joints, model, measurement, drift or undecided.")]
     kind: Annotated[str | None, Doc("What the joint named has wrong; null where none is named.")]
     parameters: Annotated[dict[str, CauseParameter], Doc("... with its values.")]
     explained: Annotated[Explained, Doc("What explains how much.")]
