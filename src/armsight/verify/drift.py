@@ -20,8 +20,8 @@ COURSES = (0.2, 0.6, np.inf)
 """Time constants by which a drift is tried to settle, as shares of the run; inf: it goes on evenly."""
 UNLIKELY = 1e-4
 """Probability by chance, over all that are tried, below which a drift is one."""
-FORETOLD = 0.6
-"""Share of the time's variance that the joints foretell (rows in the order of their poses) from which on a drift is
+PREDICTED = 0.6
+"""Share of the time's variance that the joints predict (rows in the order of their poses) from which on a drift is
 not told from errors that hang on the poses."""
 
 
@@ -38,7 +38,7 @@ def drifting(evidence: Evidence, noise: Noise, case: Case, base: RigidTransform)
     count, rows = evidence.linear.residual.shape
     t = np.arange(count, dtype=float) if case.measured.t_s is None else case.measured.t_s
     share = (t - t.min()) / max(float(np.ptp(t)), 1e-300)
-    if _foretold(case.q, share) > FORETOLD:
+    if _predicted(case.q, share) > PREDICTED:
         return None
     grown = np.zeros((count, rows, 1))
     grown[:, :3, 0] = base.rotation.apply(fk(case.bare, case.q)[:, :3, 3])
@@ -76,8 +76,8 @@ def _words(growth: tuple[float, float] | None, moved_m: float) -> str:
     )
 
 
-def _foretold(q: Array, share: Array) -> float:
-    """Return which share of the time's variance a turn's harmonics of the joints foretell, beyond chance."""
+def _predicted(q: Array, share: Array) -> float:
+    """Return which share of the time's variance a turn's harmonics of the joints predict, beyond chance."""
     columns = np.column_stack([np.ones(len(q)), np.sin(q), np.cos(q)])
     left = share - columns @ np.linalg.lstsq(columns, share, rcond=None)[0]
     free = max(len(q) - columns.shape[1], 1)
