@@ -118,5 +118,5 @@ def test_files_that_are_wrong_or_gone_are_told_and_a_mended_one_is_seen(tmp_path
     ],
 )
 def test_the_step_that_a_person_is_at_is_marked(state: dict[str, Any], recording: bool, level: str, where: int) -> None:
-    known: Any = SimpleNamespace(**{"busy": "", "verdict": None, "not_done": "", "samples": (), "hint": None} | state)
+    known: Any = SimpleNamespace(**{"busy": "", "result": None, "not_done": "", "samples": (), "hint": None} | state)
     assert place_of(known, (Lamp("cameras", level, ""),), SimpleNamespace(recording=recording)) == where  # type: ignore[arg-type]
