@@ -107,7 +107,7 @@ def calibrate_tooltip(
     keep_places, (x, cov, e, V, _, _) = _agreed(*places.poses, point)
     keep, used = places.fine & keep_places[place], places.poses[0][keep_places]
     turn = _require_turning(_turns(used))
-    require_one_tool(R[keep], t[keep], np.flatnonzero(keep))
+    require_one_tool(R[keep], t[keep], np.flatnonzero(keep), None if times is None else times[keep])
     _require_point(e[keep_places], places.poses[1][keep_places], len(e), turn[1], cov)
     check_metres(np.linalg.norm(x[:3]), TOOL_M, "the tip would be off the turned frame by")
     prior = None if point is None else point.information()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
 from armsight.calibrate.handeye.advice import advise
@@ -20,6 +20,7 @@ from armsight.calibrate.handeye.pairs import (
     PosePairs,
     Poses,
     Setup,
+    components,
     pose,
     require_metres,
     require_turning,
@@ -28,8 +29,8 @@ from armsight.calibrate.handeye.premises import require_one_mount
 from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
-from armsight.fitting.groups import repeats
-from armsight.fitting.quantiles import f_isf, t_sf
+from armsight.fitting.groups import means, repeats
+from armsight.fitting.quantiles import chi2_isf, f_isf, t_sf
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM
 
@@ -45,6 +46,12 @@ good pairs the two differ by less than 2."""
 
 MEDIAN_6 = 5.348
 """Median of the squared length of six unit normals."""
+
+MEDIAN_3 = 1.538
+"""Median length of three unit normals."""
+
+MATTERS = 0.5
+"""A pair that is off its place's others by its noise alone matters from this share of what places differ by."""
 
 REJECTION_ROUNDS = 10
 """Rounds of naming outliers and fitting again; two or three settle it."""
@@ -66,7 +73,7 @@ def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = Non
     Raises Degenerate for too little turning, Inconsistent for wrong units, inverted or wrongly paired poses and
     poses without agreement, NotConverged. Zhuang, Roth, Sudhakar 1994 (Pachidis 2005 section 4), by maximum likelihood.
     """
-    return _of_places(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
+    return _calibrate(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
 
 
 def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEye:
@@ -74,7 +81,7 @@ def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = Non
 
     Raises as calibrate_eye_in_hand.
     """
-    return _of_places(pairs, Setup.EYE_TO_HAND, options or HandEyeOptions())
+    return _calibrate(pairs, Setup.EYE_TO_HAND, options or HandEyeOptions())
 
 
 def expected_deviation(
@@ -90,24 +97,6 @@ def expected_deviation(
     return dict(zip(NAMES, np.sqrt(np.diag(solution.C)).tolist(), strict=True))
 
 
-def _of_places(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:
-    """Return the calibration; of several pairs at one pose of the robot it is believed as of one of them each.
-
-    They share the robot's error there, which no number of them averages out.
-    """
-    found = _calibrate(pairs, setup, options)
-    if pairs.t_s is not None:
-        return found
-    place = _places(pairs.T_base_flange)
-    first = np.unique(place, return_index=True)[1]
-    if len(first) < len(pairs):
-        once = _calibrate(pairs.take(first), setup, options)
-        found = replace(found, covariance=once.covariance, dof=once.dof, scale=once.scale)
-        found = advise(found, options.target_pitch_m)
-    require_one_mount(found, place)
-    return found
-
-
 def places_of(T_base_flange: RigidTransform) -> NDArray[np.intp]:
     """Return the first pair (G,) at each pose of the robot."""
     return np.unique(_places(T_base_flange), return_index=True)[1]
@@ -121,19 +110,20 @@ def _places(T_base_flange: RigidTransform) -> NDArray[np.intp]:
 
 def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:
     require_metres(pairs)
+    place = np.arange(len(pairs)) if pairs.t_s is not None else _places(pairs.T_base_flange)
     repeated = {row: why for row, _, why in pairs.duplicates()}
     rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
     chosen = pairs.take(rows) if repeated else pairs
     require_turning(chosen)
-    solution, left_out, order = _solve_in_order(chosen, setup)
-    _require_others(chosen, order[solution.keep & ~np.isfinite(left_out).all(axis=1)])
+    solution, left_out, keep = _solve_places(chosen, setup, np.unique(place[rows], return_inverse=True)[1])
+    _require_others(chosen, np.flatnonzero(keep & ~np.isfinite(left_out).all(axis=1)))
     used = np.zeros(len(pairs), bool)
-    used[rows[order[solution.keep]]] = True
+    used[rows[keep]] = True
     turned = require_turning(pairs.take(np.flatnonzero(used)))
     uncertain = uncertainty(solution)
     found = residuals(pairs.arrays(setup), *solution.poses)
     errors = found.copy()
-    errors[rows[order]] = left_out
+    errors[rows] = left_out
     widen = uncertain.std / np.sqrt(np.diag(solution.C))
     finished = HandEye(
         setup=setup,
@@ -154,7 +144,8 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         covariance_factor=None if solution.weighed is None else float(solution.variances[3]),
     )
     if pairs.t_s is not None:
-        finished = _of_a_recording(finished, pairs.t_s, _noise(solution, rows[order], len(pairs)))
+        finished = _of_a_recording(finished, pairs.t_s, _noise(solution, rows[chosen.canonical_order()], len(pairs)))
+    require_one_mount(finished, place)
     return advise(finished, options.target_pitch_m)
 
 
@@ -194,6 +185,57 @@ def _of_a_recording(found: HandEye, t_s: Array, noise: Array | None) -> HandEye:
         residuals=residuals(arrays, *at),
         left_out=left_out_blocks(arrays, found.used, at, t_s, correlation, noise),
         correlation=correlation,
+    )
+
+
+def _solve_places(pairs: PosePairs, setup: Setup, place: NDArray[np.intp]) -> tuple[Solution, Array, NDArray[np.bool_]]:
+    """Return the fit to the mean pair of each place, and of each pair the left-out error (n, 6) and whether it is used.
+
+    Pairs (n,) at one place share the robot's error there, which no number of them averages out.
+    """
+    if place[-1] + 1 == len(pairs):
+        solution, left_out, order = _solve_in_order(pairs, setup)
+        back = np.argsort(order)
+        return solution, left_out[back], solution.keep[back]
+    arrays = pairs.arrays(setup)
+    given = consensus(arrays)
+    check_reading(arrays, setup, given, arrays)
+    lengths = _lengths(residuals(arrays, *given.start))
+    # the others at a place are held against its middle one by what most agree on
+    order, count = np.lexsort([lengths @ [1.0 / given.sigma_m, 1.0 / given.sigma_rad], place]), np.bincount(place)
+    middle = order[np.cumsum(count) - count // 2 - 1]
+    once, _, order = _solve_in_order(pairs.take(middle), setup)
+    r = residuals(arrays, *once.poses)
+    lengths = _lengths(r - r[middle[place]])
+    own = np.median(np.delete(lengths, middle, axis=0), axis=0) / MEDIAN_3
+    of_places = np.sqrt(np.mean(r[middle[order[once.keep]]].reshape(-1, 2, 3) ** 2, axis=(0, 2)))
+    size = np.maximum(own, MATTERS * of_places)
+    fine = ((lengths / size) ** 2).sum(axis=1) <= chi2_isf(FALSE_ALARM / len(pairs), 6)
+    of_each = _means(pairs.take(np.flatnonzero(fine)), place[fine])
+    solution, left_out, order = _solve_in_order(of_each, setup)
+    back = np.argsort(order)
+    off = residuals(arrays, *solution.poses) - residuals(of_each.arrays(setup), *solution.poses)[place]
+    return solution, left_out[back][place] + off, fine & solution.keep[back][place]
+
+
+def _lengths(errors: Array) -> Array:
+    """Return how far positions and turns (n, 2) of errors (n, 6) are off."""
+    return np.linalg.norm(errors.reshape(-1, 2, 3), axis=2)
+
+
+def _means(pairs: PosePairs, place: NDArray[np.intp]) -> PosePairs:
+    """Return the mean pair of each place (n,), called as its first."""
+    poses = []
+    for R, t in (components(pairs.T_base_flange), components(pairs.T_camera_target)):
+        U, _, Vt = np.linalg.svd(means(R, place))
+        poses.append(RigidTransform.from_components(means(t, place), Rotation.from_matrix(U @ Vt)))
+    C = pairs.camera_covariance
+    return PosePairs(
+        T_base_flange=poses[0],
+        T_camera_target=poses[1],
+        names=tuple(pairs.names[i] for i in np.unique(place, return_index=True)[1]),
+        camera_covariance=None if C is None else means(C, place) / np.bincount(place)[:, None, None],
+        unweighed=pairs.unweighed,
     )
 
 
