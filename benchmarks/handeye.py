@@ -24,12 +24,12 @@ from armsight.calibrate.handeye import (
     calibrate_eye_in_hand,
     solve_pairs,
 )
-from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.images import calibrate_from_views
 from armsight.errors import ArmsightError, BadImage
 from armsight.measure.boards import find_board
 from armsight.records import TargetKind, board_target
 from armsight.units import DEG, MM
+from closed_forms import CLOSED_FORMS
 
 SIGMA_RAD, SIGMA_M = 0.05 * DEG, 0.3 * MM
 HAND_EYE = {

@@ -14,7 +14,6 @@ from cures_of_runs import row
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras.preconditions import check_tilt
-from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.pairs import PosePairs
 from armsight.calibrate.mirrors.calibration import _plate_used
 from armsight.kinematics import preset
@@ -111,18 +110,6 @@ def pairs(covariance):
     return lambda: PosePairs(T_base_flange=T, T_camera_target=T, names=tuple("abcd"), camera_covariance=C)
 
 
-def hand(turns):
-    """Return a call of all closed forms of a hand that turned so."""
-    X, Z = (
-        RigidTransform.from_components(t, Rotation.from_rotvec(w))
-        for t, w in (([0.1, 0.0, 0.2], [0.3, 1.0, 0.2]), ([0.8, 0.1, 0.3], [0.2, 0.1, 2.0]))
-    )
-    F = [RigidTransform.from_components([0.1 * k, 0.2, 0.3], Rotation.from_rotvec(w)) for k, w in enumerate(turns)]
-    M = [np.array([one.as_matrix() for one in each]) for each in (F, [(one * X).inv() * Z for one in F])]
-    arrays = tuple(np.ascontiguousarray(part) for each in M for part in (each[:, :3, :3], each[:, :3, 3]))
-    return lambda: [solve(arrays) for solve in CLOSED_FORMS.values()]
-
-
 LIMITS = ",".join(6 * ["0:1"])
 LIVE = f"--live {SIM} --left camera:{SIM}:left --right camera:{SIM}:right --limits {LIMITS}"
 IDENTIFY = "identify --sweep swept.csv -o a.yaml"
@@ -167,10 +154,6 @@ TRIED = {
     ("calibrate/cameras/preconditions.py", "Tilt the board by 20 to 40"): (
         tilts([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
         tilts([0.35, 0.0, 0.0], [-0.35, 0.0, 0.0], [0.0, 0.7, 0.0]),
-    ),
-    ("calibrate/handeye/closed_forms.py", "Add poses that turn the hand"): (
-        hand([[0.2 * k, 0.0, 0.0] for k in range(6)]),
-        hand([[0.2 * k, 0.3 * (k % 2), 0.0] for k in range(6)]),
     ),
     ("calibrate/handeye/pairs.py", "Give symmetric, positive 6 x 6"): (pairs(-ALIKE), pairs(ALIKE)),
     ("calibrate/mirrors/calibration.py", "or give --plate-mm"): (

@@ -39,7 +39,7 @@ def require_one_tool(R: Array, t: Array, rows: NDArray[np.intp], t_s: Array | No
 
     rows (n,): numbers of the poses, from 0. t_s (n,): their times, where they are of one recording.
     """
-    if (found := two_settings(R, t, rows if t_s is None else t_s)) is None:
+    if (found := two_settings(R, t, rows.astype(np.float64) if t_s is None else t_s)) is None:
         return
     at, moved = found
     tip, point = (float(np.linalg.norm(v)) / MM for v in np.split(moved, 2))
@@ -97,7 +97,7 @@ def _log_odds(found: list[tuple[float, Array, Array]]) -> float:
 
 
 def _odds(N: Array, cross: Array, both: Array, n: int, logdet: float = 0.0) -> tuple[float, Array, Array]:
-    """Return the log likelihoods of one setting, and that PARTS moved at each of K rows (PARTS, K); and the moves (K, 6).
+    """Return log likelihoods of one setting, and that PARTS moved at each of K rows (PARTS, K); and the moves (K, 6).
 
     N (7, 7): normal matrix of the slopes and residuals of n rows, cross (K, 7, 7): of the later ones with all, both
     (K, 7, 7): with each other; logdet: of the errors' correlation.
@@ -114,7 +114,7 @@ def _odds(N: Array, cross: Array, both: Array, n: int, logdet: float = 0.0) -> t
         move = np.linalg.solve(information[:, part, part], pull[:, part])
         gain = np.minimum((move * pull[:, part]).sum(axis=(1, 2)) / left, 1.0 - 1e-12) * n / (n + 1.0)
         two[i] = one - 0.5 * (move.shape[1] * np.log(n + 1.0) + free * np.log1p(-gain))
-    return one, two, move[:, :, 0]
+    return one, np.asarray(two), np.asarray(move[:, :, 0])
 
 
 def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> None:

@@ -31,7 +31,7 @@ def repeats(values: Array, near: float) -> Index:
     """
     n = len(values)
     first, of = _different(values)
-    if 2 <= len(first) <= MOST_PLACES and _least_distance(values[first]) <= near:
+    if 2 <= len(first) <= MOST_PLACES and cKDTree(values[first]).query(values[first], k=2)[0][:, 1].min() <= near:
         of = _joined(values[first], near, n)[of]
     if n - (int(of.max(initial=-1)) + 1) < LEAST_REPEATED * n:
         return np.arange(n)
@@ -43,11 +43,6 @@ def means(values: Array, of: Index) -> Array:
     out = np.zeros((int(of.max()) + 1, *values.shape[1:]))
     np.add.at(out, of, values)
     return np.asarray(out / np.bincount(of).reshape(-1, *[1] * (values.ndim - 1)))
-
-
-def _least_distance(values: Array) -> float:
-    """Return how near the two nearest of the rows (m, k) are."""
-    return float(np.asarray(cKDTree(values).query(values, k=2)[0])[:, 1].min())
 
 
 def _different(values: Array) -> tuple[Index, Index]:

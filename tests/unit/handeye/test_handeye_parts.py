@@ -7,12 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import PosePairs, Setup, calibrate_eye_to_hand, expected_deviation, solve_pairs
-from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.known_noise import restricted_variances
 from armsight.calibrate.handeye.solution import uncertainty
-from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Problem, solve
 from armsight.geometry.kernels import rotvec_of
 from refusals import refuses
@@ -78,31 +77,6 @@ def test_the_logarithm_holds_up_to_half_a_turn() -> None:
         for w in (angle * axis / np.linalg.norm(axis), -angle * axis / np.linalg.norm(axis)):
             rotvec_of(Rotation.from_rotvec(w).as_matrix(), out)
             assert out == pytest.approx(w, abs=1e-8)
-
-
-@pytest.mark.parametrize("setup", SETUPS)
-@pytest.mark.parametrize("name", CLOSED_FORMS)
-def test_closed_forms_are_exact_without_noise(name: str, setup: Setup) -> None:
-    rng = np.random.default_rng(3)
-    pairs = world(rng, 8, setup)
-    RX, tX, RZ, tZ = CLOSED_FORMS[name](pairs.arrays(setup))
-    X, Z = (RigidTransform.from_components(t, Rotation.from_matrix(R)) for R, t in ((RX, tX), (RZ, tZ)))
-    if setup is Setup.EYE_IN_HAND:
-        left, right = pairs.T_base_flange * X * pairs.T_camera_target, Z
-    else:
-        left, right = X * pairs.T_camera_target, pairs.T_base_flange * Z
-    assert np.abs(left.as_matrix() - right.as_matrix()).max() < 1e-9
-
-
-@pytest.mark.parametrize("name", ["park-martin", "dual quaternion", "zhuang"])
-def test_closed_forms_refuse_one_axis(name: str) -> None:
-    seen = RigidTransform.from_components(
-        np.random.default_rng(4).normal(0, 0.1, (6, 3)),
-        Rotation.from_rotvec(np.outer(np.linspace(-1, 1, 6), [0, 0, 1])),
-    )
-    pairs = PosePairs(T_base_flange=seen.inv(), T_camera_target=seen, names=tuple("abcdef"))
-    with refuses(Degenerate, "one axis"):
-        CLOSED_FORMS[name](pairs.arrays(Setup.EYE_IN_HAND))
 
 
 @pytest.mark.parametrize("setup", SETUPS)

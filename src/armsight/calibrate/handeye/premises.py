@@ -20,9 +20,9 @@ def require_one_mount(found: HandEye, place: NDArray[np.intp]) -> None:
     """
     if found.scale is not None and found.scale.wrong:
         return
-    rows, t_s = np.flatnonzero(found.used), found.pairs.t_s
-    if t_s is not None:
-        rows = rows[np.argsort(t_s[rows], kind="stable")]
+    t_s = np.arange(len(place), dtype=np.float64) if found.pairs.t_s is None else found.pairs.t_s
+    rows = np.flatnonzero(found.used)
+    rows = rows[np.argsort(t_s[rows], kind="stable")]
     RF, tF, RB, tB = (a[rows] for a in found.pairs.arrays(found.setup))
     at = np.flatnonzero(np.diff(place[rows], prepend=-1))
     count = np.diff(at, append=len(rows))[:, None]
@@ -30,7 +30,7 @@ def require_one_mount(found: HandEye, place: NDArray[np.intp]) -> None:
     turns = Rotation.from_matrix(RFX @ RB) * found.T_parent_target.rotation.inv()
     # with X's turn known F X B = Z asks of X's shift what a pivot asks of a tip; of X's small turn likewise
     for values, unit, word in ((np.einsum("nij,nj->ni", RFX, tB) + tF, MM, "mm"), (turns.as_rotvec(), DEG, "degrees")):
-        told = two_settings(RF[at], np.add.reduceat(values, at) / count, (rows if t_s is None else t_s[rows])[at])
+        told = two_settings(RF[at], np.add.reduceat(values, at) / count, t_s[rows[at]])
         if told is None:
             continue
         first = found.pairs.names[rows[at[told[0]]]]
