@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, calibrate_eye_in_hand, pairs_of_streams
+from armsight.calibrate.handeye import HandEye, PosePairs, calibrate_eye_in_hand, pairs_of_streams
+from armsight.errors import Inconsistent
+from refusals import refuses
 
 sys.path.insert(0, str(Path(__file__).parent))
 from drifting_streams import error, streams
@@ -48,3 +51,20 @@ def test_poses_taken_one_by_one_are_claimed_as_before(found: list[HandEye]) -> N
     alone = calibrate_eye_in_hand(replace(found[0].pairs, t_s=None))
     assert alone.correlation is None and "independent" not in alone.verdict
     assert alone.std()["x_m"] < found[0].std()["x_m"]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_mount_that_slipped_in_a_stream_is_told(seed: int) -> None:
+    """By 8 mm, beside drifts of up to 1 mm, of which streams as they are (above) are not accused."""
+    made = streams(seed)
+    late = np.arange(len(made.t_s))[:, None] >= len(made.t_s) // 2
+    seen = RigidTransform.from_translation(np.where(late, [0.0, 8e-3, 0.0], 0.0)) * made.camera
+    rows = slice(None, None, 5)
+    pairs = PosePairs(
+        T_base_flange=made.flange[rows],
+        T_camera_target=seen[rows],
+        names=tuple(map(str, range(len(made.t_s[rows])))),
+        t_s=made.t_s[rows],
+    )
+    with refuses(Inconsistent, "want the camera elsewhere", "slipped"):
+        calibrate_eye_in_hand(pairs)

@@ -28,7 +28,8 @@ MOST = 80
 PARTS = (slice(3), slice(3, 6), slice(6))
 """What may have moved: tip, point or both; camera, target or both."""
 SURE = float(np.log(1000.0))
-"""Logarithm of the odds from which on two settings are told."""
+"""Logarithm of the odds from which on two settings are told: by Markov's inequality good rows whose errors drift as one
+of the models have them once in 1,000 at most."""
 SHARES, TIMES, LONGEST = (0.5, 0.85, 0.999), 4, 3.0
 """Drifts that are weighed against two settings: shares of the errors' variance, and over how many times, from the
 spacing of the rows to so many lengths of the recording, which is a walk at random."""

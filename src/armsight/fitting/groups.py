@@ -30,7 +30,8 @@ def repeats(values: Array, near: float) -> Index:
     near: no readings of one place are further apart than this. Places need not follow each other in the file.
     """
     n = len(values)
-    first, of = _different(values)
+    _, first, of = np.unique(values, axis=0, return_index=True, return_inverse=True)
+    of = of.reshape(-1)
     if 2 <= len(first) <= MOST_PLACES and cKDTree(values[first]).query(values[first], k=2)[0][:, 1].min() <= near:
         of = _joined(values[first], near, n)[of]
     if n - (int(of.max(initial=-1)) + 1) < LEAST_REPEATED * n:
@@ -43,12 +44,6 @@ def means(values: Array, of: Index) -> Array:
     out = np.zeros((int(of.max()) + 1, *values.shape[1:]))
     np.add.at(out, of, values)
     return np.asarray(out / np.bincount(of).reshape(-1, *[1] * (values.ndim - 1)))
-
-
-def _different(values: Array) -> tuple[Index, Index]:
-    """Return the first of rows that are equal to the last digit (m,), and which of them each row (n,) is."""
-    _, first, of = np.unique(values, axis=0, return_index=True, return_inverse=True)
-    return first, of.reshape(-1)
 
 
 def _joined(values: Array, near: float, n: int) -> Index:
