@@ -32,7 +32,10 @@ def repeats(values: Array, near: float) -> Index:
     n = len(values)
     _, first, of = np.unique(values, axis=0, return_index=True, return_inverse=True)
     of = of.reshape(-1)
-    if 2 <= len(first) <= MOST_PLACES and cKDTree(values[first]).query(values[first], k=2)[0][:, 1].min() <= near:
+    if (
+        2 <= len(first) <= MOST_PLACES
+        and np.asarray(cKDTree(values[first]).query(values[first], 2)[0])[:, 1].min() <= near
+    ):
         of = _joined(values[first], near, n)[of]
     if n - (int(of.max(initial=-1)) + 1) < LEAST_REPEATED * n:
         return np.arange(n)
