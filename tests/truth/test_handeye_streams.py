@@ -53,7 +53,7 @@ def test_poses_taken_one_by_one_are_claimed_as_before(found: list[HandEye]) -> N
     assert alone.std()["x_m"] < found[0].std()["x_m"]
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, 5])
 def test_a_mount_that_slipped_in_a_stream_is_told(seed: int) -> None:
     """By 8 mm, beside drifts of up to 1 mm, of which streams as they are (above) are not accused."""
     made = streams(seed)
