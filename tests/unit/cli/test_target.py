@@ -67,7 +67,8 @@ def test_target_is_found_and_written(armsight: Run, turned: Path, scene: Any, tm
     assert done.code == 0, done.text
     content = done.json
     assert set(content) == {
-        "spots_m", "std", "distances_m", "n_frames", "n_used", "rejected", "residual_rms_px", "loo_rms_px", "advice", "verdict_",
+        "spots_m", "std", "distances_m", "n_frames", "n_used", "rejected", "residual_rms_px", "loo_rms_px", "advice",
+        "verdict_",
     }  # fmt: skip
     assert content["n_frames"] == COUNT and content["n_used"] == COUNT - 1
     (left_out,) = content["rejected"]
