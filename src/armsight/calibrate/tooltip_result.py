@@ -99,7 +99,7 @@ class TipCalibration(Output):
             )
         return (*told, *self.remarks)
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         std_mm = float(np.linalg.norm(self.std_tip.translation_m)) / MM
         said = f"The tip is known to {std_mm:.2g} mm (one standard deviation) from {self.n_used} poses"

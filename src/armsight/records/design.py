@@ -142,7 +142,7 @@ class DesignOutput(Output):
     assumptions: Annotated[tuple[str, ...], Doc("What was taken for granted.")]
     report: Annotated[str, Doc("The report.")]
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         if self.simulation is not None and not self.simulation.agrees:
             level, headline, todo = (

@@ -8,7 +8,7 @@ from armsight.fields import Doc
 from armsight.records.output import Output, output
 
 MEANING = "What it comes to: the words of the report."
-"""Of the key `verdict_` of a result."""
+"""Of the key `verdict_` of a result; results of versions before it lack it."""
 
 
 @output

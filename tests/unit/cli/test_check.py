@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -112,3 +113,13 @@ def test_a_rig_of_another_scale_than_the_arm_is_not_good(
     done = armsight("calibrate", "robot-world", *flags, "--check")
     assert (done.code, done.json["verdict_"]["level"]) == (0 if level == "good" else 3, level)
     assert (tmp_path / "world.yaml").exists()
+
+
+def test_a_result_of_a_version_without_verdicts_is_filed(armsight: Any, tmp_path: Path) -> None:
+    turns = Rotation.from_rotvec(np.random.default_rng(4).uniform(-0.7, 0.7, (12, 3)))
+    rows = np.hstack([[0.4, 0.1, 0.9] - turns.apply([0.01, -0.02, 0.15]), turns.as_quat()])
+    poses = table(tmp_path / "poses.csv", "x_m,y_m,z_m,qx,qy,qz,qw", rows)
+    found = armsight("calibrate", "tooltip", "--poses", poses, "-o", tmp_path / "tip.yaml").json
+    (tmp_path / "old.json").write_text(json.dumps({key: found[key] for key in found if key != "verdict_"}))
+    place = ["--cell", "a", "--history", f"sqlite:///{tmp_path / 'h.db'}"]
+    assert armsight("history", "add", tmp_path / "old.json", *place).code == 0

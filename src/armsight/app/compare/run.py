@@ -83,7 +83,7 @@ class CompareOutput(Output):
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str | None, Doc("The report; with -o.")] = None
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         level, headline, todo = LEVELS[self.agree]
         return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo])

@@ -112,7 +112,7 @@ class TrendOutput(Output):
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str, Doc("The report.")]
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         few = all(one.state == "few" for one in self.figures)
         todo = next((one.to_do for one in self.figures if one.to_do), ASK_MORE if few else KEEP_ON)

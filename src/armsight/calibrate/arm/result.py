@@ -154,7 +154,7 @@ class ArmCalibration(Output):
         turned = self.fitted.sigma_rad if self.model.turned else None
         return ArmNoise(place_m=self.position_noise_m, rotation_rad=turned)
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         level, headline = "care", "No gain"
         todo = "Go on with the nominal arm. For a gain, measure more joint positions, spread over all the arm's range."

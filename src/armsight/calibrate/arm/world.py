@@ -77,7 +77,7 @@ class WorldCalibration(Output):
     def n_used(self) -> int:
         return len(self.residual_m) - len(self.rejected_rows)
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         position_mm = 1.96 * max(self.std.translation_m) / MM
         said = f"Where the rig stands is known to {position_mm:.2g} mm (95 %) from {self.n_used} points"

@@ -87,7 +87,7 @@ class CameraCalibration(Output):
     def std(self) -> dict[str, float]:
         return std_by_key(self.covariance)
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         seen = {"camera": (self.camera, self.uv_px)}
         doubts = images_doubted(self.n_used, self.n_images, self.rms_px, self.holdout_rms_px, seen)
@@ -145,7 +145,7 @@ class StereoCalibration(Output):
     def alignment(self) -> Parallelism:
         return parallelism(self.rig)
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         found = (
             f"{self.n_used} of {self.n_pairs} pairs fit to {self.rms_px:.3g} px RMS{left_out_words(self)}; the cameras "

@@ -144,7 +144,7 @@ class CellCalibration(Output):
     def verdict(self) -> str:
         return f"{'good' if self.verdict_.level == 'good' else 'weak'}: {self._known}"
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         first, rest = self._known[0], self._known[1:]
         known = f"{first.upper()}{rest} (one standard deviation, base axes, as both cameras measure it)."

@@ -221,7 +221,7 @@ class HandEye(Output):
             return text + ", but the target is not of the size that was given: measure it and run again."
         return text + "."
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         level, headline = "good", "Good"
         if self.scale is not None and self.scale.wrong:

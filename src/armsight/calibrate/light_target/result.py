@@ -110,7 +110,7 @@ class TargetCalibration(Output):
     def loo_rms_px(self) -> float:
         return float(np.sqrt(np.mean(self.left_out_px**2)))
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         worst_mm = max(one.std_m for one in self.distances_m.values()) / MM
         said = (

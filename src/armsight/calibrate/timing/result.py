@@ -109,7 +109,7 @@ class TimingCalibration(Output):
         weak = self.verdict_.level != "good"
         return f"weak: {'; '.join(self.advice)}" if weak else f"good: clocks to {1e3 * self.std_middle_s:.2g} ms"
 
-    @figure(MEANING)
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         said = f"The clocks are known to each other to {1e3 * self.std_middle_s:.2g} ms (one standard deviation)."
         if self.advice:
