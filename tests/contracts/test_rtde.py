@@ -137,21 +137,21 @@ SLOW = {"max_speed_rad_s": 0.1, **PATIENT}
 """A cycle's way is 0.2 mrad: cycles that pass while a test goes on stay within the contract's tolerance."""
 
 
-def again_where_ur_rtde_ended(test: Callable[[Any], None]) -> Callable[[Any], None]:
+def again_where_ur_rtde_ended(test: Callable[..., None]) -> Callable[..., None]:
     """Run a test anew, twice at the most, where the library's process was gone: on a busy machine it ends now and then.
 
     The driver tells that as a lost link, which a test of its own shows; here it would say nothing of the driver.
     """
 
     @functools.wraps(test)
-    def run(self: Any) -> None:
+    def run(*given: Any, **named: Any) -> None:
         for _ in range(2):
             try:
-                return test(self)
-            except DeviceLost as error:
+                return test(*given, **named)
+            except (DeviceLost, DeviceFailed) as error:  # DeviceFailed: while it is opened
                 if "ended" not in error.cause:
                     raise
-        return test(self)
+        return test(*given, **named)
 
     return run
 
@@ -205,6 +205,7 @@ for name, contract in vars(RobotContract).items():
         setattr(TestRtde, name, again_where_ur_rtde_ended(contract))
 
 
+@again_where_ur_rtde_ended
 def test_it_moves_as_it_says_and_holds_when_the_caller_is_late(twin: Twin) -> None:
     with RtdeRobot(twin.host, settings=PATIENT) as robot:
         prove(robot, time.sleep)
@@ -216,6 +217,7 @@ def test_it_moves_as_it_says_and_holds_when_the_caller_is_late(twin: Twin) -> No
         assert np.abs(twin.order("where") - sent.q).max() < 2e-5
 
 
+@again_where_ur_rtde_ended
 def test_a_controller_that_starts_anew_is_lost_with_its_reason_and_can_be_opened_again(twin: Twin) -> None:
     robot = RtdeRobot(twin.host, settings=PATIENT)
     with robot:
@@ -228,6 +230,7 @@ def test_a_controller_that_starts_anew_is_lost_with_its_reason_and_can_be_opened
         assert np.abs(robot.read().q - where).max() < 2e-5
 
 
+@again_where_ur_rtde_ended
 def test_silence_is_a_lost_link_and_stays_one(twin: Twin) -> None:
     with RtdeRobot(twin.host, settings={**PATIENT, "silent_s": 0.5}) as robot:
         twin.order("silence")
@@ -239,6 +242,7 @@ def test_silence_is_a_lost_link_and_stays_one(twin: Twin) -> None:
     assert np.abs(twin.order("where") - where).max() < 2e-5
 
 
+@again_where_ur_rtde_ended
 def test_a_program_ended_at_the_controller_is_told(twin: Twin) -> None:
     with RtdeRobot(twin.host, settings=PATIENT) as robot:
         with socket.create_connection((twin.host, 29999), 5.0) as dashboard:
@@ -311,6 +315,7 @@ def test_a_motion_is_run_to_its_end_though_the_enable_was_let_go_of_and_its_read
     assert np.abs(true[-1] - motion.q[-1]).max() < 1e-4
 
 
+@again_where_ur_rtde_ended
 def test_a_second_client_is_refused(twin: Twin) -> None:
     with (
         RtdeRobot(twin.host) as robot,
@@ -321,6 +326,7 @@ def test_a_second_client_is_refused(twin: Twin) -> None:
     assert robot.state is RobotState.CLOSED
 
 
+@again_where_ur_rtde_ended
 def test_a_forwarded_port_is_reached() -> None:
     twin = Twin(2, port=41004)
     try:
