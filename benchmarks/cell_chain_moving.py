@@ -18,16 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.join import join
 from armsight.app.measure.run import measure
-from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.app.requests.files import JoinJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.arm import ArmCalibration, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
 from armsight.kinematics import fk
+from armsight.ops.calibrate_cameras import calibrate_timing
 from armsight.store import write_rig, write_target
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
@@ -112,7 +111,7 @@ def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> M
             "right_spots": spot_table(right, folder / "r.csv", names=target.names),
         }
         files = {"rig": folder / "rig.yaml", "target": folder / "target.yaml"}
-        calibrate_cameras_timing(TimingJob(**files, **tables, out=folder / "timed.yaml"))
+        calibrate_timing(**files, **tables, out=folder / "timed.yaml")
         tables = {
             "left_spots": spot_table(world.left, folder / "left.csv", frames),
             "right_spots": spot_table(world.right, folder / "right.csv", frames),

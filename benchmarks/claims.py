@@ -73,7 +73,7 @@ def pivoted(seed: int, places: int, readings: int, sigma: tuple[float, float], o
     dt, dw = (s[i] + rng.normal(0, own * size, (len(i), 3)) for s, size in zip(shared, sigma, strict=True))
     t = POST_M - R[i].apply(TIP_M) + dt
     result = calibrate_tooltip(RigidTransform.from_components(t, Rotation.from_rotvec(dw) * R[i]))
-    return result.tip_m - TIP_M, np.array(list(result.std().values()))
+    return result.tip_m - TIP_M, np.array(list(result.std.values()))
 
 
 def tips(seeds: int) -> list[list[object]]:

@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.measure.run import measure
-from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
+from armsight.ops.calibrate_cameras import calibrate_timing
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, spot_target
 from armsight.store import read_poses, write_rig, write_target
@@ -113,8 +112,7 @@ def recording(
     way = made.waves(rng, mount) if speed is None else made.hand(rng, speed, SECONDS, mount)
     try:
         tables = write_tables(made, folder, waved)
-        job = TimingJob(rig=folder / "rig.yaml", target=folder / "target.yaml", out=folder / "timed.yaml", **tables)
-        calibrate_cameras_timing(job)
+        calibrate_timing(folder / "rig.yaml", folder / "target.yaml", out=folder / "timed.yaml", **tables)
         tables = write_tables(made, folder, made.record(rng, way, mount, clocks, SECONDS, NOISE_PX))
         files = {"rig": folder / "timed.yaml", "target": folder / "target.yaml", "out": folder / "out"}
         measure(MeasureJob(**files, **tables, timing="free"))

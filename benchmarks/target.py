@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
+from armsight.calibrate.light_target import LitFrame, TargetResult, calibrate_target
 from armsight.optics import Camera, converged_rig, triangulate
 from armsight.records import Spots
 from armsight.units import DEG, MM
@@ -102,7 +102,7 @@ def averaged(frames: list[LitFrame]) -> np.ndarray:
     return np.mean(lengths, axis=0)
 
 
-def by_edge(done: TargetCalibration) -> tuple[np.ndarray, np.ndarray]:
+def by_edge(done: TargetResult) -> tuple[np.ndarray, np.ndarray]:
     """Return distances and standard deviations (3,)."""
     found = done.distances_m.values()
     return np.array([d.value_m for d in found]), np.array([d.std_m for d in found])

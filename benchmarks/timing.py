@@ -22,16 +22,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import bench
-from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.measure.run import measure
 from armsight.app.measure.streams import streams_of, timing_of
-from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
 from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import ANGULAR_RATIO
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
+from armsight.ops.calibrate_cameras import calibrate_timing
 from armsight.optics import Camera, parallel_rig
 from armsight.records import PoseStatus, Spots, spot_target
 from armsight.store import read_poses, read_rig, read_target, write_rig, write_target
@@ -220,7 +219,7 @@ def record(made: ModuleType, setup: Setup, speed: float, seed: int, folder: Path
     write_spots(made, gentle(made.path(rng, 0.5)), rng, delay_s, folder)
     tables = {"left_spots": folder / "left.csv", "right_spots": folder / "right.csv"}
     files = {"rig": folder / "rig.yaml", "target": folder / "target.yaml"}
-    calibrate_cameras_timing(TimingJob(**files, out=folder / "timed.yaml", **tables))
+    calibrate_timing(**files, out=folder / "timed.yaml", **tables)
     way = gentle(made.path(rng, speed, begins_s=BEGINS_S))
     write_spots(made, way, rng, delay_s, folder)
     tally.ideal.append(of_pairs(made, setup, way, rng, delay_s, ideal=True))

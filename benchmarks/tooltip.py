@@ -53,7 +53,7 @@ def main() -> None:
             off.setdefault("pivot, noise of the poses given", []).append(calibrate_tooltip(poses, given).tip_m - TIP_M)
             both = calibrate_tooltip(poses, given, measured)
             off.setdefault("pivot and the point as measured", []).append(both.tip_m - TIP_M)
-            inside.append(np.abs(pivot.tip_m - TIP_M) < 1.96 * np.array(list(pivot.std().values())))
+            inside.append(np.abs(pivot.tip_m - TIP_M) < 1.96 * np.array(list(pivot.std.values())))
         for name, values in off.items():
             rms = np.sqrt(np.mean(np.square(values), axis=0)) / MM
             held = float(100.0 * np.mean(inside)) if name == "pivot" else "-"

@@ -11,7 +11,7 @@ import argparse
 import numpy as np
 
 from armsight.calibrate.tooltip import calibrate_tooltip
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.errors import ArmsightError
 from bench import machine, table, test_scene
 
@@ -19,7 +19,7 @@ scene = test_scene("drifting_pivot")
 KINDS = ("with the drift", "as if independent")
 
 
-def fresh(made: object, found: TipCalibration) -> float:
+def fresh(made: object, found: ToolTipResult) -> float:
     """Return the RMS distance in m of the tip found from the point found, over fresh poses of the same noise."""
     rng = np.random.default_rng(7)
     R = scene.Rotation.from_rotvec(rng.uniform(-0.4, 0.4, (500, 3)))
@@ -49,7 +49,7 @@ def main() -> None:
                 continue
             for kind, found in zip(KINDS, both, strict=True):
                 off[kind].append(found.tip_m - scene.TIP_M)
-                z[kind].append(off[kind][-1] / list(found.std().values()))
+                z[kind].append(off[kind][-1] / list(found.std.values()))
                 ratio[kind].append((found.loo_rms_m or np.nan) / fresh(made, found))
             if drifts:
                 worth.append(both[0].correlation.n_effective / both[0].n_used)

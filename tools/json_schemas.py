@@ -16,7 +16,6 @@ from armsight.app.arm_files import ConvertArmOutput
 from armsight.app.batch.results import BatchOutput
 from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.cell_plan import CellPlanOutput
-from armsight.app.calibrate.pivot import PivotOutput
 from armsight.app.calibrate.results import (
     CameraOutput,
     MirrorCheckOutput,
@@ -59,9 +58,9 @@ from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import HandEye
-from armsight.calibrate.light_target import TargetCalibration
+from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingCalibration
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput
@@ -81,12 +80,12 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-zoom-rig": ZoomRigOutput,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
-    "calibrate-target": TargetCalibration,
+    "calibrate-target": TargetResult,
     "calibrate-timing": TimingCalibration,
     "calibrate-cell": CellCalibration,
     "calibrate-handeye": HandEye,
-    "calibrate-tooltip": TipCalibration,
-    "calibrate-pivot": PivotOutput,
+    "calibrate-tooltip": ToolTipResult,
+    "calibrate-pivot": PivotCalibration,
     "calibrate-arm": ArmOutput,
     "calibrate-cell-plan": CellPlanOutput,
     "calibrate-robot-world": WorldCalibration,

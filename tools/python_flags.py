@@ -18,8 +18,9 @@ from pathlib import Path
 import typer
 
 import armsight
-from armsight.api.commands import COMMANDS, parameter
 from armsight.cli.commands import app
+from armsight.fields import Flag, marks
+from armsight.ops.commands import COMMANDS, parameter
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "python.md"
 BEGIN, END = "<!-- flags -->", "<!-- end of flags -->"
@@ -108,7 +109,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("calibrate handeye", "--pairs"): "`calibrate_hand_eye(T_base_flange, T_camera_target)` of `read_table(path)`",
     ("calibrate handeye", "--robot"): "`calibrate_hand_eye_from_images(T_base_flange)`",
     ("calibrate handeye", "--propose"): "`HandEyeResult.propose(n)`",
-    ("calibrate tooltip", "--poses"): "`calibrate_tool_tip(T_world_target)` of `read_poses(path)`",
     ("calibrate arm", "--model"): "`calibrate_arm(nominal)`",
     ("calibrate arm", "--points"): "`calibrate_arm(q, xyz_m)` of `read_table(path)`",
     ("calibrate arm", "--propose"): "`ArmResult.propose(n)`",
@@ -223,9 +223,15 @@ def in_python(command: str, flag: str) -> str:
     wanted = parameter(flag) if flag.startswith("-") else flag
     for name in functions(command):
         call = reduce(getattr, name.split("."), armsight)
+        if (done := getattr(call, "action", None)) is not None:
+            wanted = next((one for one in done.hints if _written(done.hints[one], one) == flag), wanted)
         if wanted in inspect.signature(call).parameters:  # type: ignore[arg-type]  # a function, or a method
             return f"`{name}({wanted})`"
     return ANYWHERE.get(flag) or WHY_NOT.get((command, flag), "")
+
+
+def _written(hint: object, name: str) -> str:
+    return next(iter(marks(hint, Flag)), Flag()).written(name)
 
 
 def table() -> str:

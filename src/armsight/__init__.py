@@ -58,12 +58,8 @@ if TYPE_CHECKING:
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.light import NoiseResult as NoiseResult
-    from armsight.api.light import TargetResult as TargetResult
-    from armsight.api.light import TimingResult as TimingResult
     from armsight.api.light import ZoomRigResult as ZoomRigResult
     from armsight.api.light import calibrate_noise as calibrate_noise
-    from armsight.api.light import calibrate_target as calibrate_target
-    from armsight.api.light import calibrate_timing as calibrate_timing
     from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
     from armsight.api.light import check_mirrors as check_mirrors
     from armsight.api.links import check_robot as check_robot
@@ -105,9 +101,6 @@ if TYPE_CHECKING:
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
     from armsight.api.simulation import write_simulation as write_simulation
-    from armsight.api.tool_tip import ToolTipResult as ToolTipResult
-    from armsight.api.tool_tip import calibrate_pivot as calibrate_pivot
-    from armsight.api.tool_tip import calibrate_tool_tip as calibrate_tool_tip
     from armsight.api.tracks import PoseTrack as PoseTrack
     from armsight.api.watch import LiveIdentification as LiveIdentification
     from armsight.api.watch import check_mastering as check_mastering
@@ -115,6 +108,9 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.calibrate.light_target import TargetResult as TargetResult
+    from armsight.calibrate.timing import TimingResult as TimingResult
+    from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
     from armsight.control.guard import Limits as Limits
     from armsight.drivers import CameraSettings as CameraSettings
     from armsight.drivers import Robot as Robot
@@ -143,6 +139,10 @@ if TYPE_CHECKING:
     from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
+    from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
+    from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
+    from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -190,12 +190,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
         "NoiseResult",
-        "TargetResult",
-        "TimingResult",
         "ZoomRigResult",
         "calibrate_noise",
-        "calibrate_target",
-        "calibrate_timing",
         "calibrate_zoom_rig",
         "check_mirrors",
     ),
@@ -205,7 +201,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_hand_eye_from_images",
         "calibrate_hand_eye_from_streams",
     ),
-    "armsight.api.tool_tip": ("ToolTipResult", "calibrate_pivot", "calibrate_tool_tip"),
+    "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
+    "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
+    "armsight.calibrate.light_target": ("TargetResult",),
+    "armsight.calibrate.timing": ("TimingResult",),
+    "armsight.calibrate.tooltip_result": ("ToolTipResult",),
     "armsight.api.robots": (
         "ArmResult",
         "RobotWorldResult",
@@ -321,7 +321,13 @@ def _save(record: object, path: str | PathLike[str]) -> Path:
     return save(record, path)
 
 
-Files.save = _save
+def _plot(record: object) -> object:
+    from armsight.report.plots import plot
+
+    return plot(record)
+
+
+Files.save, Files.plot = _save, _plot
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
     __all__ = sorted(_PLACES)

@@ -15,6 +15,7 @@ class Files:
     """What writes a record's own kind of file: given by the public face, since records are below those that know."""
 
     save: Callable[[object, str | os.PathLike[str]], Path]
+    plot: Callable[[object], object]
 
 
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)

@@ -73,7 +73,8 @@ class Flag:
     without a flag. quantity: 'm', 'm/s' or 'rad or m', which may be written with units (200mm). unit: what one of the
     number is in SI, of flags such as --plate-mm. default: shown and taken where the flag is not given; ...: the field's
     own, not shown where it is None or empty. repeated: it may be given several times; read then takes a list. read:
-    makes the field's value of what was given. panel: of the help.
+    makes the field's value of what was given. panel: of the help. needed: by the command
+    line, not by Python.
     """
 
     names: str = ""
@@ -85,6 +86,7 @@ class Flag:
     repeated: bool = False
     read: Callable[[Any], Any] | None = None
     panel: str | None = None
+    needed: bool = False
 
     def written(self, name: str) -> str:
         """Return how the flag of a field of this name is written; of -o --out the short one, as messages have it.

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.calibrate.tooltip import calibrate_tooltip
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.errors import Inconsistent
 from armsight.kinematics import preset
 from refusals import refuses
@@ -27,7 +27,7 @@ def joints(name: str, socket: str) -> Array:
     return np.array([[float(row[f"q{i}"]) for i in range(1, 8)] for row in rows])
 
 
-def tip(name: str, socket: str) -> TipCalibration:
+def tip(name: str, socket: str) -> ToolTipResult:
     return calibrate_tooltip(RigidTransform.from_matrix(preset("panda").fk(joints(name, socket))))
 
 
@@ -47,10 +47,10 @@ def test_deviations_hold_that_the_nominal_arm_errs_alike_where_poses_are_alike()
     tips = [tip("front", "0"), tip("front", "1"), tip("left", "0")]
     off = []
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        std = np.hypot(list(tips[i].std().values()), list(tips[j].std().values()))
+        std = np.hypot(list(tips[i].std.values()), list(tips[j].std.values()))
         off.append(np.abs(tips[i].tip_m - tips[j].tip_m) / std)
     assert np.max(off) < 4.0  # 6 with rows counted as independent
-    assert max(max(found.std().values()) for found in tips) < 2e-3
+    assert max(max(found.std.values()) for found in tips) < 2e-3
 
 
 def test_two_points_are_no_places_to_calibrate_an_arm_by() -> None:

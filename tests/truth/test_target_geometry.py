@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
-from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
+from armsight.calibrate.light_target import LitFrame, TargetResult, calibrate_target
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig
@@ -85,7 +85,7 @@ def recording(
     return [see(T.apply(X), f"frame {i}", rng, sigma_px, rig) for i, T in enumerate(poses(rng, n))]
 
 
-def free_chi2(done: TargetCalibration, truth: np.ndarray) -> tuple[float, int]:
+def free_chi2(done: TargetResult, truth: np.ndarray) -> tuple[float, int]:
     """Whitened squared error in the directions that the frame's convention leaves free."""
     values, vectors = np.linalg.eigh(done.covariance.matrix)
     free = values > 1e-9 * values.max()

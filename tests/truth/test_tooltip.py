@@ -35,7 +35,7 @@ def test_pivoting_beats_the_mean_and_knows_its_doubt() -> None:
         mean.append(mean_tip(M[:, :3, :3], M[:, :3, 3], point) - TIP)
         free.append(result.tip_m - TIP)
         both.append(calibrate_tooltip(poses, covariance, MeasuredPoint(xyz_m=point, sigma_m=0.2 * MM)).tip_m - TIP)
-        z.append(free[-1] / np.array(list(result.std().values())))
+        z.append(free[-1] / np.array(list(result.std.values())))
         assert result.rejected == ()
     rms = [float(np.sqrt(np.mean(np.square(errors)))) / MM for errors in (mean, free, both)]
     assert rms[0] == pytest.approx(0.2, abs=0.03)  # eq. (13) keeps the whole error of the point
@@ -71,7 +71,7 @@ def test_four_poses_are_believed_as_far_as_they_go() -> None:
         R = R * Rotation.from_euler("z", rng.uniform(-0.5, 0.5, (4, 1)))
         t = POINT - R.apply(TIP) + rng.normal(0, 0.2 * MM, (4, 3))
         result = calibrate_tooltip(RigidTransform.from_components(t, R))
-        z.append((result.tip_m - TIP) / np.array(list(result.std().values())))
+        z.append((result.tip_m - TIP) / np.array(list(result.std.values())))
     assert np.mean(np.abs(z) < 1.96) > 0.92  # 0.86 where the likeliest ratio of the noises is taken for the true one
 
 
@@ -86,7 +86,7 @@ def test_repeated_readings_are_worth_their_places() -> None:
     assert [row for row, _ in often.rejected_rows] == [7]
     assert (often.n_used, often.n_effective, once.n_effective) == (47, 8, None)
     assert often.tip_m == pytest.approx(once.tip_m, abs=0.02 * MM)
-    assert list(often.std().values()) == pytest.approx(list(once.std().values()), rel=0.05)
+    assert list(often.std.values()) == pytest.approx(list(once.std.values()), rel=0.05)
     assert often.loo_rms_m == pytest.approx(once.loo_rms_m, rel=0.1)
     assert any("worth 8 poses" in note for note in often.notes)
     three = RigidTransform.concatenate([places[k] for k in (0, 1, 2)] * 5)

@@ -9,15 +9,15 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from armsight.api.arrays import as_path
-from armsight.api.checks import speaks_python
-from armsight.api.given import PathText
 from armsight.app.batch.cluster import Workers
 from armsight.app.batch.jobs import Ended, Job
 from armsight.app.batch.results import BatchOutput
 from armsight.app.batch.run import run_batch
 from armsight.app.requests.batch import BatchJob
 from armsight.errors import UsageError
+from armsight.ops.arrays import as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import PathText
 from armsight.records import Progress, require_kind
 from armsight.records.output import extended, output
 

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from armsight.api.arrays import Image, ImageLike, as_images
-from armsight.api.checks import speaks_python
-from armsight.api.results import Result, Row, with_std
+from armsight.api.results import Result, Row
 from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, see_board
 from armsight.app.calibrate.mirrors import mirrors_output
 from armsight.app.calibrate.zoom import add_setting
@@ -24,8 +22,11 @@ from armsight.calibrate.mirrors import calibration as mirror_solver
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import DETECTORS, find_two_boards
+from armsight.ops.arrays import Image, ImageLike, as_images
+from armsight.ops.checks import speaks_python
 from armsight.optics import Camera, Rig
 from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Target, require_kind
+from armsight.records.output import with_std
 from armsight.records.result_parts import RejectedFile
 from armsight.store import parse_board, write_camera
 from armsight.store.saving import YAML, file_to_write

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from armsight.api.checks import speaks_python
-from armsight.api.given import ArmLike, Given, PathText, Source, TableLike, TargetLike
 from armsight.app.calibrate.cell import run_calibrate_cell
 from armsight.app.requests.calibrate_cell import CellJob
 from armsight.calibrate.cell import CellCalibration
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import ArmLike, Given, PathText, Source, TableLike, TargetLike
 from armsight.records import Progress, checked_array, require_count
 from armsight.records.output import extended, output
 from armsight.store.interpret import TableFormat

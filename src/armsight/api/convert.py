@@ -9,10 +9,7 @@ from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import as_path
-from armsight.api.checks import speaks_python
 from armsight.api.files import image_size
-from armsight.api.given import Given, PathText
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
 from armsight.app.arm_files import convert_arm
 from armsight.app.convert import (
@@ -28,6 +25,9 @@ from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
+from armsight.ops.arrays import as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText
 from armsight.optics import Rig
 from armsight.records import Progress, checked_array
 from armsight.records.output import Output

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from armsight.api.checks import speaks_python
-from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, TargetLike
 from armsight.app.design.run import run_design
 from armsight.app.requests.design import Box, DesignJob
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Flag, known_hints, marks
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import ArmLike, Given, PathText, PoseLike, RigLike, TargetLike
 from armsight.records import Progress, Target, require_kind
 from armsight.records.checks import real_array, require_count
 from armsight.records.design import DesignOutput

@@ -13,9 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight import store
-from armsight.api.arrays import Array, as_path
-from armsight.api.checks import speaks_python
-from armsight.api.given import Given, PathText, as_table
 from armsight.api.runs import Columns, read_columns
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
 from armsight.app.calibrate.zoom import fix_camera, fix_rig
@@ -28,6 +25,9 @@ from armsight.app.tables import convert_table
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
+from armsight.ops.arrays import Array, as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText, as_table
 from armsight.optics import Camera, Rig
 from armsight.records import Motion, Target, TaughtPath, checked_array, require_kind, require_number
 from armsight.store import arm_file, limits_file, path_file, write_text

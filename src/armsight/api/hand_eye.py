@@ -12,10 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from armsight.api.arrays import Array, Poses, as_poses
-from armsight.api.checks import speaks_python
-from armsight.api.given import Given, PathText, Source, TableLike
-from armsight.api.results import Result, Row, error_figure, pose_rows
+from armsight.api.results import Result, Row, pose_rows
 from armsight.app.calibrate.handeye import Solved, solve_handeye
 from armsight.app.requests.calibrate_robot import HandEyeJob
 from armsight.calibrate.handeye import (
@@ -29,8 +26,12 @@ from armsight.calibrate.handeye import (
 )
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
+from armsight.ops.arrays import Array, Poses, as_poses
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText, Source, TableLike
 from armsight.optics import Camera
 from armsight.records import Progress, Target, one_of, real_array, require_count, require_texts
+from armsight.report.plots import error_figure
 from armsight.store.handeye_file import write_handeye
 from armsight.store.interpret import TableFormat
 from armsight.store.saving import YAML, file_to_write

@@ -5,9 +5,6 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from armsight.api.arrays import as_path
-from armsight.api.checks import speaks_python
-from armsight.api.given import Given, PathText
 from armsight.app.history.adding import AddedOutput
 from armsight.app.history.adding import add as run_add
 from armsight.app.history.looking import (
@@ -32,6 +29,9 @@ from armsight.app.requests.history import (
 )
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
+from armsight.ops.arrays import as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText
 from armsight.store.atomic import write_json
 
 __all__ = ["add", "compare", "export", "runs", "show", "trend"]

@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Poses, as_joint_numbers, as_poses
-from armsight.api.checks import speaks_python
-from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
-from armsight.api.results import Result, Row, with_std
+from armsight.api.results import Result, Row
 from armsight.app.identify.sweep_files import identify_output, seen_in_frames
 from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import placed_by
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
+from armsight.ops.arrays import Poses, as_joint_numbers, as_poses
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, checked_array, require_kind, require_number
+from armsight.records.output import with_std
 from armsight.store import read_rig
 
 if TYPE_CHECKING:

@@ -1,37 +1,21 @@
-"""What belongs to a rig beyond its cameras: the target's lights, timing, noise, zoom lenses, the mirrors' place."""
+"""What belongs to a rig beyond its cameras: noise, zoom lenses, the mirrors' place."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from armsight.api.checks import speaks_python
-from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.app.calibrate.camera_noise import find_noise
-from armsight.app.calibrate.light_target import calibrate_lit_target
 from armsight.app.calibrate.mirrors_check import run_check
 from armsight.app.calibrate.results import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
-from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.calibrate.zoom import zoom_rig
-from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob, TargetJob, TimingJob, ZoomRigJob
-from armsight.calibrate.light_target import TargetCalibration
-from armsight.calibrate.timing import TimingCalibration
+from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob, ZoomRigJob
 from armsight.drivers import CameraSettings
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText, RigLike, Source
 from armsight.optics import Camera, Rig
 from armsight.records import NoiseModel, Progress, Target
 from armsight.records.output import extended, output
 from armsight.store import read_rig
-
-
-@output
-class TargetResult(TargetCalibration):
-    """What `calibrate_target` found: its figures, and `target`."""
-
-
-@output
-class TimingResult(TimingCalibration):
-    """What `calibrate_timing` found: its figures, and `rig`, the rig with its cameras' timing."""
-
-    rig: Rig
 
 
 @output
@@ -46,80 +30,6 @@ class ZoomRigResult(ZoomRigOutput):
     """What `calibrate_zoom_rig` found: its figures, and `rig`."""
 
     rig: Rig
-
-
-@speaks_python(TargetJob)
-def calibrate_target(
-    rig: RigLike,
-    left: Source | None = None,
-    right: Source | None = None,
-    *,
-    image: Source | None = None,
-    lights: int = TargetJob.lights,
-    frames: int | None = None,
-    threshold: float | None = None,
-    inverted: bool = False,
-    camera_settings: CameraSettings | None = None,
-    out: PathText | None = None,
-    progress: Progress | None = None,
-) -> TargetResult:
-    """Return where the lights of a target are, from frames of it turned to several sides before a calibrated rig.
-
-    Parameters
-    ----------
-    rig, left, right, image
-        As `measure` takes them.
-    lights
-        How many there are.
-    out
-        target.yaml to write.
-
-    Raises
-    ------
-    NotEnoughData, Inconsistent, Degenerate
-        The frames do not tell the lights' places.
-    """
-    with Given(out, name="target.yaml") as given:
-        done = calibrate_lit_target(given.job(TargetJob, locals(), limit=frames, out=given.out), progress)
-        return extended(done, TargetResult)
-
-
-@speaks_python(TimingJob)
-def calibrate_timing(
-    rig: RigLike,
-    target: TargetLike | None = None,
-    left: Source | None = None,
-    right: Source | None = None,
-    *,
-    left_spots: TableLike | None = None,
-    right_spots: TableLike | None = None,
-    fps: float | None = None,
-    frames: int | None = None,
-    threshold: float | None = None,
-    inverted: bool = False,
-    camera_settings: CameraSettings | None = None,
-    out: PathText | None = None,
-    progress: Progress | None = None,
-) -> TimingResult:
-    """Return delay, drift, read-outs and jitter of two cameras that run free, from lights waved before them.
-
-    Parameters
-    ----------
-    rig, target, left, right
-        As `measure` takes them.
-    left_spots, right_spots
-        Instead of frames: columns t_s, u_px, v_px of each camera.
-    out
-        rig.yaml to write.
-
-    Raises
-    ------
-    NotEnoughData, Inconsistent
-        The wave does not tell the timing.
-    """
-    with Given(out, name="rig.yaml") as given:
-        done = calibrate_cameras_timing(given.job(TimingJob, locals(), limit=frames, out=given.out), progress)
-        return extended(done, TimingResult, rig=read_rig(given.out))
 
 
 @speaks_python(NoiseJob)

@@ -9,14 +9,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Literal
 
-from armsight.api.checks import speaks_python
-from armsight.api.commands import in_python
-from armsight.api.given import (
-    ArmLike,
-    Given,
-    PathText,
-    as_text,
-)
 from armsight.app.requests.motion import JogJob, RobotTestJob, TwinJob
 from armsight.app.robot.jog import JogOutput, jog_robot
 from armsight.app.robot.link_test import RobotTestOutput, test_robot
@@ -24,6 +16,14 @@ from armsight.app.robot.twin import twin_beside
 from armsight.control.guard import Limits
 from armsight.drivers import Robot, RobotState
 from armsight.errors import ArmsightError, UsageError
+from armsight.ops.checks import speaks_python
+from armsight.ops.commands import in_python
+from armsight.ops.given import (
+    ArmLike,
+    Given,
+    PathText,
+    as_text,
+)
 from armsight.records import Progress, require_count, require_kind
 
 Confirm = bool | Callable[[str], bool]

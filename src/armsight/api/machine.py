@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from armsight.api.arrays import as_path
-from armsight.api.checks import speaks_python
-from armsight.api.given import (
-    Given,
-    PathText,
-    RigLike,
-    as_text,
-)
 from armsight.app.doctor import DoctorOutput
 from armsight.app.doctor import doctor as look_at_machine
 from armsight.app.reproduce.run import ReproduceOutput
 from armsight.app.reproduce.run import reproduce as run_paper
 from armsight.app.requests.simulate import DoctorJob, ReproduceJob
+from armsight.ops.arrays import as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import (
+    Given,
+    PathText,
+    RigLike,
+    as_text,
+)
 from armsight.records import Progress, checked_array
 
 

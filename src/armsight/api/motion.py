@@ -8,17 +8,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Literal
 
-from armsight.api.checks import speaks_python
-from armsight.api.given import (
-    ArmLike,
-    Given,
-    PathText,
-    PoseLike,
-    RigLike,
-    Source,
-    TableLike,
-    TargetLike,
-)
 from armsight.api.links import Confirm, RobotLike, Settings, as_question, name_of
 from armsight.app.play.play_path import Opened, PlayOutput, run_play
 from armsight.app.requests.motion import STOP_M, FollowJob, PlayJob, ServoJob, StandingJob, TeachJob
@@ -31,6 +20,17 @@ from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot
 from armsight.errors import UsageError
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import (
+    ArmLike,
+    Given,
+    PathText,
+    PoseLike,
+    RigLike,
+    Source,
+    TableLike,
+    TargetLike,
+)
 from armsight.records import Progress, TaughtPath
 from armsight.records.output import extended, output
 from armsight.store import read_rig

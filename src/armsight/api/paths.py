@@ -6,9 +6,6 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import as_path
-from armsight.api.checks import speaks_python
-from armsight.api.given import ArmLike, Given, PathText, PoseLike, RigLike, Source, TableLike
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.path.check import check as run_check
 from armsight.app.path.export import PathExportOutput, export_path
@@ -17,6 +14,9 @@ from armsight.app.path.tools import smooth_path
 from armsight.app.requests.files import ExportJob, JoinPathsJob, PicksJob, SmoothJob
 from armsight.control import paths as tools
 from armsight.control.guard import Limits
+from armsight.ops.arrays import as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import ArmLike, Given, PathText, PoseLike, RigLike, Source, TableLike
 from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind
 from armsight.records.output import extended, output
 from armsight.store.path_file import read_path

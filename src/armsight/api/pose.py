@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.api.arrays import Array, ImageLike, as_frame, as_image
-from armsight.api.checks import speaks_python
 from armsight.api.results import Result, Row, pose_rows
 from armsight.api.tracks import PoseTrack
 from armsight.columns import POSE6
@@ -23,6 +21,8 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import DEFAULTS, SpotSettings
+from armsight.ops.arrays import Array, ImageLike, as_frame, as_image
+from armsight.ops.checks import speaks_python
 from armsight.optics import Rig, RigKind
 from armsight.records import (
     PoseStatus,

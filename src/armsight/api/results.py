@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight.columns import POSE6
 from armsight.records import ByValue
 from armsight.records.output import Row as Row
-from armsight.records.output import as_html, as_text
-from armsight.units import MM, displayed_name
+from armsight.records.output import as_html, as_text, with_std
+from armsight.units import displayed_name
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
     from armsight.records.verdict import Verdict
 
 
@@ -51,18 +46,6 @@ class Result(ByValue):
         return as_html(self.title, self.rows())
 
 
-def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) -> str:
-    """Return '12.345 +- 0.021 mm': as many digits as the standard deviation is worth."""
-    if std is None or not std > 0.0:
-        return f"{value * scale:.6g} {unit}".rstrip()
-    from math import floor, isfinite, log10
-
-    if not isfinite(std):
-        return f"{value * scale:.6g} {unit}, not determined"
-    digits = max(0, 1 - floor(log10(std * scale)))
-    return f"{value * scale:.{digits}f} +- {std * scale:.{digits}f} {unit}".rstrip()
-
-
 def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row]:
     """Return the rows of a pose: x, y, z in mm, rx, ry, rz in degrees, each with its standard deviation."""
     return [
@@ -71,13 +54,3 @@ def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row
         if name in values
         for stem, unit, size in (displayed_name(name),)
     ]
-
-
-def error_figure(title: str, error_m: NDArray[np.float64], names: Sequence[str] = ()) -> go.Figure:
-    """Return a plotly figure of errors (n,) in mm by row; names: of the rows."""
-    import plotly.graph_objects as go
-
-    rows = list(names) or [str(row) for row in range(len(error_m))]
-    figure = go.Figure(go.Bar(x=rows, y=error_m / MM))
-    figure.update_layout(title=title, xaxis_title="row", yaxis_title="error, mm")
-    return figure

@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Array, Poses, as_poses, as_rotations
-from armsight.api.checks import speaks_python
-from armsight.api.given import ArmLike, as_arm
-from armsight.api.results import Result, Row, error_figure, pose_rows
+from armsight.api.results import Result, Row, pose_rows
 from armsight.app.calibrate.arm import in_view, world_of
 from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.calibrate.arm import (
@@ -29,8 +26,12 @@ from armsight.calibrate.arm import calibrate_arm as solve_arm
 from armsight.errors import UsageError
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
+from armsight.ops.arrays import Array, Poses, as_poses, as_rotations
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import ArmLike, as_arm
 from armsight.optics import Rig
 from armsight.records import checked_array, require_count, require_kind, require_texts
+from armsight.report.plots import error_figure
 from armsight.store import World, write_world
 from armsight.store.saving import YAML, file_to_write
 

@@ -10,18 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Array, as_path
-from armsight.api.checks import speaks_python
-from armsight.api.given import (
-    ArmLike,
-    Given,
-    PathText,
-    PoseLike,
-    RigLike,
-    Source,
-    TableLike,
-    TargetLike,
-)
 from armsight.api.tracks import PoseTrack
 from armsight.app.compare.run import CompareOutput
 from armsight.app.compare.run import compare as run_compare
@@ -39,6 +27,18 @@ from armsight.app.verify.run import ERRORS, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.measure.results import MeasureOutput
+from armsight.ops.arrays import Array, as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import (
+    ArmLike,
+    Given,
+    PathText,
+    PoseLike,
+    RigLike,
+    Source,
+    TableLike,
+    TargetLike,
+)
 from armsight.records import Progress, one_of
 from armsight.records.output import extended, output
 from armsight.store import read_poses

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.api.arrays import Array, Image, as_path
-from armsight.api.checks import speaks_python
 from armsight.app.requests.simulate import SimulateJob
 from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES, SimulateOutput
@@ -20,6 +18,8 @@ from armsight.app.simulate.run import simulate as write_files
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.drivers import CELLS, known
 from armsight.kinematics import Arm
+from armsight.ops.arrays import Array, Image, as_path
+from armsight.ops.checks import speaks_python
 from armsight.optics import Rig
 from armsight.records import ByValue, Progress, Target, require_kind
 from armsight.store import rig_from_mapping, target_from_mapping

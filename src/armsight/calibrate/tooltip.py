@@ -18,8 +18,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.correlation import regions, widened
 from armsight.calibrate.tooltip_places import FAR, MIN_POSES, place_numbers, places_of
 from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.calibrate.tooltip_stream import PivotStream, TipFit, checked_times, slopes
+from armsight.defaults import TIP_GOAL_M
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
@@ -54,7 +55,6 @@ size is estimated. The likeliest alone holds 87 % inside 95 % with four poses, a
 WELL_TILTED_RAD = 10.0 * DEG
 """Root-mean-square turn about the second axis below which noise of the poses alone may hide the resting point."""
 
-GOOD_ENOUGH_M = 0.1 * MM
 NORMAL_95 = 1.959964
 
 
@@ -85,7 +85,7 @@ def calibrate_tooltip(
     covariances: ArrayLike | None = None,
     point: MeasuredPoint | None = None,
     t_s: ArrayLike | None = None,
-) -> TipCalibration:
+) -> ToolTipResult:
     """Return the tip from poses of the turned frame in a fixed one, the tip resting on one point.
 
     covariances: (n, 6, 6) of the poses, translation then rotation vector in the parent's axes; without them one noise
@@ -116,7 +116,7 @@ def calibrate_tooltip(
     else:
         found = _weighed(*places.poses, keep_places, point)
     e = R @ found.x[:3] + t - found.x[3:]
-    return TipCalibration(
+    return ToolTipResult(
         tip_m=found.x[:3],
         point_m=found.x[3:],
         covariance=NamedCovariance(names=NAMES, matrix=found.C),
@@ -192,8 +192,8 @@ class TipRecording:
     poses: tuple[RigidTransform, ...] = ()
     t_s: tuple[float, ...] = ()
     point: MeasuredPoint | None = None
-    good_m: float = GOOD_ENOUGH_M
-    latest: TipCalibration | None = field(default=None)
+    good_m: float = TIP_GOAL_M
+    latest: ToolTipResult | None = field(default=None)
     waiting: str = "turn the tool about its end"
 
     def with_pose(self, pose: RigidTransform, t_s: float | None = None) -> TipRecording:
@@ -213,7 +213,7 @@ class TipRecording:
     @property
     def std_m(self) -> float:
         """The largest standard deviation of the tip in m; infinite while nothing can be said."""
-        return float("inf") if self.latest is None else max(self.latest.std().values())
+        return float("inf") if self.latest is None else max(self.latest.std.values())
 
     @property
     def good_enough(self) -> bool:

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.calibrate.tooltip_stream import slopes
 from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
@@ -118,7 +118,7 @@ def _odds(N: Array, cross: Array, both: Array, n: int, logdet: float = 0.0) -> t
     return one, np.asarray(two), np.asarray(move[:, :, 0])
 
 
-def require_point_there(free: TipCalibration, xyz_m: Array, sigma_m: float) -> None:
+def require_point_there(free: ToolTipResult, xyz_m: Array, sigma_m: float) -> None:
     """Raise Inconsistent where the point, measured at xyz_m (3,) to sigma_m, is not where the poses alone find it."""
     C = free.covariance.matrix[3:, 3:] + sigma_m**2 * np.eye(3)
     off = xyz_m - free.point_m

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -10,11 +12,13 @@ from numpy.typing import NDArray
 from armsight.calibrate.correlation import Correlation
 from armsight.columns import POSITION
 from armsight.fields import Doc
-from armsight.records import NamedCovariance, frozen_array
+from armsight.records import NamedCovariance, TargetPose, frozen_array
+from armsight.records.by_value import Saveable
 from armsight.records.fields import Shape
-from armsight.records.output import Output, figure, output
+from armsight.records.output import Output, Row, figure, output, with_std
 from armsight.records.result_parts import PointStd, RejectedRow
 from armsight.records.verdict import MEANING, Verdict
+from armsight.shown import Bars, Shown, Table, digits, point_rows
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -27,7 +31,7 @@ TURNED_RAD = 20.0 * DEG
 
 
 @output
-class TipCalibration(Output):
+class ToolTipResult(Output, Saveable):
     """armsight calibrate tooltip.
 
     tip_m, point_m: (3,); covariance of both by name, widened so that +- 1.96 std holds 95 %. residuals_m (n, 3):
@@ -59,7 +63,7 @@ class TipCalibration(Output):
 
     @figure("Standard deviations of the tip.", key="std")
     def std_tip(self) -> PointStd:
-        return PointStd(**self.std())
+        return PointStd(**self.std)
 
     @figure("Distance of the tip from the point, RMS over the used poses, m.")
     def residual_rms_m(self) -> float:
@@ -117,7 +121,56 @@ class TipCalibration(Output):
             todo = f"Turn the tool by more than {TURNED_RAD / DEG:.0f} degrees to several sides, and calibrate again."
         return Verdict(level=level, headline=headline, reasons=[f"{said}."], next=[todo])
 
+    @property
     def std(self) -> dict[str, float]:
-        """Return the standard deviations of the tip by coordinate."""
+        """Standard deviations of the tip: x_m, y_m, z_m."""
         whole = self.covariance.std()
         return {name: whole[f"tip.{name}"] for name in POSITION}
+
+    @property
+    def detail(self) -> ToolTipResult:
+        """The result itself; of earlier versions, which had it beside."""
+        warnings.warn("detail is the result itself; use that", DeprecationWarning, stacklevel=2)
+        return self
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Tool tip from {self.n_used} of {len(self.used)} poses"
+
+    def rows(self) -> list[Row]:
+        """Return the tip's coordinates with standard deviations, and the residual."""
+        named = zip(self.std.items(), self.tip_m.tolist(), strict=True)
+        rows = [(name.removesuffix("_m"), with_std(value / MM, std / MM, "mm")) for (name, std), value in named]
+        return [*rows, ("residual", f"{self.residual_rms_m / MM:.3g} mm RMS")]
+
+    def _shown(self) -> tuple[str, Sequence[Row]]:
+        return self.title, self.rows()
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the tip, what it rests on, what to know of it, and the poses left out."""
+        yield Table("Tip", ["", "mm", "+-"], point_rows(self.tip_m.tolist(), self.std.values()))
+        effective = "" if self.n_effective is None else f", worth {self.n_effective:.0f} independent ones"
+        left_out = "" if self.loo_rms_m is None else f", left out {digits(self.loo_rms_m / MM)} mm"
+        yield f"{self.n_used} poses{effective}, residual {digits(self.residual_rms_m / MM)} mm RMS{left_out}."
+        yield from self.notes
+        yield from (f"  left out: row {item.row}: {item.why}" for item in self.rejected)
+
+    def bars(self) -> Bars:
+        """Return each pose's residual, mm."""
+        values = np.linalg.norm(self.residuals_m, axis=1) / MM
+        return Bars(self.title, [str(row) for row in range(len(values))], values.tolist(), "row", "error, mm")
+
+
+@output
+class PivotCalibration(ToolTipResult):
+    """armsight calibrate pivot. taken: the poses that were taken, which go beside tip.yaml."""
+
+    goal_m: Annotated[float, Doc("Standard deviation of the tip that was good enough, m.")]
+    reached: Annotated[bool, Doc("Whether the tip is known so well.")]
+    taken: tuple[TargetPose, ...] = ()
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a tip's calibration shows, and whether the goal is reached."""
+        yield from ToolTipResult.summary(self)  # slots make another class of it than super() knows
+        yield "Good enough." if self.reached else "Not yet as good as wanted: pivot on, or lower the goal."

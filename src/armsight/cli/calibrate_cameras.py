@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.app import requests
-from armsight.cli.command import calibrate, command
+from armsight.cli.command import add_action, calibrate, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import (
     REJECTED_SHOWN,
@@ -19,12 +18,11 @@ from armsight.cli.tables import (
     zoom_tables,
 )
 from armsight.errors import UsageError
-from armsight.units import MM, MS
+from armsight.ops.calibrate_cameras import calibrate_target, calibrate_timing
+from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.app.calibrate.results import CheckedAlignment, MirrorAlignment, MirrorCheckOutput, MirrorsOutput
-    from armsight.calibrate.light_target import TargetCalibration
-    from armsight.calibrate.timing import TimingCalibration
 
 MRAD = 1e-3
 
@@ -175,70 +173,5 @@ def _alignment_rows(found: MirrorAlignment | CheckedAlignment) -> list[list[str]
     ]
 
 
-@command(calibrate, judged=True)
-def target(face: CommandUI, job: requests.calibrate_cameras.TargetJob) -> None:
-    """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""
-    from armsight.app.calibrate.light_target import calibrate_lit_target
-
-    done = calibrate_lit_target(job, face.progress("calibrating"))
-    target_tables(face, done, job.out)
-    face.result(done)
-
-
-def target_tables(face: CommandUI, done: TargetCalibration, out: Path) -> None:
-    """Print a target's geometry."""
-    rows = [
-        [name, *(figure(x / MM, 6) for x in xyz), " ".join(figure(s / MM, 2) for s in done.std[name])]
-        for name, xyz in done.spots_m.items()
-    ]
-    face.table("Lights in the target's frame", ["", "x mm", "y mm", "z mm", "+- mm"], rows)
-    rows = [[name, figure(d.value_m / MM, 6), figure(d.std_m / MM, 2)] for name, d in done.distances_m.items()]
-    face.table("Distances", ["", "mm", "+-"], rows)
-    face.say(
-        f"{done.n_used} of {done.n_frames} frames, residual {figure(done.residual_rms_px)} px RMS, "
-        f"left-out frames {figure(done.loo_rms_px)} px"
-    )
-    for item in done.rejected[:REJECTED_SHOWN]:
-        face.say(f"  left out: {item.frame}: {item.why}")
-    for text in done.advice:
-        face.say(f"- {text}")
-    face.say(f"Result: {out}")
-
-
-@command(calibrate, in_place=True, judged=True)
-def timing(face: CommandUI, job: requests.calibrate_cameras.TimingJob) -> None:
-    """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s."""
-    from armsight.app.calibrate.timing import calibrate_cameras_timing
-
-    done = calibrate_cameras_timing(job, face.progress("calibrating"))
-    timing_tables(face, done, job.out)
-    face.result(done)
-
-
-def timing_tables(face: CommandUI, done: TimingCalibration, out: Path) -> None:
-    """Print the timing of two cameras."""
-    std = done.std
-    rows = [
-        [
-            what,
-            *(f"{figure(getattr(both, s) / MS, 4)} +- {figure(std[f'{s}.{key}'] / MS, 2)}" for s in ("left", "right")),
-        ]
-        for what, both, key in (("read-out ms", done.readout_s, "readout_s"), ("jitter ms", done.jitter_s, "jitter_s"))
-    ]
-    rows.append(["period ms", *(figure(getattr(done.period_s, s) / MS, 6) for s in ("left", "right"))])
-    rows.append(["frames lost", str(done.lost.left), str(done.lost.right)])
-    face.table("Cameras", ["", "left", "right"], rows)
-    rows = [
-        ["delay ms", f"{done.delay_s / MS:.3f}", figure(std["delay_s"] / MS, 2)],
-        ["drift ppm", f"{done.drift_ppm:.2f}", figure(std["drift_ppm"], 2)],
-        [f"t_left - t_right ms, at {done.middle_s:.1f} s", _shift(done), figure(done.std_middle_s / MS, 2)],
-    ]
-    face.table("Right stamps to left ones", ["", "", "+-"], rows)
-    face.say(f"{done.n_frames} frames, {done.common_s:.1f} s seen by both cameras, lights: {', '.join(done.lights)}")
-    face.say(f"Residual {figure(done.residual_px.left)} and {figure(done.residual_px.right)} px RMS")
-    face.say(f"Verdict: {done.verdict}")
-    face.say(f"Result: {out}")
-
-
-def _shift(done: TimingCalibration) -> str:
-    return f"{(done.delay_s + 1e-6 * done.drift_ppm * done.middle_s) / MS:.3f}"
+add_action(calibrate, calibrate_target, filed="calibrate target", judged=True)
+add_action(calibrate, calibrate_timing, in_place=True, judged=True)

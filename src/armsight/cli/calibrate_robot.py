@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
-from armsight.app.requests.calibrate_robot import POINT_STD_M
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, point_of
-from armsight.cli.command import calibrate, command
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip
+from armsight.cli.command import add_action, calibrate, command
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.tables import figure, parameter, pose_rows, tip_rows
-from armsight.fields import Doc, Flag
+from armsight.cli.tables import figure, parameter, pose_rows
+from armsight.fields import Doc
+from armsight.ops.calibrate_robot import calibrate_pivot, calibrate_tool_tip
 from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.app.calibrate.arm import ArmOutput
     from armsight.calibrate.handeye import HandEye
-    from armsight.calibrate.tooltip_result import TipCalibration
 
 
 @command(calibrate, filed="calibrate handeye", judged=True)
@@ -31,55 +30,8 @@ def handeye(face: CommandUI, job: requests.calibrate_robot.HandEyeJob) -> None:
     face.result(done)
 
 
-@command(calibrate, filed="calibrate tooltip", judged=True)
-def tooltip(
-    face: CommandUI,
-    *,
-    poses: Annotated[Path, Doc("poses.csv of the target (or flange) while the tool pivots on a point.")],
-    out: Annotated[Path, Doc("tip.yaml to write."), OUT],
-    point: Annotated[
-        tuple[float, float, float] | None,
-        Doc("The point, m or with units (200mm), if it was measured."),
-        Flag(metavar="X,Y,Z", read=point_of),
-    ] = None,
-    sigma_m: requests.calibrate_robot.PointStd = POINT_STD_M,
-    table: Table,
-) -> None:
-    """Find where the end of a tool is, from poses recorded while it was turned about its end."""
-    from armsight.app.calibrate.handeye import calibrate_tip
-
-    done = calibrate_tip(poses, out, point=point, sigma_m=sigma_m, format_=table)
-    face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m.tolist(), done.std_tip))
-    face.say(f"{_worth(done)}, residual {figure(done.residual_rms_m / MM)} mm RMS{_left_out(done)}. Result: {out}")
-    for note in done.notes:
-        face.say(note)
-    for item in done.rejected:
-        face.say(f"  left out: row {item.row}: {item.why}")
-    face.result(done)
-
-
-@command(calibrate, filed="calibrate pivot", judged=True)
-def pivot(face: CommandUI, job: requests.calibrate_robot.PivotJob) -> None:
-    """Find a tool's tip while you pivot it before the cameras; ends when it is known well enough."""
-    from armsight.app.calibrate.pivot import run_pivot
-
-    done = run_pivot(job, face.progress("pivoting"))
-    face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m.tolist(), done.std_tip))
-    said = "good enough" if done.reached else "not yet as good as wanted: pivot on, or lower the goal"
-    face.say(f"{_worth(done)}, {said}{_left_out(done)}. Result: {job.out}")
-    for note in done.notes:
-        face.say(note)
-    face.result(done)
-
-
-def _worth(done: TipCalibration) -> str:
-    """Return how many poses there are, and how many independent ones those of a recording are worth, in words."""
-    worth = "" if done.n_effective is None else f", worth {done.n_effective:.0f} independent ones"
-    return f"{done.n_used} poses{worth}"
-
-
-def _left_out(done: TipCalibration) -> str:
-    return "" if done.loo_rms_m is None else f", left out {figure(done.loo_rms_m / MM)} mm"
+add_action(calibrate, calibrate_tool_tip, filed="calibrate tooltip", judged=True)
+add_action(calibrate, calibrate_pivot, filed="calibrate pivot", judged=True)
 
 
 def handeye_tables(face: CommandUI, done: HandEye, out: Path) -> None:

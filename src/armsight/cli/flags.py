@@ -15,6 +15,7 @@ import typer
 
 from armsight.errors import UsageError
 from armsight.fields import DIGITS, Bounds, Doc, Flag, Flags, bare, bounds_of, known_hints, marks
+from armsight.ops.action import Input
 from armsight.units import UNITS_OF, read_quantity
 
 Request = TypeVar("Request")
@@ -129,13 +130,18 @@ class Asked(Generic[Request]):
         return self._parts.kind(**{**values, **more})  # type: ignore[no-any-return]  # the kind of the annotation
 
 
-class CommandFlags:
-    """The flags of a command, of all parameters of its function but the first; their order is that of the help."""
+def taken_by(function: Callable[..., None]) -> dict[str, tuple[Any, Any]]:
+    """Return hint and default of all parameters of a command's function but the first, the CommandUI."""
+    hints = known_hints(function)
+    _, *taken = inspect.signature(function).parameters.values()
+    return {one.name: (hints[one.name], one.default) for one in taken}
 
-    def __init__(self, function: Callable[..., None]) -> None:
-        hints = known_hints(function)
-        _, *taken = inspect.signature(function).parameters.values()
-        self._parts = [_taken(one.name, hints[one.name], one.default) for one in taken]
+
+class CommandFlags:
+    """The flags of a command, of hint and default of each parameter; their order is that of the help."""
+
+    def __init__(self, taken: Mapping[str, tuple[Any, Any]]) -> None:
+        self._parts = [_taken(name, *one) for name, one in taken.items()]
 
     def parameters(self) -> list[inspect.Parameter]:
         """Return typer's parameters; of flags of one name the first counts, and no mode's are required."""
@@ -179,6 +185,8 @@ def _field(name: str, hint: Any, default: Any) -> OneFlag | Parts:
     shown = default if flag.default is ... else flag.default
     if flag.unit is not None and isinstance(shown, float) and flag.default is ...:
         shown = round(shown / flag.unit, DIGITS)
+    if flag.needed:
+        shown = inspect.Parameter.empty
     open_ = shown is None or shown in ("", ())
     kind = _kind(hint, flag)
     info = _info(name, hint, flag, shown)
@@ -218,6 +226,8 @@ def _kind(hint: Any, flag: Flag) -> Any:
         return bool
     if flag.repeated:
         return list[str]
+    for given in marks(hint, Input):
+        return given.kind
     kind = bare(hint)[0]
     return str if flag.read is not None or kind is Any else kind
 

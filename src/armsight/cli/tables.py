@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.units import DEG, MM, MS, NOTHING, displayed_name
+from armsight.shown import REJECTED_SHOWN, digits, point_rows, rotation_rows
+from armsight.units import DEG, MM, MS, displayed_name
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
     from armsight.calibrate.cameras import StereoCalibration
     from armsight.measure.results import MeasureOutput
     from armsight.records import NoiseModel
-    from armsight.records.result_parts import PointStd, PoseStd, RejectedFile
+    from armsight.records.result_parts import PoseStd, RejectedFile
 
-REJECTED_SHOWN = 8
+figure = digits
 
 REASONS = {
     "no_spot": "no spot in a view: the lights must be on, and brighter than what is round them",
@@ -57,30 +58,10 @@ REASONS = {
 """What the kinds of reasons in measure.json mean; the report has each frame's own words."""
 
 
-def figure(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, never in powers of ten; '-' for none."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    if abs(value) < NOTHING:
-        return "0"
-    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-    return f"{value:.{min(decimals, 9)}f}"
-
-
-def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
-    """Return the rows of a point: axis, place and standard deviation in mm."""
-    named = zip("xyz", tip_m, std.translation_m, strict=True)
-    return [[axis, figure(value / MM, 6), figure(deviation / MM, 2)] for axis, value, deviation in named]
-
-
 def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
-    """Return the rows of a pose: place in mm and rotation vector in degrees, each with its standard deviation."""
-    rows = [[f"{axis}, mm", *rest] for axis, *rest in tip_rows(pose.translation.tolist(), std)]
-    turns = zip("xyz", pose.rotation.as_rotvec(), std.rotation_rad, strict=True)
-    return rows + [
-        [f"rotation vector {axis}, deg", figure(value / DEG, 6), figure(deviation / DEG, 2)]
-        for axis, value, deviation in turns
-    ]
+    """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
+    rows = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(pose.translation.tolist(), std.translation_m)]
+    return rows + rotation_rows(pose.rotation.as_rotvec().tolist(), std.rotation_rad)
 
 
 def parameter(name: str, *values: float) -> list[str]:

@@ -55,7 +55,7 @@ def _content(record: Any) -> Mapping[str, Any]:
 
 
 class Saveable(ByValue):
-    """A record with `save`. Records know of no files: `armsight/__init__.py` gives them what writes."""
+    """A record with `save`. Records know of no files and plots: `armsight/__init__.py` gives them what makes these."""
 
     __slots__ = ()
 
@@ -66,3 +66,7 @@ class Saveable(ByValue):
         there is no such folder, DeviceFailed.
         """
         return Files.save(self, path)
+
+    def plot(self) -> Any:
+        """Return what there is to see of it as a plotly figure. Raises TypeError where there is nothing."""
+        return Files.plot(self)

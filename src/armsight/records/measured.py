@@ -6,6 +6,7 @@ for an object per spot.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -187,3 +188,9 @@ class NotSeen:
     why: str
     cause: Unseen = Unseen.OTHER
     size: tuple[int, int] | None = None
+
+
+def covariances_of(poses: Sequence[TargetPose]) -> NDArray[np.float64] | None:
+    """Return (n, 6, 6) of poses, or None where not every one brings standard deviations."""
+    found = [p.covariance for p in poses if p.covariance is not None and (np.diag(p.covariance) > 0.0).all()]
+    return np.stack(found) if len(found) == len(poses) else None

@@ -29,6 +29,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.fields import Doc
 from armsight.geometry import xyz_quat
 from armsight.records.by_value import ByValue
+from armsight.shown import Shown
 
 Value = TypeVar("Value", covariant=True)
 Kind = TypeVar("Kind")
@@ -114,8 +115,12 @@ class Output(ByValue):
         """Return it as strict JSON text in one line; a number that is not finite (no data) becomes null."""
         return json.dumps(_finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
 
-    def _shown(self) -> tuple[str, list[Row]]:
+    def _shown(self) -> tuple[str, Sequence[Row]]:
         return type(self).__name__, list(flat_rows(self.to_dict()))
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it, tables and lines."""
+        yield from ()
 
     def __repr__(self) -> str:
         return as_text(*self._shown())
@@ -232,6 +237,16 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) -> str:
+    """Return '12.345 +- 0.021 mm': as many digits as the standard deviation is worth."""
+    if std is None or not std > 0.0:
+        return f"{value * scale:.6g} {unit}".rstrip()
+    if not math.isfinite(std):
+        return f"{value * scale:.6g} {unit}, not determined"
+    digits = max(0, 1 - math.floor(math.log10(std * scale)))
+    return f"{value * scale:.{digits}f} +- {std * scale:.{digits}f} {unit}".rstrip()
 
 
 def as_text(title: str, rows: Sequence[Row]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -146,3 +147,9 @@ def _require_positive(table: Columns, covariance: Array, std: Array, rows: Seque
             consequence="The file is not used",
             cure="Write covariances in m and rad, in the axes of the standard deviations",
         )
+
+
+def uncorrelated_note(path: Path, covariances: Array | None) -> str:
+    """Return what is to be said of a file's covariances (n, 6, 6) that hold standard deviations alone."""
+    uncorrelated = covariances is not None and not (covariances * (1.0 - np.eye(6))).any()
+    return f"{path.name} {UNCORRELATED}" if uncorrelated else ""

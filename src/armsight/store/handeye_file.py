@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
@@ -278,7 +278,7 @@ def read_handeye(path: Path) -> HandEyeFile:
         )
 
 
-def write_tip(path: Path, result: TipCalibration, *, inputs: Sequence[Path] = ()) -> None:
+def write_tip(path: Path, result: ToolTipResult, *, inputs: Sequence[Path] = ()) -> None:
     """Write tip.yaml with the hashes of the files it was made from."""
     content: dict[str, Any] = {
         "tip_m": result.tip_m.tolist(),

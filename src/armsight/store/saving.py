@@ -2,27 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight.calibrate.light_target import TargetResult
+from armsight.calibrate.timing import TimingResult
+from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
+from armsight.store.handeye_file import write_tip
 from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
 from armsight.store.targets import write_target
+from armsight.store.tracks import write_poses
 from armsight.store.urdf_writer import write_urdf
 from armsight.store.worlds import World, write_world
 
 Writer = Callable[[Path, Any], object]
 
 YAML = (".yaml", ".yml")
+
+
+def write_pivot(path: Path, result: PivotCalibration, *, inputs: Sequence[Path] = ()) -> None:
+    """Write tip.yaml, and beside it the poses that were taken."""
+    write_poses(path.with_suffix(".poses.csv"), result.taken)
+    write_tip(path, result, inputs=inputs)
+
+
+def write_lights(path: Path, result: TargetResult, *, inputs: Sequence[Path] = ()) -> None:
+    """Write target.yaml with the lights' standard deviations."""
+    write_target(path, result.target, inputs=inputs, std_m={name: list(std) for name, std in result.std.items()})
+
+
+def write_timed_rig(path: Path, result: TimingResult, *, inputs: Sequence[Path] = ()) -> None:
+    """Write rig.yaml with its cameras' timing."""
+    write_rig(path, result.rig, inputs=inputs)
+
+
 WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Camera: dict.fromkeys(YAML, write_camera),
     Rig: dict.fromkeys(YAML, write_rig),
@@ -31,7 +54,12 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     TaughtPath: {".csv": write_path},
     World: dict.fromkeys(YAML, write_world),
     Limits: dict.fromkeys(YAML, write_limits),
+    PivotCalibration: dict.fromkeys(YAML, write_pivot),
+    TargetResult: dict.fromkeys(YAML, write_lights),
+    TimingResult: dict.fromkeys(YAML, write_timed_rig),
+    ToolTipResult: dict.fromkeys(YAML, write_tip),
 }
+"""By class; a class stands before its bases."""
 
 
 def save(record: object, path: str | PathLike[str]) -> Path:
@@ -45,6 +73,13 @@ def save(record: object, path: str | PathLike[str]) -> Path:
             writers[file.suffix.lower()](file, record)
             return file
     raise TypeError(f"{type(record).__name__} has no file of its own; {path} is not written")
+
+
+def write_result(path: Path, result: object, inputs: Sequence[Path]) -> None:
+    """Write a result's file, with the hashes of the files it was made from. Raises DeviceFailed."""
+    writers = next(writers for kind, writers in WRITERS.items() if isinstance(result, kind))
+    write: Any = next(iter(writers.values()))
+    write(path, result, inputs=inputs)
 
 
 def file_to_write(path: str | PathLike[str], *endings: str) -> Path:

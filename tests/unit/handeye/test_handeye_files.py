@@ -13,11 +13,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.calibrate.handeye import calibrate_tip
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip import calibrate_tooltip
 from armsight.cli.commands import app
 from armsight.errors import BadFile
+from armsight.ops.calibrate_robot import calibrate_tool_tip
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses
 from armsight.store.handeye_file import PAIR_COLUMNS, read_handeye, read_pairs, read_robot_poses, read_tip, write_pairs
@@ -91,14 +91,14 @@ def test_a_tip_from_a_file_is_that_of_the_poses_in_memory(tmp_path: Path) -> Non
         for i in range(n)
     ]
     write_poses(tmp_path / "poses.csv", poses)
-    done = calibrate_tip(tmp_path / "poses.csv", tmp_path / "tip.yaml")
+    done = calibrate_tool_tip(tmp_path / "poses.csv", out=tmp_path / "tip.yaml")
     memory = calibrate_tooltip([pose.pose for pose in poses], C)
     assert np.abs(np.array(done.tip_m) - memory.tip_m).max() < 1e-12 and not done.notes
-    assert done.std_tip.x_m == pytest.approx(memory.std()["x_m"], rel=1e-9)
+    assert done.std_tip.x_m == pytest.approx(memory.std["x_m"], rel=1e-9)
     rows = (tmp_path / "poses.csv").read_text().splitlines()
     keep = rows[0].split(",").index("cov_x_y")
     (tmp_path / "old.csv").write_text("\n".join(",".join(row.split(",")[:keep]) for row in rows) + "\n")
-    old = calibrate_tip(tmp_path / "old.csv", tmp_path / "old.yaml")
+    old = calibrate_tool_tip(tmp_path / "old.csv", out=tmp_path / "old.yaml")
     assert any("uncorrelated" in note for note in old.notes)
     assert np.abs(np.array(old.tip_m) - memory.tip_m).max() > 1e-6
 

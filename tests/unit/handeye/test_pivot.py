@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.pivot import pivoted, run_pivot
-from armsight.app.requests.calibrate_robot import PivotJob
+from armsight.app.calibrate.pivot import pivoted
 from armsight.calibrate.tooltip import TipRecording
 from armsight.errors import NotEnoughData
+from armsight.ops.calibrate_robot import calibrate_pivot
 from armsight.records import PoseStatus, TargetPose
 
 TIP = np.array([0.0, 0.02, 0.15])
@@ -69,15 +69,9 @@ def test_a_tool_that_hardly_turns_is_told_why() -> None:
 
 
 def test_frames_without_pivoting_are_refused(tmp_path: Path, armsight_cell: Path) -> None:
-    job = PivotJob(
-        rig=armsight_cell / "rig.yaml",
-        target=armsight_cell / "target.yaml",
-        left=str(armsight_cell / "left"),
-        right=str(armsight_cell / "right"),
-        out=tmp_path / "tip.yaml",
-    )
+    cell, out = armsight_cell, tmp_path / "tip.yaml"
     with pytest.raises(NotEnoughData, match="poses"):
-        run_pivot(job)
+        calibrate_pivot(cell / "rig.yaml", cell / "target.yaml", cell / "left", cell / "right", out=out)
     assert not (tmp_path / "tip.yaml").exists()
 
 

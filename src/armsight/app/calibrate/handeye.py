@@ -23,22 +23,20 @@ from armsight.calibrate.handeye import (
     propose,
 )
 from armsight.calibrate.handeye.board_turns import turned_views
-from armsight.calibrate.tooltip import MeasuredPoint, calibrate_tooltip
-from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera
-from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, Target, TargetPose
+from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, Target
+from armsight.records.measured import covariances_of
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
-from armsight.store.covariances import UNCORRELATED
+from armsight.store.covariances import uncorrelated_note
 from armsight.store.handeye_file import (
     read_robot_poses,
     write_handeye,
-    write_tip,
 )
-from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret import TableFormat
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,33 +91,6 @@ def _write_camera(path: Path, solved: Solved) -> str | None:
         return None
     write_camera(path, solved.freed, rms_px=solved.result.reprojection_rms_px, inputs=solved.inputs)
     return str(path)
-
-
-def calibrate_tip(
-    poses: Path,
-    out: Path,
-    *,
-    point: Sequence[float] | None = None,
-    sigma_m: float = 0.0,
-    format_: TableFormat = OURS,
-) -> TipCalibration:
-    """Find the tip from a poses.csv, write tip.yaml; return the figures as --json gives them.
-
-    point (3,) in m, sigma_m: where it rests, if measured, and how well. Poses with times are taken as of one recording,
-    whose errors may drift. Raises DataRefused.
-    """
-    found = read_poses(poses, parent="world", format_=format_, timed=False)
-    read = [pose for pose in found if pose.status is PoseStatus.OK]
-    if not read:
-        raise NotEnoughData(
-            f"{poses}: no pose of status ok", consequence="No tip is given", cure="Record the target again"
-        )
-    measured = None if point is None else MeasuredPoint(xyz_m=np.asarray(point, float), sigma_m=sigma_m)
-    chosen = [p.pose for p in read if p.pose is not None]
-    result = calibrate_tooltip(chosen, _covariances(read), measured, _times(found, read))
-    write_tip(out, result, inputs=[poses])
-    note = _note(poses, _covariances(read))
-    return replace(result, remarks=(note,)) if note else result
 
 
 def _of_setup(job: HandEyeJob) -> TableFormat:
@@ -235,30 +206,10 @@ def _from_streams(job: HandEyeJob) -> Solved:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
-        covariances.append(_covariances(read))
+        covariances.append(covariances_of(read))
     pairs, offset = pairs_of_streams(
         times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s, camera_covariance=covariances[1]
     )
-    pairs = replace(pairs, unweighed=_note(job.camera_stream, covariances[1]))
+    pairs = replace(pairs, unweighed=uncorrelated_note(job.camera_stream, covariances[1]))
     result = replace(solve_pose_pairs(pairs, job.setup), offset=offset)
     return Solved(result=result, inputs=[job.robot_stream, job.camera_stream])
-
-
-def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> np.ndarray | None:
-    """Return the times (n,) of the poses used; None where the file has none: all alike, or its rows only counted."""
-    t_s = np.array([pose.t_s for pose in found])
-    if not np.ptp(t_s) > 0.0 or (t_s == np.arange(len(t_s))).all():
-        return None
-    return np.array([pose.t_s for pose in used])
-
-
-def _covariances(poses: Sequence[TargetPose]) -> np.ndarray | None:
-    """Return (n, 6, 6), or None where not every pose brings standard deviations."""
-    found = [p.covariance for p in poses if p.covariance is not None and (np.diag(p.covariance) > 0.0).all()]
-    return np.stack(found) if len(found) == len(poses) else None
-
-
-def _note(file: Path, covariances: np.ndarray | None) -> str:
-    """Return what is to be said of the covariances (n, 6, 6) of a file's poses."""
-    uncorrelated = covariances is not None and not (covariances * (1.0 - np.eye(6))).any()
-    return f"{file.name} {UNCORRELATED}" if uncorrelated else ""

@@ -1,46 +1,22 @@
-"""Frames of a lit target in, the positions of its lights out: target.yaml."""
+"""The lights of a target in pairs of frames."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 from itertools import islice
 
-from armsight.app.requests.calibrate_cameras import TargetJob
-from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
-from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
+from armsight.calibrate.light_target import LitFrame
 from armsight.drivers import PairSource
-from armsight.errors import Cancelled, UsageError
+from armsight.errors import Cancelled
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_sizes
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import PackedRig, Rig
-from armsight.records import Frame, Progress, Silent, Spots
-from armsight.store import read_rig, write_target
+from armsight.records import Frame, Progress, Spots
 
 Pair = tuple[Frame, Frame]
-
-
-def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> TargetCalibration:
-    """Find the target's geometry, write target.yaml, and return the figures as --json gives them.
-
-    Raises UsageError, DataRefused (frames of another size, and as calibrate_target), DeviceFailed, Cancelled.
-    """
-    rig = read_rig(job.rig)
-    settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
-    if (job.image is None) == (job.left is None):
-        raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
-    if job.image is None:
-        source, overlaid = open_pairs(job.left, job.right, settings=job.camera_settings), False
-    else:
-        source, overlaid = complex_pairs(partial(open_source, job.image, settings=job.camera_settings), rig)
-    with source as pairs:
-        frames = _lit_frames(rig, pairs, settings, job.limit, progress or Silent())
-    done = calibrate_target(rig, frames, job.lights, overlaid=overlaid)
-    write_target(job.out, done.target, inputs=[job.rig], std_m={name: list(std) for name, std in done.std.items()})
-    return done
 
 
 def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overlaid: bool = False) -> LitFrame:
@@ -49,9 +25,10 @@ def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overla
     return LitFrame(name=name, left=left.take(index[:, 0]), right=right.take(index[:, 1]))
 
 
-def _lit_frames(
+def lit_frames(
     rig: Rig, pairs: PairSource, settings: SpotSettings, limit: int | None, progress: Progress
 ) -> list[LitFrame]:
+    """Return the lights in pairs of frames, those that stand still left out. Raises DataRefused, Cancelled."""
     packed, seen = PackedRig.of(rig), []
     total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
     found: Iterable[Pair] = islice(pairs, limit)

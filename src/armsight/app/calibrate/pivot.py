@@ -3,77 +3,41 @@ enough."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Annotated
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.live.pace import pace_of
-from armsight.app.measure.run import target_of
-from armsight.app.requests.calibrate_robot import PivotJob
-from armsight.app.sources.frames import open_pairs
-from armsight.calibrate.tooltip import MeasuredPoint, TipRecording
-from armsight.calibrate.tooltip_result import TipCalibration
+from armsight.calibrate.tooltip import TipRecording
+from armsight.calibrate.tooltip_result import PivotCalibration
 from armsight.drivers import PairSource
 from armsight.errors import NotEnoughData
-from armsight.fields import Doc
 from armsight.measure.poses.pipeline import Setup
-from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
-from armsight.records import PoseStatus, Progress, Silent, TargetPose
-from armsight.records.output import extended, output
-from armsight.store import read_rig, write_poses
-from armsight.store.handeye_file import write_tip
+from armsight.records import PoseStatus, Progress, TargetPose
+from armsight.records.output import extended
 
 APART_RAD = 0.03
 """Turn since the last pose taken: poses closer than 2 degrees tell nearly the same twice."""
 
 
-@output
-class PivotOutput(TipCalibration):
-    """armsight calibrate pivot."""
-
-    goal_m: Annotated[float, Doc("Standard deviation of the tip that was good enough, m.")]
-    reached: Annotated[bool, Doc("Whether the tip is known so well.")]
-
-
-def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
-    """Measure while the tool pivots; write tip.yaml, and the poses beside it; return the figures as --json gives them.
+def pivot(setup: Setup, pairs: PairSource, recording: TipRecording, progress: Progress) -> PivotCalibration:
+    """Return the tip from frames while the tool pivots, as soon as it is known well enough.
 
     Stops where every coordinate's standard deviation is below the goal, at the end of the frames, or when cancelled.
-    Raises UsageError, DataRefused (also where the poses do not tell the tip), DeviceFailed.
+    Raises NotEnoughData where the poses do not tell the tip, DeviceFailed.
     """
-    recording, tip, taken = find_tip(job, progress)
-    write_poses(job.out.with_suffix(".poses.csv"), taken)
-    write_tip(job.out, tip, inputs=[job.rig])
-    return extended(tip, PivotOutput, goal_m=job.goal_m, reached=recording.good_enough)
-
-
-def find_tip(job: PivotJob, progress: Progress | None = None) -> tuple[TipRecording, TipCalibration, list[TargetPose]]:
-    """Return the recording, the tip and the poses taken; write nothing. Raises as run_pivot."""
-    target = target_of(job.target)
-    settings, pace = SpotSettings(colour=target.colour), pace_of(job.left, job.right)
-    setup = Setup(rig=read_rig(job.rig), target=target, settings=settings, pace=pace)
-    pairs = open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
-    point = None if job.point is None else MeasuredPoint(xyz_m=np.asarray(job.point), sigma_m=job.sigma_m)
+    tracker = TargetTracker(setup)
     with pairs:
-        recording, taken = pivoted(
-            _poses(setup, pairs), TipRecording(point=point, good_m=job.goal_m), progress or Silent()
-        )
+        recording, taken = pivoted((tracker.take(left, right).pose for left, right in pairs), recording, progress)
     if recording.latest is None:
         raise NotEnoughData(
             f"the tip was not found from {len(taken)} poses: {recording.waiting}",
             consequence="No tip is given",
             cure="Rest the tool's end on one point, and turn the tool by 20 degrees and more to several sides",
         )
-    return recording, recording.latest, taken
-
-
-def _poses(setup: Setup, pairs: PairSource) -> Iterator[TargetPose]:
-    tracker = TargetTracker(setup)
-    for left, right in pairs:
-        yield tracker.take(left, right).pose
+    goal = {"goal_m": recording.good_m, "reached": recording.good_enough}
+    return extended(recording.latest, PivotCalibration, **goal, taken=tuple(taken))
 
 
 def pivoted(

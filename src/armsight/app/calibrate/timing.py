@@ -1,4 +1,4 @@
-"""A waved target of lights in, the timing of both cameras out: rig.yaml with `timing`."""
+"""What two free-running cameras saw of waved lights: live, from frames, or from tables."""
 
 from __future__ import annotations
 
@@ -6,58 +6,37 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
-from armsight.app.requests.calibrate_cameras import TimingJob
-from armsight.calibrate.timing import TimingCalibration, calibrate_timing
 from armsight.clock import SystemClock
 from armsight.drivers import is_live
 from armsight.errors import UsageError
 from armsight.measure.poses.pipeline import check_size
 from armsight.optics import SIDES, Rig
-from armsight.records import Progress, Silent, SpotTrack, Target
-from armsight.store import read_rig, read_spot_track, read_target, write_rig
-
-Array = NDArray[np.float64]
+from armsight.records import Progress, Silent, SpotTrack
 
 
-def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingCalibration:
-    """Find the timing, write rig.yaml with it, and return the figures as --json gives them.
+def seen_tracks(
+    frames: Sequence[str | None],
+    tables: Sequence[SpotTrack | None],
+    rig: Rig,
+    search: SpotSearch,
+    progress: Progress,
+) -> tuple[SpotTrack, SpotTrack]:
+    """Return the spots of the left and the right camera. frames, tables: of each; one of the two kinds.
 
-    Raises UsageError, DataRefused (as calibrate_timing, and frames of another size), DeviceFailed, Cancelled.
+    Raises UsageError, DataRefused (frames of another size), DeviceFailed, Cancelled.
     """
-    rig = read_rig(job.rig)
-    target = None if job.target is None else read_target(job.target)
-    left, right = _tracks(job, rig, progress or Silent())
-    done = calibrate_timing(rig, left, right, _positions(target))
-    timing = tuple(
-        found if before is None else replace(found, exposure_s=before.exposure_s)
-        for found, before in zip(done.cameras(), rig.timing, strict=True)
-    )
-    write_rig(job.out, replace(rig, timing=(timing[0], timing[1])), inputs=[job.rig])
-    return done
-
-
-def _positions(target: Target | None) -> dict[str, Array] | None:
-    if target is None or not target.model_known:
-        return None
-    return dict(zip(target.names, target.xyz_m, strict=True))
-
-
-def _tracks(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
-    frames, tables = (job.left, job.right), (job.left_spots, job.right_spots)
-    if all(frames) and not any(tables):
-        live = [is_live(text or "") for text in frames]
+    if all(frames) and not any(table is not None for table in tables):
+        texts = [text or "" for text in frames]
+        live = [is_live(text) for text in texts]
         if any(live):
             _require_both(live)
-            return _waved(job, rig, progress)
-        sides = [_seen(job, rig, side, text or "", progress) for side, text in zip(SIDES, frames, strict=True)]
+            return _waved(texts, rig, search, progress)
+        sides = [_seen(text, side, rig, search, progress) for side, text in zip(SIDES, texts, strict=True)]
         return sides[0], sides[1]
-    if all(tables) and not any(frames):
-        read = [read_spot_track(path) for path in tables if path is not None]
-        return read[0], read[1]
+    left, right = tables
+    if left is not None and right is not None and not any(frames):
+        return left, right
     raise UsageError(
         "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
     )
@@ -83,32 +62,20 @@ class _Behind(Silent):
         return self._progress.cancelled()
 
 
-def _waved(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
+def _waved(texts: Sequence[str], rig: Rig, search: SpotSearch, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
     """Return the spots of both live cameras, read side by side; their stamps count from one moment."""
-    origin_s = SystemClock().now_s()
+    search = replace(search, origin_s=SystemClock().now_s())
+    shown = (progress, _Behind(progress))
     with ThreadPoolExecutor(len(SIDES)) as pool:
         sides = [
-            pool.submit(
-                _seen, job, rig, side, text or "", progress if side == SIDES[0] else _Behind(progress), origin_s
-            )
-            for side, text in zip(SIDES, (job.left, job.right), strict=True)
+            pool.submit(_seen, text, side, rig, search, one)
+            for side, text, one in zip(SIDES, texts, shown, strict=True)
         ]
         left, right = (one.result() for one in sides)
     return left, right
 
 
-def _seen(
-    job: TimingJob, rig: Rig, side: str, text: str, progress: Progress, origin_s: float | None = None
-) -> SpotTrack:
-    search = SpotSearch(
-        threshold=job.threshold,
-        inverted=job.inverted,
-        fps=job.fps,
-        limit=job.limit,
-        origin_of=job.left,
-        origin_s=origin_s,
-        settings=job.camera_settings,
-    )
+def _seen(text: str, side: str, rig: Rig, search: SpotSearch, progress: Progress) -> SpotTrack:
     return spots_of_frames(
         search, side, text, progress, lambda frame: check_size(rig, side, frame, "No timing is given")
     )

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.arm_files import load_arm
 from armsight.app.calibrate.arm import run_calibrate_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.handeye import calibrate_handeye, calibrate_tip
+from armsight.app.calibrate.handeye import calibrate_handeye
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.operator.cell_poses import flange_pose
@@ -24,6 +24,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.columns import POSE7
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
+from armsight.ops.calibrate_robot import calibrate_tool_tip
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 from armsight.store import write_poses
 from armsight.store.atomic import write_text
@@ -192,7 +193,7 @@ class TipCalibrationStep(PoseSamples):
         poses = self.folder / "poses.csv"
         poses.parent.mkdir(parents=True, exist_ok=True)
         write_poses(poses, self._poses)
-        tip = calibrate_tip(poses, self.out)
+        tip = calibrate_tool_tip(poses, out=self.out)
         std_m = float(np.linalg.norm(tip.std_tip.translation_m))
         rows = (
             ("tip", " ".join(f"{1e3 * v:.2f}" for v in tip.tip_m) + " mm in target axes"),

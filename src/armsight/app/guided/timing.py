@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from armsight.app.calibrate.spots_of_frames import LIVE_S
-from armsight.app.calibrate.timing import calibrate_cameras_timing
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
-from armsight.app.requests.calibrate_cameras import TimingJob
 from armsight.errors import NotEnoughData
+from armsight.ops.calibrate_cameras import calibrate_timing
 from armsight.records import Progress
 
 
@@ -71,8 +70,8 @@ class TimingStep:
         if self._recording is None:
             raise NotEnoughData("nothing was recorded", consequence="Nothing was calibrated", cure="Record first")
         text = str(self._recording)
-        job = TimingJob(rig=self.rig, target=self.target, out=self.out, left=f"{text}:left", right=f"{text}:right")
-        done = calibrate_cameras_timing(job, progress)
+        sides = f"{text}:left", f"{text}:right"
+        done = calibrate_timing(self.rig, self.target, *sides, out=self.out, progress=progress)
         rows = (
             ("delay", f"{1e3 * done.delay_s:.2f} ms"),
             ("± in the middle", f"{1e3 * done.std_middle_s:.3f} ms (1 σ)"),

@@ -178,13 +178,12 @@ def _command_of(content: Mapping[str, Any], path: Path) -> str:
 
 def _kinds() -> list[tuple[str, type[Output]]]:
     from armsight.app.calibrate.arm import ArmOutput
-    from armsight.app.calibrate.pivot import PivotOutput
     from armsight.app.calibrate.results import CameraOutput, MirrorsOutput
     from armsight.app.identify.results import IdentifyOutput
     from armsight.calibrate.arm.world import WorldCalibration
     from armsight.calibrate.cameras import StereoCalibration
     from armsight.calibrate.handeye import HandEye
-    from armsight.calibrate.tooltip_result import TipCalibration
+    from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 
     return [
@@ -192,10 +191,10 @@ def _kinds() -> list[tuple[str, type[Output]]]:
         ("calibrate camera", CameraOutput),
         ("calibrate handeye", HandEye),
         ("calibrate mirrors", MirrorsOutput),
-        ("calibrate pivot", PivotOutput),
+        ("calibrate pivot", PivotCalibration),
         ("calibrate robot-world", WorldCalibration),
         ("calibrate stereo", StereoCalibration),
-        ("calibrate tooltip", TipCalibration),
+        ("calibrate tooltip", ToolTipResult),
         ("identify", IdentifyOutput),
         ("verify", MasteringOutput),
         ("verify", VerifyLiveOutput),

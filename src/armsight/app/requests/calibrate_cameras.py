@@ -14,17 +14,12 @@ from armsight.app.requests.shared import (
     Bits,
     Cameras,
     Every,
-    Fps,
-    Inverted,
-    Left,
     Limit,
-    Right,
     Strict,
-    Threshold,
     Workers,
     automatic,
 )
-from armsight.defaults import GLASS, LIT_LIGHTS, MIRROR_GAP_M, PLATE_NEAR_M
+from armsight.defaults import GLASS, MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.units import MM
@@ -280,40 +275,3 @@ class MirrorsJob:
     workers: Workers = None
     camera_settings: Cameras = field(default_factory=automatic)
     folds: int = FOLDS
-
-
-@dataclass(frozen=True, kw_only=True)
-class TargetJob:
-    """Frames of a lit target: pairs of them, or images that hold both views."""
-
-    rig: Annotated[Path, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")]
-    out: Annotated[Path, Doc("target.yaml to write."), OUT]
-    left: Left = None
-    right: Right = None
-    image: Annotated[str | None, Doc("Images that hold both views of the rig."), A_SRC] = None
-    lights: Annotated[int, Doc("How many lights the target has."), Bounds(least=2, most=6)] = LIT_LIGHTS
-    limit: Limit = None
-    threshold: Threshold = None
-    inverted: Inverted = False
-    camera_settings: Cameras = field(default_factory=automatic)
-
-
-SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
-
-
-@dataclass(frozen=True, kw_only=True)
-class TimingJob:
-    """Frames of two cameras that run free, or tables of spots; each camera by itself."""
-
-    rig: Annotated[Path, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")]
-    out: Annotated[Path, Doc("rig.yaml to write, with the timing."), OUT]
-    target: Annotated[Path | None, Doc("target.yaml of the lights, where they are named in tables.")] = None
-    left: Left = None
-    right: Annotated[str | None, Doc("Right frames, each with its camera's stamp."), A_SRC] = None
-    left_spots: Annotated[Path | None, Doc(f"Instead of frames: {SPOTS}."), Flag(metavar="CSV")] = None
-    right_spots: Annotated[Path | None, Doc("The same of the right camera."), Flag(metavar="CSV")] = None
-    fps: Fps = None
-    limit: Limit = None
-    threshold: Threshold = None
-    inverted: Inverted = False
-    camera_settings: Cameras = field(default_factory=automatic)

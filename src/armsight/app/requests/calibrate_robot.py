@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 from armsight.app.requests.shared import (
     A_SRC,
@@ -14,16 +14,12 @@ from armsight.app.requests.shared import (
     SRC,
     ABoard,
     Bits,
-    Cameras,
-    Right,
     Strict,
     Table,
     TwoTables,
     Workers,
-    automatic,
     on_hand,
     ours,
-    point_of,
     setup_called,
 )
 from armsight.defaults import ANGLE_RAD, LENGTH_M
@@ -32,18 +28,6 @@ from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
     from armsight.calibrate.handeye import Setup
-
-POINT_STD_M = 0.2 * MM
-"""Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
-GOOD_ENOUGH_M = 0.1 * MM
-"""A tip known so well is good enough, unless another goal is given."""
-
-PointStd: TypeAlias = Annotated[
-    float,
-    Doc("Standard deviation of one coordinate of the measured point."),
-    Bounds(least=1e-9),
-    Flag("--point-sigma", quantity="m"),
-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,30 +57,6 @@ class HandEyeJob:
     bits: Bits = None
     strict: Strict = False
     table: TwoTables = field(default_factory=ours)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PivotJob:
-    """A target on a tool that is turned about its end before the cameras."""
-
-    rig: Annotated[Path, Doc("rig.yaml of the two cameras.")]
-    target: Annotated[Path, Doc("target.yaml of the target on the tool.")]
-    left: Annotated[str, Doc(f"Left frames: {SRC}."), A_SRC]
-    out: Annotated[Path, Doc("tip.yaml to write."), OUT]
-    right: Right = None
-    goal_m: Annotated[
-        float,
-        Doc("Stop where the tip is known so well (one standard deviation)."),
-        Bounds(least=1e-6),
-        Flag(quantity="m"),
-    ] = GOOD_ENOUGH_M
-    point: Annotated[
-        tuple[float, float, float] | None,
-        Doc("The point in rig axes, m or with units (200mm), if measured."),
-        Flag(metavar="X,Y,Z", read=point_of),
-    ] = None
-    sigma_m: PointStd = POINT_STD_M
-    camera_settings: Cameras = field(default_factory=automatic)
 
 
 @dataclass(frozen=True, kw_only=True)

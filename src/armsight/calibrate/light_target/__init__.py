@@ -2,6 +2,6 @@
 
 from armsight.calibrate.light_target.calibrate import calibrate_target
 from armsight.calibrate.light_target.frames import LitFrame
-from armsight.calibrate.light_target.result import LightDistance, TargetCalibration
+from armsight.calibrate.light_target.result import LightDistance, TargetResult
 
-__all__ = ["LightDistance", "LitFrame", "TargetCalibration", "calibrate_target"]
+__all__ = ["LightDistance", "LitFrame", "TargetResult", "calibrate_target"]

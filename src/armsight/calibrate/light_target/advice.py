@@ -11,7 +11,7 @@ from armsight.calibrate.light_target.result import (
     GOOD_TURN_RAD,
     LARGE_SCALE,
     MANY_REJECTED,
-    TargetCalibration,
+    TargetResult,
 )
 from armsight.units import DEG, MM
 
@@ -19,7 +19,7 @@ RIG_RULES = 0.7
 EQUAL_SIGMA = 3.0
 
 
-def advise(done: TargetCalibration) -> TargetCalibration:
+def advise(done: TargetResult) -> TargetResult:
     """Return the calibration with its advice."""
     advice: list[str] = []
     if len(done.names) == 2:
@@ -53,7 +53,7 @@ def advise(done: TargetCalibration) -> TargetCalibration:
     return replace(done, advice=(*advice, *_apex(done)))
 
 
-def _apex(done: TargetCalibration) -> list[str]:
+def _apex(done: TargetResult) -> list[str]:
     """Return a word on an isosceles target whose unlike corner is not A."""
     if len(done.names) != 3:
         return []

@@ -36,7 +36,7 @@ from armsight.calibrate.light_target.frames import (
     sights_of,
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
-from armsight.calibrate.light_target.result import RejectedFrame, TargetCalibration, distances_of
+from armsight.calibrate.light_target.result import RejectedFrame, TargetResult, distances_of
 from armsight.defaults import LIT_LIGHTS
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
 from armsight.geometry.lengths import TARGET_M, check_metres
@@ -59,7 +59,7 @@ TINY = 1e-300
 
 def calibrate_target(
     rig: Rig, frames: Sequence[LitFrame], lights: int = LIT_LIGHTS, *, overlaid: bool = False
-) -> TargetCalibration:
+) -> TargetResult:
     """Return where the lights are in the target's own frame, from frames of a calibrated rig.
 
     The lights are named across frames by their distances, so their order in the rows does not matter; A is leftmost in
@@ -88,7 +88,7 @@ def calibrate_target(
     if flat and lights > 2:
         raise on_line(distances_of(names, X, covariance))
     return advise(
-        TargetCalibration(
+        TargetResult(
             names=names,
             xyz_m=X,
             covariance=NamedCovariance(names=tuple(f"{n}.{a}_m" for n in names for a in "xyz"), matrix=covariance),

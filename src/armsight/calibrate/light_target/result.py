@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from armsight.calibrate.light_target.naming import pairs_of
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, Target, frozen_array, spot_target
+from armsight.records.by_value import Saveable
 from armsight.records.output import Output, figure, output
 from armsight.records.verdict import MEANING, Verdict
+from armsight.shown import REJECTED_SHOWN, Shown, Table, digits
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -40,7 +43,7 @@ class RejectedFrame(NamedTuple):
 
 
 @output
-class TargetCalibration(Output):
+class TargetResult(Output, Saveable):
     """armsight calibrate target.
 
     names (n,) and xyz_m (n, 3) of the lights in the target's frame; covariance of 'A.x_m', ... in that frame.
@@ -123,6 +126,20 @@ class TargetCalibration(Output):
             return Verdict(level="care", headline=headline, reasons=[said], next=[f"{one}." for one in self.advice])
         todo = "Use it; calibrate again when a light was moved."
         return Verdict(level="good", headline="Good", reasons=[said], next=[todo])
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the lights, their distances, and what they rest on."""
+        rows = [
+            [name, *(digits(x / MM, 6) for x in xyz), " ".join(digits(s / MM, 2) for s in self.std[name])]
+            for name, xyz in self.spots_m.items()
+        ]
+        yield Table("Lights in the target's frame", ["", "x mm", "y mm", "z mm", "+- mm"], rows)
+        rows = [[name, digits(d.value_m / MM, 6), digits(d.std_m / MM, 2)] for name, d in self.distances_m.items()]
+        yield Table("Distances", ["", "mm", "+-"], rows)
+        residual, left_out = digits(self.residual_rms_px), digits(self.loo_rms_px)
+        yield f"{self.n_used} of {self.n_frames} frames, residual {residual} px RMS, left-out frames {left_out} px"
+        yield from (f"  left out: {one.frame}: {one.why}" for one in self.rejected[:REJECTED_SHOWN])
+        yield from (f"- {text}" for text in self.advice)
 
 
 def distances_of(names: tuple[str, ...], X: Array, covariance: Array) -> dict[str, LightDistance]:

@@ -1,6 +1,6 @@
 """Delay, drift, read-outs and jitter of two free-running cameras, from lights waved before them."""
 
 from armsight.calibrate.timing.calibrate import calibrate_timing
-from armsight.calibrate.timing.result import TimingCalibration
+from armsight.calibrate.timing.result import TimingCalibration, TimingResult, timed_rig
 
-__all__ = ["TimingCalibration", "calibrate_timing"]
+__all__ = ["TimingCalibration", "TimingResult", "calibrate_timing", "timed_rig"]

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 
 from armsight.fields import Doc
+from armsight.optics import Rig
 from armsight.records import CameraTiming, NamedCovariance
-from armsight.records.output import Output, figure, output
+from armsight.records.by_value import Saveable
+from armsight.records.output import Output, extended, figure, output
 from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.records.timing import CLOCK
 from armsight.records.verdict import MEANING, Verdict
+from armsight.shown import Shown, Table, digits
+from armsight.units import MS
 
 GOOD_DELAY_S = 1e-3
 """At 0.5 m/s this is half a millimetre."""
@@ -116,3 +122,40 @@ class TimingCalibration(Output):
             return Verdict(level="care", headline="Weak", reasons=[said], next=[f"{self.advice[0]}."])
         todo = "Use it; calibrate again when a camera's rate, exposure or resolution was changed."
         return Verdict(level="good", headline="Good", reasons=[said], next=[todo])
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the cameras' times, the clocks, and what they rest on."""
+        std, sides = self.std, ("left", "right")
+        rows = [
+            [what, *(f"{digits(getattr(b, s) / MS, 4)} +- {digits(std[f'{s}.{key}'] / MS, 2)}" for s in sides)]
+            for what, b, key in (("read-out ms", self.readout_s, "readout_s"), ("jitter ms", self.jitter_s, "jitter_s"))
+        ]
+        rows.append(["period ms", *(digits(getattr(self.period_s, s) / MS, 6) for s in sides)])
+        rows.append(["frames lost", str(self.lost.left), str(self.lost.right)])
+        yield Table("Cameras", ["", *sides], rows)
+        shift = (self.delay_s + 1e-6 * self.drift_ppm * self.middle_s) / MS
+        rows = [
+            ["delay ms", f"{self.delay_s / MS:.3f}", digits(std["delay_s"] / MS, 2)],
+            ["drift ppm", f"{self.drift_ppm:.2f}", digits(std["drift_ppm"], 2)],
+            [f"t_left - t_right ms, at {self.middle_s:.1f} s", f"{shift:.3f}", digits(self.std_middle_s / MS, 2)],
+        ]
+        yield Table("Right stamps to left ones", ["", "", "+-"], rows)
+        yield f"{self.n_frames} frames, {self.common_s:.1f} s seen by both cameras, lights: {', '.join(self.lights)}"
+        yield f"Residual {digits(self.residual_px.left)} and {digits(self.residual_px.right)} px RMS"
+        yield f"Verdict: {self.verdict}"
+
+
+@output
+class TimingResult(TimingCalibration, Saveable):
+    """A timing's calibration and `rig`, the rig with its cameras' timing."""
+
+    rig: Rig
+
+
+def timed_rig(rig: Rig, done: TimingCalibration) -> TimingResult:
+    """Return the calibration with the rig that has it; exposures that the rig knows of are kept."""
+    left, right = (
+        found if before is None else replace(found, exposure_s=before.exposure_s)
+        for found, before in zip(done.cameras(), rig.timing, strict=True)
+    )
+    return extended(done, TimingResult, rig=replace(rig, timing=(left, right)))

@@ -20,13 +20,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
-from armsight.api.tracks import PoseTrack
 from armsight.app.arm_files import load_arm
 from armsight.columns import POSE7
 from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.fields import bare, known_hints
 from armsight.kinematics import Arm
+from armsight.ops.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.optics import Rig
 from armsight.records import Frame, Target, real_array, require_kind
 from armsight.store import World, write_text, write_world
@@ -43,8 +42,6 @@ Source = PathText | Sequence[ImageLike] | NDArray[np.uint8] | Iterable[Frame]
 
 A camera of one's own is an iterable of Frame, opened where it is a context manager; its frames keep their times."""
 Columns = Mapping[str, ArrayLike | Sequence[str]]
-TableLike = PathText | PoseTrack | Columns | tuple[ArrayLike, ArrayLike] | ArrayLike
-"""A table: a file, a track, columns by name (a DataFrame), (t_s, q) or (t_s, T), or q or T alone."""
 
 
 class _Saveable(Protocol):
@@ -52,6 +49,8 @@ class _Saveable(Protocol):
         """Write the record's file."""
 
 
+TableLike = PathText | _Saveable | Columns | tuple[ArrayLike, ArrayLike] | ArrayLike
+"""A table: a file, a track, columns by name (a DataFrame), (t_s, q) or (t_s, T), or q or T alone."""
 PoseLike = ArrayLike | RigidTransform | _Saveable | PathText
 """Where something is: a pose (4, 4), a result that holds it, or a file."""
 
@@ -119,11 +118,10 @@ class Given:
         """Return the path of a file with the value: its own where it is one. Raises UsageError for what has none."""
         if isinstance(value, str | PathLike):
             return Path(fspath(value))
-        if isinstance(value, PoseTrack):
-            return value.save(self.folder / f"{name}.csv")
         save = getattr(value, "save", None)
         if callable(save) and not isinstance(value, type):
-            path = self.folder / f"{name}{ENDING.get(name, '.yaml')}"
+            ending = ".csv" if hasattr(value, "poses") else ENDING.get(name, ".yaml")  # a track's is a table
+            path = self.folder / f"{name}{ending}"
             save(path)
             return path
         if name == "world":

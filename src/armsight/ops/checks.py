@@ -1,20 +1,23 @@
-"""Arguments held against a public function's annotations, and errors in Python's words: one decorator for all."""
+"""Arguments held against a public function's annotations, and errors in Python's words, for actions and all else."""
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial, wraps
 from os import PathLike
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from armsight.api.commands import in_python, parameter
 from armsight.drivers import CameraSettings
 from armsight.errors import ArmsightError, UsageError
-from armsight.fields import Bounds, Flag, Flags, bounds_of, known_hints, marks
+from armsight.fields import Bounds, Flag, Flags, bare, bounds_of, known_hints, marks
+from armsight.ops.action import Action
+from armsight.ops.commands import in_python, parameter
 from armsight.records import require_count, require_kind, require_number
+from armsight.records.output import Output
 from armsight.store.interpret import TableFormat
 from armsight.store.outputs import held_outputs
 
@@ -40,21 +43,48 @@ def speaks_python(*requests: type) -> Callable[[Callable[P, R]], Callable[P, R]]
 
         @wraps(call)
         def run(*args: P.args, **given: P.kwargs) -> R:
-            try:
-                arguments = signature.bind(*args, **given).arguments
-                for name, value in arguments.items():
-                    for check in checks().get(name, ()):
-                        check(name, value)
-                with held_outputs(_written(arguments)):
-                    return call(*args, **given)
-            except ArmsightError as error:
-                in_python(error)
-                raise
+            with _speaking_python(checks(), signature.bind(*args, **given).arguments):
+                return call(*args, **given)
 
         vars(run)["requests"] = requests
         return run
 
     return decorated
+
+
+def checked_call(made: Action, args: Sequence[Any], given: Mapping[str, Any]) -> Output:
+    """Run an action with what Python gives. Raises ArmsightError in Python's words."""
+    arguments = inspect.signature(made.function).bind(*args, **given).arguments
+    with _speaking_python(_checks_of(made), arguments):
+        return made.run(arguments)
+
+
+@contextlib.contextmanager
+def _speaking_python(checks: Mapping[str, Sequence[Check]], arguments: Mapping[str, object]) -> Iterator[None]:
+    """Check the arguments, hold what is to be written, and let errors name parameters and functions."""
+    try:
+        for name, value in arguments.items():
+            for check in checks.get(name, ()):
+                check(name, value)
+        with held_outputs(_written(arguments)):
+            yield
+    except ArmsightError as error:
+        in_python(error)
+        raise
+
+
+@cache
+def _checks_of(made: Action) -> dict[str, list[Check]]:
+    """Return what the parameters of an action ask of their values, by their types and bounds."""
+    found: dict[str, list[Check]] = {}
+    for name, one in made.parameters.items():
+        hint, bounds = made.hints[name], bounds_of(made.hints[name])
+        written = next((group.group.made.__annotations__["return"] for group in marks(hint, Flags)), "")
+        written = written or " | ".join(getattr(kind, "__name__", "") for kind in bare(hint))
+        known = check_of(str(one.annotation)) or check_of(written)
+        found[name] = [] if known is None or name in made.inputs else [partial(_or_none, known)]
+        found[name] += [] if bounds is None else [partial(_within, bounds)]
+    return found
 
 
 def _checks(signature: inspect.Signature, requests: tuple[type, ...]) -> dict[str, list[Check]]:

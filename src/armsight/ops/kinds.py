@@ -1,0 +1,28 @@
+"""What actions take besides numbers and words: each an object, arrays, or a file's path, which is read for the action.
+
+Type checkers see Any: in the action stands the object, at its caller whatever is read as one.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias
+
+from armsight.app.requests.shared import SRC
+from armsight.fields import Doc, Flag
+from armsight.ops.action import Input
+
+READERS = "armsight.ops.inputs"
+FRAMES = Input(f"{READERS}:frames", kind=str)
+
+RigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:rig", hashed=True)]
+"""A Rig, or the path of a rig.yaml."""
+TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
+"""A Target, the path of a target.yaml, or a board's text."""
+PosesLike: TypeAlias = Annotated[Any, Input(f"{READERS}:poses", hashed=True)]
+"""Poses (n, 4, 4) in m, a RigidTransform, or the path of a table of poses."""
+SpotsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:spots")]
+"""Columns t_s, u_px, v_px, or the path of a table of spots."""
+Left: TypeAlias = Annotated[Any, Doc(f"Left frames: {SRC}."), FRAMES, Flag(metavar="SRC")]
+"""Frames as the command line names them, or images in order."""
+Right: TypeAlias = Annotated[Any, Doc("Right frames, in step with the left ones."), FRAMES, Flag(metavar="SRC")]
+BothViews: TypeAlias = Annotated[Any, Doc("Frames with both views in one image."), FRAMES, Flag(metavar="SRC")]

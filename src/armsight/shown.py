@@ -1,0 +1,59 @@
+"""Numbers and tables as people read them, on a terminal and wherever text is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from armsight.units import DEG, MM, NOTHING
+
+REJECTED_SHOWN = 8
+"""Lines of what was left out; the report and JSON have all."""
+
+
+class Table(NamedTuple):
+    """A table of text; the first column is words, the others are numbers."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class Bars(NamedTuple):
+    """A plot of one number a row. x, y: what the axes are called."""
+
+    title: str
+    names: Sequence[str]
+    values: Sequence[float]
+    x: str
+    y: str
+
+
+Shown = Table | str
+"""What a result shows of itself: tables, and lines between them."""
+
+
+def digits(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, never in powers of ten; '-' for none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if abs(value) < NOTHING:
+        return "0"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(decimals, 9)}f}"
+
+
+def point_rows(xyz_m: Iterable[float], std_m: Iterable[float]) -> list[list[str]]:
+    """Return the rows of a point: axis, position and standard deviation in mm."""
+    named = zip("xyz", xyz_m, std_m, strict=True)
+    return [[axis, digits(value / MM, 6), digits(deviation / MM, 2)] for axis, value, deviation in named]
+
+
+def rotation_rows(rotvec_rad: Iterable[float], std_rad: Iterable[float]) -> list[list[str]]:
+    """Return the rows of a rotation vector: component and standard deviation in degrees."""
+    named = zip("xyz", rotvec_rad, std_rad, strict=True)
+    return [
+        [f"rotation vector {axis}, deg", digits(value / DEG, 6), digits(deviation / DEG, 2)]
+        for axis, value, deviation in named
+    ]
