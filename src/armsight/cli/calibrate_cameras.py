@@ -9,7 +9,6 @@ from armsight.app import requests
 from armsight.cli.command import add_action, calibrate, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import (
-    REJECTED_SHOWN,
     camera_tables,
     figure,
     noise_tables,
@@ -19,6 +18,7 @@ from armsight.cli.tables import (
 )
 from armsight.errors import UsageError
 from armsight.ops.calibrate_cameras import calibrate_target, calibrate_timing
+from armsight.shown import REJECTED_SHOWN
 from armsight.units import MM
 
 if TYPE_CHECKING:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 from armsight.app import requests
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.tables import REJECTED_SHOWN, figure
+from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.shown import REJECTED_SHOWN
 from armsight.units import MS, displayed
 
 if TYPE_CHECKING:

@@ -21,9 +21,10 @@ from armsight.app.requests.shared import (
 from armsight.cli.command import VERIFIED, app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.cli.flags import Asked
-from armsight.cli.tables import REJECTED_SHOWN, figure
+from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.shown import REJECTED_SHOWN
 from armsight.units import DEG, MM, MS, displayed_name
 
 if TYPE_CHECKING:
