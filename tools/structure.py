@@ -43,6 +43,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "arguments": {
         "api/*": FLAGS,
+        "ops/calibrate_*": FLAGS,
         "cli/serve.py:console": FLAGS,
         "cli/kinematics.py:ik": FLAGS,
         "cli/kinematics.py:path": FLAGS,

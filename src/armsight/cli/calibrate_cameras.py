@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from armsight.app import requests
-from armsight.cli.command import add_action, calibrate, command
+from armsight.cli.actions import add_action
+from armsight.cli.command import calibrate, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import (
     camera_tables,
@@ -173,5 +174,5 @@ def _alignment_rows(found: MirrorAlignment | CheckedAlignment) -> list[list[str]
     ]
 
 
-add_action(calibrate, calibrate_target, filed="calibrate target", judged=True)
+add_action(calibrate, calibrate_target, judged=True)
 add_action(calibrate, calibrate_timing, in_place=True, judged=True)

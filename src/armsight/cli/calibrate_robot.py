@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip
-from armsight.cli.command import add_action, calibrate, command
+from armsight.cli.actions import add_action
+from armsight.cli.command import calibrate, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure, parameter, pose_rows
 from armsight.fields import Doc

@@ -27,12 +27,9 @@ from armsight.app.requests.history import PLACE
 from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags, taken_by
 from armsight.errors import ArmsightError, Cancelled, UsageError
-from armsight.fields import Flag, marks
-from armsight.ops.action import OUT
 
 if TYPE_CHECKING:
     from armsight.app.history.filing import Filing
-    from armsight.ops.action import Action
 
 MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
 VIEWS = ("left", "right", "image")
@@ -336,45 +333,15 @@ def command(
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         made = Command(function=function, taken=functools.partial(taken_by, function), **more)
-        _add(group, name or function.__name__.replace("_", "-"), function.__doc__ or "", made)
+        add(group, name or function.__name__.replace("_", "-"), function.__doc__ or "", made)
         return function
 
     return decorate
 
 
-def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> None:
-    """Add an action (armsight.ops) to a group as a command; more: of Command."""
-    done: Action = vars(call)["action"]
+def add(group: typer.Typer, name: str, text: str, made: Command) -> None:
+    """Add a command to a group. text: of its help."""
 
-    @functools.cache  # when the command is asked for: hints take time to read
-    def names() -> dict[str, str]:
-        return {name: _word(name, hint) for name, hint in done.hints.items()}
-
-    def taken() -> dict[str, tuple[Any, Any]]:
-        return {names()[name]: one for name, one in done.flags().items()}
-
-    def run(face: CommandUI, **given: Any) -> None:
-        asked = {name: given[word] for name, word in names().items() if word in given}
-        result = done.run(asked, face.progress(done.working) if done.working else None)
-        for one in result.summary():
-            if isinstance(one, str):
-                face.say(one)
-            else:
-                face.table(*one)
-        face.say(f"Result: {asked[OUT]}")
-        face.result(result)
-
-    text = (call.__doc__ or "").partition("\n    Parameters\n")[0]
-    _add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **more))
-
-
-def _word(name: str, hint: Any) -> str:
-    """Return what the command line calls a parameter: as its flag is written, where that has a name of its own."""
-    names = next((flag.names for flag in marks(hint, Flag) if flag.names), "")
-    return names.split()[-1].split("/")[0].lstrip("-").replace("-", "_") if names else name
-
-
-def _add(group: typer.Typer, name: str, text: str, made: Command) -> None:
     def run() -> None:
         """Stand for the command until its flags are made."""
 

@@ -12,12 +12,11 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, wraps
-from importlib import import_module
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from armsight.fields import Doc, known_hints, marks
+from armsight.fields import Doc, Flags, known_hints, loaded, marks
 
 if TYPE_CHECKING:
     from armsight.records.output import Output
@@ -47,8 +46,7 @@ class Input:
 
     def object_of(self, name: str, value: Any, given: Given, undo: contextlib.ExitStack) -> Any:
         """Return the object. Raises UsageError, DataRefused."""
-        module, _, function = self.read.partition(":")
-        return getattr(import_module(module), function)(name, value, given, undo)
+        return loaded(self.read)()(name, value, given, undo)
 
 
 @dataclass(frozen=True)
@@ -77,8 +75,6 @@ class Action:
 
     def flags(self) -> dict[str, tuple[Any, Any]]:
         """Return hint and default of what the command line asks for: all that has a meaning, and groups of flags."""
-        from armsight.fields import Flags
-
         return {
             name: (self.hints[name], one.default)
             for name, one in self.parameters.items()

@@ -1,0 +1,49 @@
+"""Actions (armsight.ops) as commands: flags of their signature, and what their result shows of itself."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from armsight.cli.command import Command, add
+from armsight.cli.command_ui import CommandUI
+from armsight.fields import Flag, marks
+from armsight.ops.action import OUT
+
+if TYPE_CHECKING:
+    from armsight.ops.action import Action
+
+
+def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> None:
+    """Add an action (armsight.ops) to a group as a command; more: of Command."""
+    done: Action = vars(call)["action"]
+
+    @functools.cache  # when the command is asked for: hints take time to read
+    def names() -> dict[str, str]:
+        return {name: _word(name, hint) for name, hint in done.hints.items()}
+
+    def taken() -> dict[str, tuple[Any, Any]]:
+        return {names()[name]: one for name, one in done.flags().items()}
+
+    def run(face: CommandUI, **given: Any) -> None:
+        asked = {name: given[word] for name, word in names().items() if word in given}
+        result = done.run(asked, face.progress(done.working) if done.working else None)
+        for one in result.summary():
+            if isinstance(one, str):
+                face.say(one)
+            else:
+                face.table(*one)
+        face.say(f"Result: {asked[OUT]}")
+        face.result(result)
+
+    text = (call.__doc__ or "").partition("\n    Parameters\n")[0]
+    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **more))
+
+
+def _word(name: str, hint: Any) -> str:
+    """Return what the command line calls a parameter: as its flag is written, where that has a name of its own."""
+    names = next((flag.names for flag in marks(hint, Flag) if flag.names), "")
+    return names.split()[-1].split("/")[0].lstrip("-").replace("-", "_") if names else name
