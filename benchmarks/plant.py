@@ -34,21 +34,20 @@ from paho.mqtt.enums import CallbackAPIVersion
 from armsight.app.requests.plant import PlantFlags
 from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.plant_source import log_of, source_of
 from armsight.app.robot.recorder import RecordingLog
 from armsight.control.session.loop_side import lateness_s
 from armsight.control.session.service import Service
-from armsight.publish.certificates import make_pair
-from armsight.publish.feed import FEED_S, Feed, published
-from armsight.publish.opcua.publisher import NAMESPACE
-from armsight.publish.options import PlantOptions
-from armsight.publish.process import PlantProcess
-from armsight.publish.state import PlantState, RobotSeen, Seen
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.recording import Recording
 from armsight.store.tokens import add_token
-from armsight.testing.mosquitto import PASSWORD, USER, Broker, missing
-from armsight.verify.supervision import Compared, Level, Limits
+from armsight.verify.supervision import Compared, Level, Limits, Seen
+from armsight_plant.certificates import make_pair
+from armsight_plant.feed import FEED_S, Feed
+from armsight_plant.mosquitto import PASSWORD, USER, Broker, missing
+from armsight_plant.opcua.publisher import NAMESPACE
+from armsight_plant.options import PlantOptions
+from armsight_plant.process import PlantProcess
+from armsight_plant.state import PlantState, RobotSeen
 
 CLIENTS = 10
 CYCLE_S = 0.004
@@ -304,13 +303,13 @@ def loop(minutes: float) -> None:
         log = stack.enter_context(RecordingLog(folder / "log.mcap"))
         host = stack.enter_context(ProcessHost(RobotSpec(robot=robot, arm=arm_model(robot, None))))
         service = Service(host, log)
-        options = site.flags.made(lambda _: None)
+        publishing = site.flags.made(lambda _: None)
         time.sleep(2.0)
         for _ in range(max(1, round(60.0 * minutes / WINDOW_S / len(ways)))):
             for way in ways:
                 with ExitStack() as during:
                     if way != ways[0]:
-                        during.enter_context(published(options, source_of(service), log_of(service)))
+                        during.enter_context(publishing.served(service, lambda _: None))
                     begun = []
                     results = context.Queue()
                     if way in ways[2:]:

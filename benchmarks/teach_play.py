@@ -28,7 +28,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.reproduce.pachidis2005 import PRINTED
 from armsight.app.requests.motion import ServoJob, TeachJob
 from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
@@ -48,6 +47,7 @@ from armsight.store.handeye_file import read_handeye, write_handeye_poses
 from armsight.store.path_file import read_path
 from armsight.units import DEG, MM
 from armsight_sim.live import live_cell
+from armsight_sim.reproduce.pachidis2005 import PRINTED
 from bench import machine, table
 
 SERVO_FPS = 1.0 / 0.07

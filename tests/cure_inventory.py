@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import TypeGuard
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "src" / "armsight"
+SOURCES = (
+    (ROOT / "src" / "armsight", ""),
+    (ROOT / "plant" / "src", "armsight_plant"),
+    (ROOT / "sim" / "src", "armsight_sim/reproduce"),
+)
+"""Where modules are named from, and the folder in it whose cures are a person's."""
 
 NAMES = re.compile(
     r"(?<![\w-])--[a-z]|\barmsight (?!anew|is )[a-z]|"
@@ -22,7 +27,7 @@ NAMES = re.compile(
 
 @dataclass(frozen=True)
 class Cure:
-    """A cure of a module (path from src/armsight), its text with {} for what is put in."""
+    """A cure of a module (path from src/armsight, or from another src), its text with {} for what is put in."""
 
     module: str
     text: str
@@ -37,7 +42,7 @@ class Cure:
 def cures() -> tuple[Cure, ...]:
     """Return all cures, each text of a module once."""
     found = {}
-    for path in sorted(SOURCE.rglob("*.py")):
+    for root, path in [(home, path) for home, part in SOURCES for path in sorted((home / part).rglob("*.py"))]:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         constants = {
             target.id: node.value
@@ -50,7 +55,7 @@ def cures() -> tuple[Cure, ...]:
             if _is_cure(node):
                 for text in texts(node.value, constants):
                     if text.strip("{} "):
-                        found[Cure(path.relative_to(SOURCE).as_posix(), text)] = None
+                        found[Cure(path.relative_to(root).as_posix(), text)] = None
     return tuple(found)
 
 

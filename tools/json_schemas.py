@@ -45,11 +45,11 @@ from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
 from armsight.app.play.play_path import PlayOutput
 from armsight.app.record.export import ExportOutput
 from armsight.app.record.record import RecordOutput
-from armsight.app.reproduce.run import ReproduceOutput
 from armsight.app.robot.jog import JogOutput
 from armsight.app.robot.link_test import RobotTestOutput
 from armsight.app.robot.run_motion import RunMotionOutput
 from armsight.app.servo.session import ServoOutput
+from armsight.app.simulate.reproduced import ReproduceOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachOutput

@@ -19,7 +19,11 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 HOME = Path(__file__).resolve().parent.parent
-ROOTS = (HOME / "src" / "armsight", HOME / "sim" / "src" / "armsight_sim")
+ROOTS = (
+    HOME / "src" / "armsight",
+    HOME / "sim" / "src" / "armsight_sim",
+    HOME / "plant" / "src" / "armsight_plant",
+)
 MOST_LINES = 40
 MOST_ARGUMENTS = 8
 MOST_FILE_LINES = 400
@@ -89,7 +93,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
 }
 """What may be over a limit, by the limit's key: place (a pattern) -> reason. Every one of them is printed.
 
-A place is a file's path in armsight; one in armsight_sim begins with that name.
+A place is a file's path in armsight; one of another distribution begins with the name of its package.
 """
 
 

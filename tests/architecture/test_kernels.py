@@ -75,6 +75,7 @@ def inner_kernels_of(module: ModuleType | SimpleNamespace, source: str) -> list[
 def test_only_one_file_says_how_kernels_are_compiled(tmp_path: Path) -> None:
     assert not named_outside(ROOT / "src")
     assert not named_outside(ROOT / "sim" / "src")
+    assert not named_outside(ROOT / "plant" / "src")
     (tmp_path / "planted.py").write_text("from numba import njit\n")
     assert named_outside(tmp_path) == ["planted.py"]
 

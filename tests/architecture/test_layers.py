@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+OTHERS = {"armsight_sim": "sim/src", "armsight_plant": "plant/src"}
+PARTS = ("src", *OTHERS.values())
 
 PLANTED = {
     "geometry sees records": ("geometry/planted.py", "import armsight.records"),
@@ -27,6 +29,11 @@ PLANTED = {
     "a cell sees a paper": ("armsight_sim/sets/planted.py", "import armsight_sim.papers.kapucu2005"),
     "a module outside the simulation's plan": ("armsight_sim/planted.py", '"""Nobody knows what this is."""'),
     "store sees config": ("store/planted.py", "import armsight.config"),
+    "a world runs armsight": ("armsight_sim/sets/planted.py", "import armsight.app.measure.run"),
+    "a world sees what runs armsight on it": ("armsight_sim/twins/planted.py", "import armsight_sim.reproduce.run"),
+    "server imports what plants use by name": ("server/planted.py", "import armsight_plant.options"),
+    "what plants use serves pages": ("armsight_plant/opcua/planted.py", "import armsight.server"),
+    "a publisher sees what feeds it": ("armsight_plant/opcua/planted.py", "import armsight_plant.feed"),
     "app imports the simulation by name": ("app/planted.py", "import armsight_sim.cells"),
     "drivers see testing": ("drivers/planted.py", "import armsight.testing"),
     "maths opens files": ("fitting/planted.py", "import pathlib"),
@@ -40,7 +47,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{folder / 'src'}{os.pathsep}{folder / 'sim' / 'src'}"},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(str(folder / part) for part in PARTS)},
         capture_output=True,
         text=True,
         check=False,
@@ -50,7 +57,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("house")
-    for part in ("src", "sim/src"):
+    for part in PARTS:
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     return folder
@@ -64,7 +71,7 @@ def test_the_clean_tree_passes(copy: Path) -> None:
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_violation_fails(copy: Path, name: str) -> None:
     path, text = PLANTED[name]
-    planted = copy / ("sim/src" if path.startswith("armsight_sim") else "src/armsight") / path
+    planted = copy / OTHERS.get(path.split("/")[0], "src/armsight") / path
     new_folder = not planted.parent.exists()
     planted.parent.mkdir(exist_ok=True)
     planted.write_text(text + "\n")

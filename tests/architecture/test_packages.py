@@ -12,10 +12,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE = {".pyc", ".nbi", ".nbc"}
+PACKAGES = [(".", "armsight"), ("sim", "armsight_sim"), ("plant", "armsight_plant")]
 BESIDE = {"CHANGELOG.md", "LICENSE", "README.md", "PKG-INFO", ".gitignore", "pyproject.toml"}
 
 
-@pytest.mark.parametrize(("folder", "package"), [(".", "armsight"), ("sim", "armsight_sim")])
+@pytest.mark.parametrize(("folder", "package"), PACKAGES)
 def test_a_package_is_whole(folder, package, tmp_path):
     command = [sys.executable, "-m", "hatchling", "build", "--directory", str(tmp_path)]
     subprocess.run(command, cwd=ROOT / folder, check=True, capture_output=True)

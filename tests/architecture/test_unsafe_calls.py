@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "src" / "armsight"
-SIMULATION = ROOT / "sim" / "src"
+OTHERS = (ROOT / "sim" / "src", ROOT / "plant" / "src")
 
 UNSAFE = re.compile(
     r"(?:pickle|_pickle|dill|marshal|shelve)\.(?:load|loads|Unpickler|open)|(?:builtins\.)?(?:eval|exec)|os\.(?:system|popen)"
@@ -23,7 +23,7 @@ UNSAFE = re.compile(
 ALLOWED = {
     "app/robot/hosting.py": {"pickle.loads"},  # memory shared with the loop, its own child process, alone
     "control/session/loop_side.py": {"pickle.loads"},  # ... and the child's side of it
-    "publish/process.py": {"pickle.loads"},  # memory shared with the publishers, its own child process
+    "armsight_plant/process.py": {"pickle.loads"},  # memory shared with the publishers, its own child process
     "armsight_sim/twins/urscript.py": {
         "exec"
     },  # an emulated controller's program, of listed kinds of nodes, without builtins
@@ -51,7 +51,7 @@ OFF = (("shell", True), ("verify", False), ("check_hostname", False), ("allow_pi
 def found() -> dict[str, set[str]]:
     said = {
         path.relative_to(root).as_posix(): set(calls(path.read_text()))
-        for root in (SOURCE, SIMULATION)
+        for root in (SOURCE, *OTHERS)
         for path in root.rglob("*.py")
     }
     return {name: called for name, called in said.items() if called}

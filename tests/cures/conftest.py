@@ -24,8 +24,8 @@ from histories import baseline_runs, runs
 def given_files(tmp_path_factory, scene, boards, mirror_boards):
     """left/ and right/ with rig.yaml and target.yaml; boards/; cell/ of `simulate`; j.csv and poses.csv of an arm."""
     from armsight.app.simulate.run import simulate
-    from armsight.publish.certificates import make_pair
     from armsight.store.tokens import add_token
+    from armsight_plant.certificates import make_pair
 
     folder = tmp_path_factory.mktemp("given")
     shutil.copytree(scene.folder, folder, dirs_exist_ok=True)

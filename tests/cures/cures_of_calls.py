@@ -33,7 +33,6 @@ from armsight.kinematics import preset
 from armsight.kinematics.couplings import Coupling
 from armsight.measure.pace import Pace
 from armsight.optics import Camera, Plate
-from armsight.publish.options import mqtt_options
 from armsight.records import Motion, Spots, TaughtPath
 from armsight.records.checks import require_rigid
 from armsight.records.target import Colour, TargetKind, board_target
@@ -43,6 +42,7 @@ from armsight.server.web_server import ServeOptions, check_options
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import write_arm
 from armsight.store.urdf_writer import urdf_text
+from armsight_plant.options import mqtt_options
 
 FILES: dict[str, str] = {}
 CERTIFICATE, KEY = Path("keys/opcua-cert.pem"), Path("keys/opcua-key.pem")
@@ -217,7 +217,7 @@ TRIED = {
         lambda: Plate(thickness_m=0.001, index=1.5),
     ),
     ("optics/camera.py", "Give its size in px"): (camera(0), camera(640)),
-    ("publish/options.py", "Give --mqtt-user"): (
+    ("armsight_plant/options.py", "Give --mqtt-user"): (
         lambda: mqtt_options("mqtts://a.example/cell", ca=None, user="", password_file=Path("password")),
         lambda: mqtt_options("mqtts://a.example/cell", ca=None, user="me", password_file=Path("password")),
     ),

@@ -23,7 +23,6 @@ from cures_of_runs import BOARD, CAMERAS, DESIGN, FIND
 from armsight.app.identify.live import Known, _ask, _modelled
 from armsight.app.live.measurement import LiveJob, require_kind
 from armsight.app.record.free_cameras import FreeJob
-from armsight.app.reproduce.stage import Stage
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.robot.recorder import require_recorded
 from armsight.app.robot.run_motion import _cameras
@@ -36,13 +35,14 @@ from armsight.kinematics import preset
 from armsight.measure.correspondence import PatchSettings, StereoViews, find_in_other_view
 from armsight.optics import Camera
 from armsight.optics.zoom import ZoomSetting
-from armsight.publish.certificates import read_pair
-from armsight.publish.foxglove import FoxglovePublisher
-from armsight.publish.options import FoxgloveOptions
 from armsight.records import Frame, JointReading, Silent
 from armsight.records.motion import JointHistory
 from armsight.store import read_rig, read_world
 from armsight.store.recording import Recording, RecordingWriter
+from armsight_plant.certificates import read_pair
+from armsight_plant.foxglove import FoxglovePublisher
+from armsight_plant.options import FoxgloveOptions
+from armsight_sim.reproduce.stage import Stage
 
 FILES: dict[str, str] = {}
 
@@ -220,7 +220,7 @@ TRIED = {
         found(0.5, 4.0, period_px=30),
         found(0.8, 1.3, period_px=30),
     ),
-    ("publish/foxglove.py", "Choose another port"): (
+    ("armsight_plant/foxglove.py", "Choose another port"): (
         published(taken=True),
         published(taken=False),
     ),
@@ -249,8 +249,8 @@ TRIED = {
         lambda: require_recorded("no space is left"),
         lambda: require_recorded(""),
     ),
-    ("app/reproduce/stage.py", "Give --frames {}, or leave it away"): (stage(9, most=3), stage(3, most=3)),
-    ("app/reproduce/stage.py", "Give --frames {} or more"): (stage(2, least=3), stage(3, least=3)),
+    ("armsight_sim/reproduce/stage.py", "Give --frames {}, or leave it away"): (stage(9, most=3), stage(3, most=3)),
+    ("armsight_sim/reproduce/stage.py", "Give --frames {} or more"): (stage(2, least=3), stage(3, least=3)),
     ("app/design/volume.py", "Give more --cells, or"): (
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 1",
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 3",
@@ -268,7 +268,7 @@ TRIED = {
         lambda: ZoomSetting(zoom=100.0, camera=FISHEYE),
         f"{CAMERA} --lens fisheye",
     ),
-    ("publish/certificates.py", "Have one made with URI"): (
+    ("armsight_plant/certificates.py", "Have one made with URI"): (
         (unnamed, lambda: read_pair(Path("bare.pem"), KEY)),
         ("serve --make-certificate made --", lambda: read_pair(*sorted(Path("made").iterdir()))),
     ),

@@ -103,27 +103,27 @@ TRIED = {
         lambda: arm_model("egm:6510", None),
         lambda: arm_model("egm:6510", "irb120"),
     ),
-    ("app/requests/plant.py", "Give --opcua, --mqtt or"): (
+    ("armsight_plant/publishing.py", "Give --opcua, --mqtt or"): (
         plant(stale_after_s=5.0),
         lambda: [plant(stale_after_s=5.0, foxglove="8765")(), plant()()],
     ),
-    ("app/requests/plant.py", "Give --opcua-certificate and"): (
+    ("armsight_plant/publishing.py", "Give --opcua-certificate and"): (
         plant(opcua=URL, opcua_users=TOKENS, opcua_anonymous=True),
         plant(**SAFE, opcua_users=TOKENS, opcua_anonymous=True),
     ),
-    ("publish/options.py", "Give both --opcua-certificate"): (
+    ("armsight_plant/options.py", "Give both --opcua-certificate"): (
         plant(opcua=URL, opcua_certificate=CERTIFICATE, opcua_anonymous=True),
         plant(**SAFE, opcua_anonymous=True),
     ),
-    ("publish/options.py", "makes a pair"): (
+    ("armsight_plant/options.py", "makes a pair"): (
         plant(opcua=URL),
         lambda: plant(**SAFE, opcua_users=TOKENS)(),
     ),
-    ("publish/options.py", "or --opcua-anonymous to let"): (
+    ("armsight_plant/options.py", "or --opcua-anonymous to let"): (
         plant(**SAFE),
         lambda: [plant(**SAFE, opcua_users=TOKENS)(), plant(**SAFE, opcua_anonymous=True)()],
     ),
-    ("publish/options.py", "and the password in a file"): (
+    ("armsight_plant/options.py", "and the password in a file"): (
         plant(mqtt="mqtts://me:secret@a.example/cell"),
         plant(mqtt="mqtts://a.example/cell", mqtt_user="me", mqtt_password_file=Path("password")),
     ),

@@ -101,7 +101,7 @@ IN_TESTS = {
     ("drivers/remote/wire.py", "Check that `armsight serve` runs there"): (
         "tests/unit/server/test_server.py::test_nobody_answers"
     ),
-    ("publish/opcua/publisher.py", "Choose another port or address with --opcua"): (
+    ("armsight_plant/opcua/publisher.py", "Choose another port or address with --opcua"): (
         "tests/unit/publish/test_opcua.py::test_a_port_in_use_is_told"
     ),
     ("app/batch/work.py", "Make room, then give --resume"): (

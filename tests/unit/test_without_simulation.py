@@ -1,6 +1,6 @@
-"""armsight without armsight-sim: its own work goes on, and what would be simulated is refused with the cure.
+"""armsight without its other distributions: its own work goes on, and what they would do is refused with the cure.
 
-The environment is a new one that holds links to all that is installed here, armsight-sim excepted.
+The environment is a new one that holds links to all that is installed here, those distributions excepted.
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ from armsight.kinematics import fk, presets
 
 ROOT = Path(__file__).resolve().parents[2]
 
+OTHERS = ("sim", "plant")
+
 WORKS = (
     "--help",
+    "serve --help",
+    "verify --help",
     "simulate --help",
     "measure --rig cell/rig.yaml --target cell/target.yaml --left cell/left --right cell/right -o measured --json",
     "calibrate robot-world --arm arm/arm_true.yaml --points arm/observed.csv -o world.yaml --json",
@@ -37,7 +41,7 @@ WORKS = (
     "kinematics fk --arm stanford-rrp --joints joints.csv -o flange.csv --json",
     "doctor --json",
 )
-REFUSED = (
+SIMULATED = (
     "demo -o none --json",
     "simulate webcam-cell -o none --json",
     "simulate hand-cell -o none --json",
@@ -50,6 +54,17 @@ REFUSED = (
     "measure --rig cell/rig.yaml --target cell/target.yaml --left camera:sim:webcam-cell:left "
     "--right camera:sim:webcam-cell:right -o none --json",
 )
+LIVE = (
+    "verify --live --robot rsi:49152 --left camera:0 --right camera:1 --rig cell/rig.yaml --target cell/target.yaml "
+    "--arm ur10 --world cell/world.yaml -o none --json"
+)
+PUBLISHED = (
+    "serve --make-certificate none",
+    "serve --robot rsi:49152 --foxglove 0",
+    f"{LIVE} --opcua opc.tcp://127.0.0.1:4840 --opcua-anonymous",
+    f"{LIVE} --mqtt mqtts://broker/cell",
+)
+REFUSED = {**dict.fromkeys(SIMULATED, "sim"), **dict.fromkeys(PUBLISHED, "plant")}
 
 CODE = """
 import importlib.util, json, sys
@@ -57,7 +72,8 @@ from typer.testing import CliRunner
 import armsight
 from armsight.cli.commands import app
 
-out = {"there": importlib.util.find_spec("armsight_sim") is not None, "scenarios": armsight.scenarios()}
+there = [name for name in ("armsight_sim", "armsight_plant") if importlib.util.find_spec(name)]
+out = {"there": there, "scenarios": armsight.scenarios()}
 for line in json.load(sys.stdin):
     done = CliRunner().invoke(app, line.split())
     out[line] = [done.exit_code, done.stdout, done.stderr]
@@ -81,7 +97,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     here = Path(sysconfig.get_path("purelib"))
     packages = work / "venv" / here.relative_to(sys.prefix)
     for path in here.iterdir():
-        if "armsight_sim" not in path.name:
+        if not any(f"armsight_{name}" in path.name for name in OTHERS):
             (packages / path.name).symlink_to(path)
     done = subprocess.run(
         [str(work / "venv" / "bin" / "python"), "-c", CODE],
@@ -117,8 +133,8 @@ def write_track(folder: Path) -> None:
         (folder / f"{name}.csv").write_text("\n".join(["x_m,y_m,z_m,qx,qy,qz,qw", *rows]) + "\n")
 
 
-def test_the_simulation_is_not_there(bare: dict[str, Any]) -> None:
-    assert not bare["there"]
+def test_the_other_distributions_are_not_there(bare: dict[str, Any]) -> None:
+    assert bare["there"] == []
     assert bare["scenarios"] == []
     assert "webcam-cell" in armsight.scenarios(), "... and it is here"
 
@@ -129,20 +145,23 @@ def test_armsights_own_work_goes_on(bare: dict[str, Any], line: str) -> None:
     assert code == 0, stderr or stdout
     if line.startswith("measure"):
         assert json.loads(stdout)["n_ok"] == 4
+    if line in ("serve --help", "verify --help"):
+        assert all(flag in stdout for flag in ("--opcua", "--mqtt-user", "--foxglove", "--stale-after"))
     if line.startswith("doctor"):
         assert json.loads(stdout)["drivers"]["cells"] == [] and "egm" in json.loads(stdout)["drivers"]["robots"]
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_what_would_be_simulated_is_refused_with_the_cure(bare: dict[str, Any], line: str) -> None:
+def test_what_they_would_do_is_refused_with_the_cure(bare: dict[str, Any], line: str) -> None:
     code, stdout, stderr = bare[line]
+    cure = f"armsight[{REFUSED[line]}]"
     assert code == 4, stderr or stdout
     if "--json" in line:
         error = json.loads(stdout)["error"]
         assert (error["kind"], error["exit_code"]) == ("DeviceNotFound", 4)
-        assert error["consequence"] and "armsight[sim]" in error["cure"]
+        assert error["consequence"] and cure in error["cure"]
     else:
-        assert "armsight[sim]" in stderr
+        assert cure in stderr
 
 
 def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
@@ -150,20 +169,27 @@ def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
     assert kind == "DeviceNotFound" and "armsight[sim]" in cure
 
 
-def test_both_distributions_have_one_version_and_ask_for_each_other_by_it() -> None:
-    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    sim = tomllib.loads((ROOT / "sim" / "pyproject.toml").read_text(encoding="utf-8"))
-    assert core["project"]["optional-dependencies"]["sim"] == [f"armsight-sim=={__version__}"]
-    assert f"armsight=={__version__}" in sim["project"]["dependencies"]
-    for project, folder in ((core, ROOT), (sim, ROOT / "sim")):
-        assert project["project"]["dynamic"] == ["version"]
-        assert (folder / project["tool"]["hatch"]["version"]["path"]).resolve() == ROOT / "src/armsight/_version.py"
+def project(folder: str) -> dict[str, Any]:
+    return tomllib.loads((ROOT / folder / "pyproject.toml").read_text(encoding="utf-8"))
 
 
-def test_the_simulation_asks_for_no_other_version_of_what_both_need() -> None:
-    core, sim = (
-        {re.split(r"[<>=]", need)[0]: need for need in tomllib.loads(path.read_text())["project"]["dependencies"]}
-        for path in (ROOT / "pyproject.toml", ROOT / "sim" / "pyproject.toml")
+@pytest.mark.parametrize("other", OTHERS)
+def test_distributions_have_one_version_and_ask_for_each_other_by_it(other: str) -> None:
+    extras = project("")["project"]["optional-dependencies"]
+    for extra in (other, *(("foxglove",) if other == "plant" else ())):
+        assert f"armsight-{other}=={__version__}" in extras[extra]
+    assert f"armsight=={__version__}" in project(other)["project"]["dependencies"]
+    for folder in ("", other):
+        assert project(folder)["project"]["dynamic"] == ["version"]
+        version = ROOT / folder / project(folder)["tool"]["hatch"]["version"]["path"]
+        assert version.resolve() == ROOT / "src/armsight/_version.py"
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_distribution_asks_for_no_other_version_of_what_both_need(other: str) -> None:
+    core, its = (
+        {re.split(r"[<>=]", need)[0]: need for need in project(folder)["project"]["dependencies"]}
+        for folder in ("", other)
     )
-    sim.pop("armsight")
-    assert sim and sim.items() <= core.items()
+    its.pop("armsight")
+    assert its and its.items() <= core.items()

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from armsight.app.doctor import DoctorOutput
 from armsight.app.doctor import doctor as look_at_machine
-from armsight.app.reproduce.run import ReproduceOutput
-from armsight.app.reproduce.run import reproduce as run_paper
 from armsight.app.requests.simulate import DoctorJob, ReproduceJob
+from armsight.app.simulate.reproduced import ReproduceOutput
+from armsight.drivers import PAPERS, load
 from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
-from armsight.ops.given import (
-    Given,
-    PathText,
-    RigLike,
-    as_text,
-)
+from armsight.ops.given import Given, PathText, RigLike, as_text
 from armsight.records import Progress, checked_array
 
 
@@ -68,4 +63,5 @@ def reproduce(
 
     seed: of the noise. frames: fewer than the paper has. Raises UsageError with the papers there are, DeviceFailed.
     """
-    return run_paper(as_text("paper", paper), as_path(out, "out"), seed=seed, frames=frames, progress=progress)
+    run: Callable[..., ReproduceOutput] = load(PAPERS, "reproduce")
+    return run(as_text("paper", paper), as_path(out, "out"), seed=seed, frames=frames, progress=progress)

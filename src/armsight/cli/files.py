@@ -15,16 +15,16 @@ from armsight.shown import REJECTED_SHOWN
 from armsight.units import MS, displayed
 
 if TYPE_CHECKING:
-    from armsight.app.reproduce.run import ReproducedTable, ReproduceOutput
+    from armsight.app.simulate.reproduced import ReproducedTable, ReproduceOutput
 
 
 @command(app, keeps=("reproduce.json", "report.html"))
 def reproduce(face: CommandUI, job: requests.simulate.ReproduceJob) -> None:
     """Run a paper's experiment on emulated hardware; put print, the paper's method and armsight side by side."""
-    from armsight.app.reproduce.run import reproduce as run
+    from armsight.drivers import PAPERS, load
 
-    progress = face.progress(f"reproducing {job.paper}")
-    done = run(job.paper, job.out, seed=job.seed, frames=job.frames, progress=progress)
+    run = load(PAPERS, "reproduce")
+    done = run(job.paper, job.out, seed=job.seed, frames=job.frames, progress=face.progress(f"reproducing {job.paper}"))
     _reproduced(done, face)
     face.say(f"Result: open {job.out / 'report.html'}")
     face.result(done)

@@ -76,6 +76,7 @@ def serve(
     """Serve a robot: this program alone talks to its controller and guards it; others watch, stop and drive it."""
     face.until_stopped = True
     from armsight.app.robot.recorder import default_log
+    from armsight.drivers import registry
     from armsight.server.serving import Terminal, serve_robot
     from armsight.server.web_server import ServeOptions
 
@@ -83,9 +84,8 @@ def serve(
         _add_token(face, tokens, add_token)
         return
     if make_certificate is not None:
-        from armsight.publish.certificates import make_pair
-
-        face.say(f"{' and '.join(str(one) for one in make_pair(make_certificate))}: the certificate goes to clients")
+        pair = registry.extension(registry.PLANT, "make-pair", "plant")(make_certificate)
+        face.say(f"{' and '.join(map(str, pair))}: the certificate goes to clients")
         return
     if robot is None:
         raise UsageError("no robot is named", consequence="Nothing is served", cure="Give --robot DRIVER:DEVICE")
@@ -288,7 +288,7 @@ def serve_cell(
             server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)
             ready = partial(_say, face, page=page)
-            with told_to_plant(cell.service, options.plant, face.say, made.seen):
+            with told_to_plant(cell.service, options, face.say, made.seen):
                 serve_pages(server, options, page.listener, ready=ready, service=cell.service)
         finally:
             made.close()

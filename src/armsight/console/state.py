@@ -35,9 +35,9 @@ from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
-from armsight.publish.state import Seen
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
+from armsight.verify.supervision import Seen
 
 Array = NDArray[np.float64]
 

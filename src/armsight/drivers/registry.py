@@ -29,10 +29,13 @@ folder of the built-in ones."""
 TWINS = "armsight.twins"
 """Group of callables (*, port, connect, arm, cycle_s, clock) -> Twin: emulated controllers, see armsight_sim.twins."""
 
-METHODS = "armsight.papers"
-"""Group of modules, each with what a paper computes, as the paper computes it."""
+PAPERS = "armsight.papers"
+"""Group of `reproduce`: (paper: str, out: Path, *, seed, frames, progress) -> ReproduceOutput."""
 
-SIMULATION = (CELLS, SETS, SCENARIOS, TWINS, METHODS)
+PLANT = "armsight.plant"
+"""Group of what armsight-plant brings: `publishing`: (PlantFlags, notify, users) -> Publishing; `make-pair`."""
+
+SIMULATION = (CELLS, SETS, SCENARIOS, TWINS, PAPERS)
 """Groups that armsight-sim fills, a distribution of its own; it also brings the name `sim` of ROBOTS and CAMERAS."""
 
 
@@ -52,6 +55,17 @@ def load(group: str, name: str) -> Any:
             consequence="It cannot be used",
             cure="Install what it needs",
         ) from error
+
+
+def extension(group: str, name: str, extra: str) -> Any:
+    """Return what armsight-EXTRA, a distribution of its own, registers. Raises DeviceNotFound where it is missing."""
+    if name not in known(group):
+        raise DeviceNotFound(
+            f"armsight-{extra}, which does this, is not installed",
+            consequence="Nothing was done",
+            cure=f"Install it: pip install 'armsight[{extra}]'",
+        )
+    return load(group, name)
 
 
 def folder(group: str, name: str) -> Path:

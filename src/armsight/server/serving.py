@@ -33,8 +33,7 @@ from armsight.server.web_server import ServeOptions, check_options, web_server
 from armsight.store.limits_file import read_limits
 
 if TYPE_CHECKING:
-    from armsight.publish.options import PlantOptions
-    from armsight.publish.state import Seen
+    from armsight.verify.supervision import Seen
 
 
 def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], None]) -> None:
@@ -128,27 +127,11 @@ class Terminal:
     cancelled: Callable[[], bool] = lambda: False
 
 
-@contextlib.contextmanager
 def told_to_plant(
-    service: Service,
-    plant: PlantOptions | None,
-    tell: Callable[[str], None],
-    seen: Callable[[], Seen | None] = lambda: None,
-) -> Iterator[None]:
-    """Publish a robot for the plant's systems while the block runs; None: nothing. tell: the addresses, and failures.
-
-    seen: what a supervision measured last. Raises as publish.feed.published.
-    """
-    if plant is None:
-        yield
-        return
-    from armsight.app.robot.plant_source import log_of, source_of
-    from armsight.publish.feed import addresses, published
-
-    with published(plant, source_of(service, seen), log_of(service, tell)) as ports:
-        for text in addresses(plant, ports):
-            tell(text)
-        yield
+    service: Service, options: ServeOptions, tell: Callable[[str], None], seen: Callable[[], Seen | None] = lambda: None
+) -> contextlib.AbstractContextManager[None]:
+    """Return what publishes a robot for the plant's systems while its block runs, where options ask for it."""
+    return contextlib.nullcontext() if options.plant is None else options.plant.served(service, tell, seen)
 
 
 def serve_robot(
@@ -168,7 +151,7 @@ def serve_robot(
         service = Service(host, kept)
         service.authority.note("info", f"{job.robot} is served")
         service.pump()  # what the loop told as it took the arm over
-        with told_to_plant(service, options.plant, terminal.tell):
+        with told_to_plant(service, options, terminal.tell):
             notes = (service.outside, "" if limits is None else left_open(spec.limits, limits.name), open_to_all(job))
             serve(service, options, ready=lambda url: terminal.ready(url, "; ".join(filter(None, notes))))
         service.authority.note("info", "the server ends")

@@ -25,7 +25,7 @@ from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
 
 if TYPE_CHECKING:
-    from armsight.publish.options import PlantOptions
+    from armsight.app.requests.plant import Publishing
 
 LOOPBACK = "127.0.0.1"
 PORT = 8765
@@ -48,7 +48,7 @@ class ServeOptions:
     tokens: Path | None = None
     tls_cert: Path | None = None
     tls_key: Path | None = None
-    plant: PlantOptions | None = None
+    plant: Publishing | None = None
 
     @property
     def scheme(self) -> str:

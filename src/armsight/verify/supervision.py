@@ -265,6 +265,33 @@ def surely_within(seen: Compared, limits: Limits) -> bool:
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """A measured pose and what was made of it. at_s: of the exposure, on time.monotonic; lost: why nothing is compared.
+
+    limits: the levels that it was judged by; level: the gravest now, and why in words. blind: whether nothing was
+    compared for longer than a few pictures.
+    """
+
+    pose: TargetPose
+    compared: Compared | None
+    level: Level
+    why: str
+    limits: Limits
+    lost: str
+    at_s: float
+    blind: bool = False
+
+    @property
+    def in_tolerance(self) -> bool | None:
+        """Whether the arm is within its levels for sure (True), or beyond one (False); None where that is not known."""
+        if self.compared is None:
+            return None
+        if self.level is not Level.GOOD:
+            return False
+        return True if surely_within(self.compared, self.limits) else None
+
+
 def _widest(covariance: Array) -> float:
     """Return the standard deviation of a vector (3,) in the direction in which it is known worst."""
     return float(np.sqrt(np.linalg.norm(covariance, 2)))

@@ -13,13 +13,13 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.operator.supervise import Levels, StationSupervisor
 from armsight.errors import NotEnoughData, UsageError
-from armsight.publish.state import PlantState, conditions
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
 from armsight.store.handeye_file import read_handeye
 from armsight.units import MM
 from armsight.verify.supervision import Level, Limits
+from armsight_plant.state import PlantState, conditions
 from refusals import refuses
 
 HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])

@@ -18,13 +18,14 @@ from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, NotEnoughData
-from armsight.publish.options import FoxgloveOptions, PlantOptions
-from armsight.publish.state import PlantState, conditions
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
 from armsight.store.worlds import World, write_world
 from armsight.verify.supervision import Limits
+from armsight_plant.options import FoxgloveOptions, PlantOptions
+from armsight_plant.publishing import Publishing
+from armsight_plant.state import PlantState, conditions
 from armsight_sim.live import live_cell
 from armsight_sim.robot import RobotFault
 from armsight_sim.scenario_builder import build_world
@@ -168,7 +169,7 @@ class Told:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.states: list[PlantState] = []
         self.log: Callable[[str, str], None] = lambda *_: None
-        monkeypatch.setattr("armsight.publish.feed.published", self.published)
+        monkeypatch.setattr("armsight_plant.publishing.published", self.published)
 
     @contextmanager
     def published(self, options: PlantOptions, source: Callable[[], PlantState], log: Any) -> Iterator[dict[str, int]]:
@@ -184,7 +185,7 @@ def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
 ) -> None:
     told, said = Told(monkeypatch), []
     cell = Cell(tmp_path, [{"kind": "jump", "at_s": 0.3, "for_s": 9.0, "by_m": [0.005, 0.0, 0.0]}])
-    told_of = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))
+    told_of = Publishing(PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0)))
 
     def show(*_: Any) -> None:
         told.look()
@@ -221,7 +222,7 @@ def test_the_plant_is_told_nothing_of_a_robot_whose_link_is_lost(
         if len(told.states) == 5:
             cell.cell.robot.fault(RobotFault.LINK_LOST)
 
-    told_of = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))
+    told_of = Publishing(PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0)))
     cell.run(limits=Limits(warn_m=2e-3), blind_stop_s=0.2, limit=60, show=show, plant=told_of)
     last = told.states[-1]
     assert last.robot is None and last.why

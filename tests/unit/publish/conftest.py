@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from armsight.publish.certificates import make_pair
 from armsight.store.tokens import add_token
+from armsight_plant.certificates import make_pair
 
 
 @dataclass(frozen=True)

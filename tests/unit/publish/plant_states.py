@@ -7,9 +7,9 @@ import numpy as np
 from armsight.control.guard import GuardState
 from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
-from armsight.publish.state import PlantState, RobotSeen, Seen
 from armsight.records import JointReading, PoseStatus, TargetPose
-from armsight.verify.supervision import Compared, Level, Limits
+from armsight.verify.supervision import Compared, Level, Limits, Seen
+from armsight_plant.state import PlantState, RobotSeen
 
 UNIX_S = 1.8e9
 LIMITS = Limits(warn_m=0.003, stop_m=0.01)

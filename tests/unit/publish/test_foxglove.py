@@ -13,10 +13,10 @@ from websockets.sync.client import connect
 
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
-from armsight.publish.feed import Feed
-from armsight.publish.foxglove import FoxglovePublisher
-from armsight.publish.options import FoxgloveOptions
 from armsight.store.recording import RecordingWriter
+from armsight_plant.feed import Feed
+from armsight_plant.foxglove import FoxglovePublisher
+from armsight_plant.options import FoxgloveOptions
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))

@@ -12,8 +12,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 
 from armsight.app.requests.plant import PlantFlags
 from armsight.errors import BadFile, DeviceNotFound, UsageError
-from armsight.publish.certificates import make_pair, read_pair, read_trusted
-from armsight.publish.options import (
+from armsight_plant.certificates import make_pair, read_pair, read_trusted
+from armsight_plant.options import (
     FoxgloveOptions,
     MqttOptions,
     OpcUaOptions,
@@ -22,7 +22,7 @@ from armsight.publish.options import (
     mqtt_options,
     opcua_options,
 )
-from armsight.publish.process import publishers
+from armsight_plant.process import publishers
 
 URL = "opc.tcp://127.0.0.1:4840"
 NONE = {"certificate": None, "key": None, "trusted": None, "users": None, "anonymous": False}
@@ -244,7 +244,7 @@ def test_a_package_that_is_missing_is_told_with_its_extra(monkeypatch, package, 
     for name in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
-    for name in [one for one in sys.modules if one.startswith(f"armsight.publish.{module.split('.')[0]}")]:
+    for name in [one for one in sys.modules if one.startswith(f"armsight_plant.{module.split('.')[0]}")]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(DeviceNotFound) as missing:
         publishers(PlantOptions(**options), quiet)

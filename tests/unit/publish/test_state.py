@@ -10,11 +10,11 @@ import pytest
 
 from armsight.control.guard import GuardState
 from armsight.drivers import RobotState
-from armsight.publish.alarms import NAMES
-from armsight.publish.mqtt import state_json
-from armsight.publish.state import Quality, conditions, trust
-from armsight.publish.values import IN_TOLERANCE, VALUES, told
 from armsight.verify.supervision import Level, Limits
+from armsight_plant.alarms import NAMES
+from armsight_plant.mqtt import state_json
+from armsight_plant.state import Quality, conditions, trust
+from armsight_plant.values import IN_TOLERANCE, VALUES, told
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))

@@ -6,14 +6,15 @@ from contextlib import contextmanager
 
 import pytest
 
-from armsight.app.robot.plant_source import log_of, source_of
 from armsight.control.guard import GuardState
-from armsight.publish.options import FoxgloveOptions, PlantOptions
-from armsight.publish.state import conditions
-from armsight.publish.values import told
 from armsight.server.serving import told_to_plant
+from armsight.server.web_server import ServeOptions
+from armsight_plant.options import FoxgloveOptions, PlantOptions
+from armsight_plant.publishing import Publishing, log_of, source_of
+from armsight_plant.state import conditions
+from armsight_plant.values import told
 
-FOXGLOVE = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=8767))
+FOXGLOVE = Publishing(PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=8767)))
 
 
 def test_state_and_joints_of_a_robot_are_told_with_their_age(service, host):
@@ -54,8 +55,8 @@ def test_a_server_tells_where_it_publishes_and_nothing_where_it_does_not(service
         begun.append(source().source)
         yield {"foxglove": 8767}
 
-    monkeypatch.setattr("armsight.publish.feed.published", published)
-    with told_to_plant(service, None, said.append):
+    monkeypatch.setattr("armsight_plant.publishing.published", published)
+    with told_to_plant(service, ServeOptions(), said.append):
         assert begun == said == []
-    with told_to_plant(service, FOXGLOVE, said.append):
+    with told_to_plant(service, ServeOptions(plant=FOXGLOVE), said.append):
         assert begun == ["armsight serve"] and said == ["Foxglove: ws://127.0.0.1:8767"]

@@ -20,7 +20,6 @@ from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.control.session.operator_session import Person
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
-from armsight.publish.state import Seen
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
@@ -29,7 +28,7 @@ from armsight.store.atomic import write_json
 from armsight.store.cell_file import CellFile
 from armsight.units import DEG, MM
 from armsight.verify.results import VerifyLiveOutput
-from armsight.verify.supervision import Compared, Expectation, Level, Limits, Watch
+from armsight.verify.supervision import Compared, Expectation, Level, Limits, Seen, Watch
 
 LOOK_S = 0.004
 KEPT = 90_000

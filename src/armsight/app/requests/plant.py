@@ -3,20 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol
 
-from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 
 if TYPE_CHECKING:
-    from armsight.publish.options import PlantOptions
+    from armsight.app.verify.supervising import Supervision
+    from armsight.control.session.service import Service
+    from armsight.verify.supervision import Seen
 
 PLANT = "The plant's systems (OPC UA, MQTT, Foxglove)"
 STALE_S = 1.0
 _FOLDER = Flag(metavar="FOLDER", panel=PLANT)
 _FILE = Flag(metavar="FILE", panel=PLANT)
+
+
+class Publishing(Protocol):
+    """What armsight-plant makes of the flags: what is published, and where."""
+
+    def served(
+        self, service: Service, tell: Callable[[str], None], seen: Callable[[], Seen | None] = ...
+    ) -> AbstractContextManager[None]:
+        """Publish a served robot while the block runs. tell: the addresses, and failures. seen: what a supervision
+        measured last. Raises DeviceFailed for a port in use, DeviceNotFound for a package that is missing."""
+        ...
+
+    def supervised(self, run: Supervision) -> AbstractContextManager[None]:
+        """Publish an open supervision while the block runs. Raises as served."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,61 +74,14 @@ class PlantFlags:
         Flag(metavar="S", panel=PLANT),
     ] = STALE_S
 
-    def made(self, notify: Callable[[str], None], users: Path | None = None) -> PlantOptions | None:
+    def made(self, notify: Callable[[str], None], users: Path | None = None) -> Publishing | None:
         """Return what is published, checked; None where nothing is. users: in place of --opcua-users.
 
-        Raises UsageError, BadFile.
+        Raises UsageError, BadFile, DeviceNotFound where armsight-plant is missing.
         """
-        self._check_alone()
-        if self.opcua is None and self.mqtt is None and self.foxglove is None:
+        if self == PlantFlags():
             return None
-        from armsight.publish import certificates, options
+        from armsight.drivers import registry
 
-        opcua = mqtt = foxglove = None
-        if self.opcua is not None:
-            opcua = options.opcua_options(
-                self.opcua,
-                certificate=self.opcua_certificate,
-                key=self.opcua_key,
-                trusted=self.opcua_trusted,
-                users=self.opcua_users or users,
-                anonymous=self.opcua_anonymous,
-            )
-            if self.opcua_anonymous:
-                notify("Note: --opcua-anonymous lets everyone who reaches its port read, unencrypted if they like.")
-        if self.mqtt is not None:
-            mqtt = options.mqtt_options(
-                self.mqtt, ca=self.mqtt_ca, user=self.mqtt_user, password_file=self.mqtt_password_file
-            )
-        if self.foxglove is not None:
-            foxglove = options.foxglove_options(self.foxglove)
-            notify("Note: Foxglove's protocol knows no passwords: whoever reaches its port may watch.")
-        made = options.PlantOptions(opcua=opcua, mqtt=mqtt, foxglove=foxglove, stale_s=self.stale_after_s)
-        certificates.check(made)
-        return made
-
-    def _check_alone(self) -> None:
-        """Raise UsageError for a flag of something that is not published."""
-        for main, names in (
-            ("opcua", ("opcua_certificate", "opcua_key", "opcua_trusted", "opcua_users", "opcua_anonymous")),
-            ("mqtt", ("mqtt_ca", "mqtt_user", "mqtt_password_file")),
-        ):
-            given = [f"--{name.replace('_', '-')}" for name in names if getattr(self, name)]
-            if given and getattr(self, main) is None:
-                raise UsageError(
-                    f"{', '.join(given)} without --{main}",
-                    consequence="Nothing is published",
-                    cure=f"Give --{main} URL",
-                )
-        if self.stale_after_s != STALE_S and self.opcua is None and self.mqtt is None and self.foxglove is None:
-            raise UsageError(
-                "--stale-after is of what is published, and nothing is",
-                consequence="It would change nothing",
-                cure="Give --opcua, --mqtt or --foxglove, or leave it away",
-            )
-        if self.opcua_certificate is None and (self.opcua_users or self.opcua_trusted):
-            raise UsageError(
-                "--opcua-users and --opcua-trusted need a certificate of the server",
-                consequence="Tokens would cross the network in plain text; nothing is published",
-                cure="Give --opcua-certificate and --opcua-key",
-            )
+        made: Callable[..., Publishing] = registry.extension(registry.PLANT, "publishing", "plant")
+        return made(self, notify, users)

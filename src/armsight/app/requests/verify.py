@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.app.requests.motion import LATENCY_S, RobotJob
-from armsight.app.requests.plant import PlantFlags
+from armsight.app.requests.plant import PlantFlags, Publishing
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, LIVE, MASTERING, OutFolder, automatic, ours
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
 from armsight.units import DEG, MM
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from armsight.drivers import CameraSettings
-    from armsight.publish.options import PlantOptions
     from armsight.store.interpret import TableFormat
     from armsight.verify.supervision import Limits
 
@@ -139,7 +138,7 @@ class LiveVerifyJob(RobotJob):
     limit: Annotated[int | None, Doc("End after so many pairs."), Bounds(least=1), Flag("--frames", panel=LIVE)] = None
     frames: Annotated[bool, Doc("Keep the images in the recording too."), Flag("--keep-frames", panel=LIVE)] = False
     play: Annotated[bool, Doc("A simulated robot goes its scenario's way by itself."), Flag(panel=LIVE)] = False
-    plant: Annotated[PlantOptions | None, Flags(PlantFlags)] = None
+    plant: Annotated[Publishing | None, Flags(PlantFlags)] = None
     camera_settings: CameraSettings = field(default_factory=automatic)
 
 

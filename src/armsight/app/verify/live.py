@@ -90,11 +90,7 @@ def _supervise(run: Supervision, progress: Progress) -> None:
         stack.enter_context(run.devices.pairs)
         run.open(stack)
         if run.job.plant is not None:
-            from armsight.publish.feed import addresses, published
-
-            ports = stack.enter_context(published(run.job.plant, run.plant, run.note))
-            for text in addresses(run.job.plant, ports):
-                run.tell(text)
+            stack.enter_context(run.job.plant.supervised(run))
         try:
             with closing(_generator(run)) as pairs:
                 for pair in pairs:

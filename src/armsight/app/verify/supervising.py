@@ -15,7 +15,6 @@ import numpy as np
 
 from armsight.app.record.recorder import Recorder
 from armsight.app.requests.verify import LiveVerifyJob
-from armsight.app.robot.plant_source import monotonic_s
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
@@ -23,16 +22,15 @@ from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker
-from armsight.publish.state import PlantState, RobotSeen, Seen
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
-from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Watch
+from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Seen, Watch
 
 RECORDING = "live.mcap"
 BLIND_S = 0.5
 """Nothing compared for so long is told as such."""
-SOURCE, PLANT = "armsight verify --live", "plant"
+PLANT = "plant"
 WARNINGS_PER_S = 20.0
 NOTES = 100
 """Notes of the plant's systems that wait for the next pair; the oldest are left out."""
@@ -133,7 +131,7 @@ class Supervision:
             why=self._why,
             limits=self.job.limits,
             lost=lost,
-            at_s=monotonic_s(self._clock.now_s(), pose.t_s + zero_s),
+            at_s=self._monotonic_s(pose.t_s + zero_s),
             blind=self._blind,
         )
         self._record(pair, measured, raised, zero_s)
@@ -200,25 +198,13 @@ class Supervision:
 
         recorder.add(write)
 
-    def plant(self) -> PlantState:
-        """Return all of the newest moment, for the plant's systems; any thread may call this."""
-        reading, why = self._reader.newest, self._reader.why
-        robot = RobotSeen(
-            name=self.devices.robot.name,
-            status=None,
-            reading=reading,
-            at_s=float("nan") if reading is None else monotonic_s(self._clock.now_s(), reading.t_s),
-            T_base_flange=None,
-        )
-        return PlantState(
-            source=SOURCE,
-            made_s=time.monotonic(),
-            made_unix_s=time.time(),
-            robot=None if why else robot,
-            why=why,
-            seen=self.seen,
-            measures=True,
-        )
+    def joints(self) -> tuple[JointReading | None, float, str]:
+        """Return the newest reading, its moment on time.monotonic, and why none can be had; for any thread."""
+        reading = self._reader.newest
+        return reading, float("nan") if reading is None else self._monotonic_s(reading.t_s), self._reader.why
+
+    def _monotonic_s(self, t_s: float) -> float:
+        return time.monotonic() - (self._clock.now_s() - t_s)
 
     def note(self, level: str, message: str) -> None:
         """Keep something from the plant's systems, which is recorded and told with the next pair; for one thread.

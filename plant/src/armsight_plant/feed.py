@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from armsight.errors import ArmsightError, UsageError
-from armsight.publish.alarms import AlarmBook
-from armsight.publish.options import PlantOptions
-from armsight.publish.process import PlantProcess
-from armsight.publish.requests import Note, Request
-from armsight.publish.state import PlantState, conditions
+from armsight_plant.alarms import AlarmBook
+from armsight_plant.options import PlantOptions
+from armsight_plant.process import PlantProcess
+from armsight_plant.requests import Note, Request
+from armsight_plant.state import PlantState, conditions
 
 FEED_S = 0.02
 """How often the newest state is handed on."""
@@ -97,14 +97,11 @@ class _FeedThread(threading.Thread):
 
 
 @contextlib.contextmanager
-def published(options: PlantOptions | None, source: Source, log: Log) -> Iterator[dict[str, int]]:
-    """Publish a source while the block runs; gives the ports that are listened at, by name. None: nothing is done.
+def published(options: PlantOptions, source: Source, log: Log) -> Iterator[dict[str, int]]:
+    """Publish a source while the block runs; gives the ports that are listened at, by name.
 
     Raises DeviceNotFound for a package that is missing, BadFile for certificates, DeviceFailed for a port in use.
     """
-    if options is None:
-        yield {}
-        return
     with PlantProcess(options) as process:
         thread = _FeedThread(process, source, log, options.stale_s)
         thread.start()

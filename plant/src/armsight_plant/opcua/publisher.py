@@ -15,13 +15,13 @@ from asyncua.common.node import Node
 
 from armsight._version import __version__
 from armsight.errors import DeviceFailed
-from armsight.publish.alarms import NAMES
-from armsight.publish.certificates import read_pair, read_trusted
-from armsight.publish.opcua.guarded import CALLER, Door, GuardedInternalServer, start_guarded
-from armsight.publish.options import ENDS, OpcUaOptions
-from armsight.publish.requests import Acknowledge, Note, Tell
-from armsight.publish.state import PlantState, Quality
-from armsight.publish.values import VALUES, Given, alarm_values, told
+from armsight_plant.alarms import NAMES
+from armsight_plant.certificates import read_pair, read_trusted
+from armsight_plant.opcua.guarded import CALLER, Door, GuardedInternalServer, start_guarded
+from armsight_plant.options import ENDS, OpcUaOptions
+from armsight_plant.requests import Acknowledge, Note, Tell
+from armsight_plant.state import PlantState, Quality
+from armsight_plant.values import VALUES, Given, alarm_values, told
 
 NAMESPACE = "urn:armsight:plant"
 ROOT = "armsight"

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import VIEWS, load_scenario
-from armsight.drivers import METHODS, load
 from armsight.errors import Cancelled, UsageError
 from armsight.records import Progress
 
@@ -23,15 +20,6 @@ SOURCED = re.compile(r"^\s*(?:- )?(?P<text>[^#]*\S)\s*#\s*(?P<source>(?:paper|de
 
 FRAME = "[0-9]" * 6 + ".png"
 """How frames are named."""
-
-
-@cache
-def method_of(paper: str) -> Any:
-    """Return a paper's own method, the module that is registered for it. Raises DeviceNotFound where there is none.
-
-    Kept, for it is asked for light by light and frame by frame, and the installed packages are searched each time.
-    """
-    return load(METHODS, paper)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Protocol
 from armsight.control.session.channels import Newest, Queue
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.priority import BEHIND, give_way
-from armsight.publish.certificates import missing
-from armsight.publish.options import ENDS, PlantOptions
-from armsight.publish.requests import Request, Tell, decode, encode
-from armsight.publish.state import PlantState
+from armsight_plant.certificates import missing
+from armsight_plant.options import ENDS, PlantOptions
+from armsight_plant.requests import Request, Tell, decode, encode
+from armsight_plant.state import PlantState
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
@@ -143,19 +143,19 @@ def publishers(options: PlantOptions, tell: Tell) -> dict[str, Publisher]:
     found: dict[str, Publisher] = {}
     if options.opcua is not None:
         try:
-            from armsight.publish.opcua.publisher import OpcUaPublisher
+            from armsight_plant.opcua.publisher import OpcUaPublisher
         except ImportError as error:
             raise missing("plant", "asyncua") from error
         found["opcua"] = OpcUaPublisher(options.opcua, options.stale_s, tell)
     if options.mqtt is not None:
         try:
-            from armsight.publish.mqtt import MqttPublisher
+            from armsight_plant.mqtt import MqttPublisher
         except ImportError as error:
             raise missing("plant", "paho-mqtt") from error
         found["mqtt"] = MqttPublisher(options.mqtt, options.stale_s, tell)
     if options.foxglove is not None:
         try:
-            from armsight.publish.foxglove import FoxglovePublisher
+            from armsight_plant.foxglove import FoxglovePublisher
         except ImportError as error:
             raise missing("foxglove", "foxglove-sdk") from error
         found["foxglove"] = FoxglovePublisher(options.foxglove, options.stale_s, tell)

@@ -9,15 +9,13 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.requests.plant import STALE_S
 from armsight.control.guard import GuardState
 from armsight.control.status import HOW_LONG, RobotStatus
 from armsight.drivers import RobotState
-from armsight.publish.alarms import Alarm, Condition
-from armsight.records import JointReading, TargetPose
-from armsight.verify.supervision import Compared, Level, Limits, surely_within
-
-STALE_S = 1.0
-"""Age from which a value is the last usable one and no longer good, where nobody says another."""
+from armsight.records import JointReading
+from armsight.verify.supervision import Level, Seen
+from armsight_plant.alarms import Alarm, Condition
 
 
 class Quality(StrEnum):
@@ -32,33 +30,6 @@ class Quality(StrEnum):
     """There was none yet, or this source has none."""
     SILENT = "silent"
     """The source says nothing any more."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
-    """A measured pose and what was made of it. at_s: of the exposure, on time.monotonic; lost: why nothing is compared.
-
-    limits: the levels that it was judged by; level: the gravest now, and why in words. blind: whether nothing was
-    compared for longer than a few pictures.
-    """
-
-    pose: TargetPose
-    compared: Compared | None
-    level: Level
-    why: str
-    limits: Limits
-    lost: str
-    at_s: float
-    blind: bool = False
-
-    @property
-    def in_tolerance(self) -> bool | None:
-        """Whether the arm is within its levels for sure (True), or beyond one (False); None where that is not known."""
-        if self.compared is None:
-            return None
-        if self.level is not Level.GOOD:
-            return False
-        return True if surely_within(self.compared, self.limits) else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

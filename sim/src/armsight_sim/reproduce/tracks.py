@@ -14,10 +14,10 @@ from armsight.columns import POSE6
 from armsight.errors import NotEnoughData
 from armsight.geometry import pose_difference
 from armsight.records import PoseStatus
-from armsight.report.reproduce import ComparedRow, Curve, Panel
 from armsight.store import read_poses
 from armsight.store.tables import read_table
 from armsight.store.tracks import SPOT_COLUMNS
+from armsight_sim.reproduce.page import ComparedRow, Curve, Panel
 
 Array = NDArray[np.float64]
 

@@ -5,24 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.identify.sweep_files import seen_in_frames
-from armsight.app.reproduce.stage import Stage, method_of
 from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.drivers import read_image
 from armsight.errors import Inconsistent
 from armsight.optics import Rig
 from armsight.report.identify_report import identify_report
-from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
 from armsight.store import read_poses, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.sweeps import read_sweep_joints, write_sweeps
 from armsight.units import DEG
+from armsight_sim.papers import kapucu2005 as paper
+from armsight_sim.papers.kapucu2005 import PathJoint
+from armsight_sim.reproduce.page import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
+from armsight_sim.reproduce.stage import Stage
 
 Array = NDArray[np.float64]
 
@@ -59,21 +60,6 @@ MISSING = (
 )
 
 
-class PathJoint(Protocol):
-    """A joint as the paper finds it: its axis through point_m (3,) along direction (3,); radius_m is 0 of a slide."""
-
-    revolute: bool
-    point_m: Array
-    direction: Array
-    radius_m: float
-    n_used: int
-    n_triples: int
-
-
-def _paper() -> Any:
-    return method_of("kapucu2005")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Run:
     """What was seen. All (30, 3) in world, in the order of the readings, unless it says camera or px."""
@@ -98,9 +84,9 @@ def reproduce_kapucu(stage: Stage) -> Reproduction:
     """Return tables and figures of the paper. Raises UsageError for fewer than 30 frames, what identify raises."""
     folder = stage.simulate(SCENARIO, least=READINGS, most=READINGS)
     run = _measure(stage, folder)
-    method = [_paper().joint_of_path(run.method_m[run.rows(j)]) for j in range(3)]
-    ours = [_paper().joint_of_path(run.ours_m[run.rows(j)]) for j in range(3)]
-    true = [_paper().joint_of_path(run.true_m[run.rows(j)]) for j in range(3)]
+    method = [paper.joint_of_path(run.method_m[run.rows(j)]) for j in range(3)]
+    ours = [paper.joint_of_path(run.ours_m[run.rows(j)]) for j in range(3)]
+    true = [paper.joint_of_path(run.true_m[run.rows(j)]) for j in range(3)]
     tables = (_parameters(run, (method, ours, true)), _circles(method, ours, true), _paths(run))
     return Reproduction(
         paper="kapucu2005",
@@ -149,7 +135,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
         sweeps=sweeps,
         left_px=px[0],
         right_px=px[1],
-        method_m=_paper().to_world(rig, T, _paper().camera_places(rig, px[0], px[1])),
+        method_m=paper.to_world(rig, T, paper.camera_places(rig, px[0], px[1])),
         ours_m=result.predicted_m @ T[:3, :3].T + T[:3, 3],
         true_m=np.array([pose.T_parent_target[:3, 3] for pose in poses if pose.T_parent_target is not None]),
         result=result,
@@ -158,7 +144,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
 
 def _centroids(folder: Path, frames: NDArray[np.intp]) -> Array:
     names = sorted(folder.glob("*.png"))
-    return np.array([_paper().beacon_centroid(read_image(names[frame], colour=True)) for frame in frames])
+    return np.array([paper.beacon_centroid(read_image(names[frame], colour=True)) for frame in frames])
 
 
 def _printed_table() -> Mapping[str, tuple[float | None, float | None, bool, str]]:
@@ -181,7 +167,7 @@ def _entries(run: _Run, found: Sequence[PathJoint], positions: Array) -> dict[st
     """Return the entries of Table 1 from joints and the beacon's places (30, 3) in world."""
     lines = [(joint.point_m, joint.direction) for joint in found]
     slide = run.rows(2)
-    one, two, d3 = _paper().rrp_links(lines, positions[slide[0]], np.array([1.0, 0.0, 0.0]))
+    one, two, d3 = paper.rrp_links(lines, positions[slide[0]], np.array([1.0, 0.0, 0.0]))
     return {
         "a1_m": one.a_m,
         "d1_m": one.d_m,
@@ -299,7 +285,7 @@ def _paths(run: _Run) -> ComparisonTable:
 
 def _figures(run: _Run) -> tuple[PaperFigure, ...]:
     out = []
-    in_camera = [_paper().from_world(run.rig, run.T_world_rig, p) for p in (run.true_m, run.method_m, run.ours_m)]
+    in_camera = [paper.from_world(run.rig, run.T_world_rig, p) for p in (run.true_m, run.method_m, run.ours_m)]
     in_world = [run.true_m, run.method_m, run.ours_m]
     for j, number in enumerate((7, 10, 13)):
         rows = run.rows(j)

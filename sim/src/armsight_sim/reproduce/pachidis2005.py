@@ -5,15 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.measure.run import measure
-from armsight.app.reproduce.stage import Stage, method_of
-from armsight.app.reproduce.tracks import (
+from armsight.app.requests.measure import MeasureJob
+from armsight.columns import POSE6
+from armsight.drivers import read_image
+from armsight.errors import NotEnoughData
+from armsight.geometry import euler_rad
+from armsight.optics import Rig
+from armsight.records import Target
+from armsight.store import read_poses, read_rig, read_target, read_times
+from armsight.store.arm_file import read_arm
+from armsight.store.tracks import read_joints
+from armsight.units import DEG, MM
+from armsight_sim.papers import pachidis2005 as paper
+from armsight_sim.reproduce.page import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
+from armsight_sim.reproduce.stage import Stage
+from armsight_sim.reproduce.tracks import (
     SHOWN,
     PoseTracks,
     joined,
@@ -22,18 +34,6 @@ from armsight.app.reproduce.tracks import (
     statistic_rows,
     time_panel,
 )
-from armsight.app.requests.measure import MeasureJob
-from armsight.columns import POSE6
-from armsight.drivers import read_image
-from armsight.errors import NotEnoughData
-from armsight.geometry import euler_rad
-from armsight.optics import Rig
-from armsight.records import Target
-from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
-from armsight.store import read_poses, read_rig, read_target, read_times
-from armsight.store.arm_file import read_arm
-from armsight.store.tracks import read_joints
-from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
@@ -175,7 +175,7 @@ def _record(stage: Stage, name: str) -> _Recorded:
 
 def _by_paper(folder: Path, vision: _Vision) -> dict[int, Array]:
     """Return T_rig_target (4, 4) by frame as the paper's method gives it; frames without six areas are left out."""
-    paper, psvs, rig = method_of("pachidis2005"), _psvs(vision.rig), vision.rig
+    psvs, rig = _psvs(vision.rig), vision.rig
     rows, columns = np.mgrid[0 : rig.left.height, 0 : rig.left.width]
     mask = (np.abs(columns - psvs.u0_px) < MASK_PX[0]) & (np.abs(rows - psvs.v0_px) < MASK_PX[1])
     out: dict[int, Array] = {}
@@ -189,9 +189,8 @@ def _by_paper(folder: Path, vision: _Vision) -> dict[int, Array]:
     return out
 
 
-def _psvs(rig: Rig) -> Any:
-    """Return the rig in the paper's terms, a Psvs."""
-    paper = method_of("pachidis2005")
+def _psvs(rig: Rig) -> paper.Psvs:
+    """Return the rig in the paper's terms."""
     au, av, u0, v0 = rig.right.intrinsics[:4]
     plate = rig.left.plate
     m, shift = paper.plate_shift(plate.thickness_m, plate.index) if plate else (0.0, 0.0)

@@ -16,11 +16,11 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from armsight._version import __version__
-from armsight.publish.certificates import tls_context
-from armsight.publish.options import MqttOptions
-from armsight.publish.requests import Note, Tell
-from armsight.publish.state import PlantState, Quality
-from armsight.publish.values import IN_TOLERANCE, Given, Told, alarm_values, told
+from armsight_plant.certificates import tls_context
+from armsight_plant.options import MqttOptions
+from armsight_plant.requests import Note, Tell
+from armsight_plant.state import PlantState, Quality
+from armsight_plant.values import IN_TOLERANCE, Given, Told, alarm_values, told
 
 FORMAT = "armsight/plant"
 EVERY_S = 0.1

@@ -11,8 +11,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.measure.run import measure
-from armsight.app.reproduce.stage import Stage, method_of
-from armsight.app.reproduce.tracks import (
+from armsight.app.requests.measure import MeasureJob
+from armsight.drivers import read_image
+from armsight.errors import NotEnoughData
+from armsight.geometry import euler_rad
+from armsight.kinematics import Arm
+from armsight.optics import SIDES, Rig
+from armsight.records import Target
+from armsight.store import read_poses, read_rig, read_target, read_times, read_world
+from armsight.store.arm_file import read_arm
+from armsight.store.tracks import read_joints
+from armsight.units import DEG, MM
+from armsight_sim.papers import korayem2018, pachidis2005
+from armsight_sim.reproduce.page import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
+from armsight_sim.reproduce.stage import Stage
+from armsight_sim.reproduce.tracks import (
     SHOWN,
     PoseTracks,
     joined,
@@ -21,18 +34,6 @@ from armsight.app.reproduce.tracks import (
     statistic_rows,
     time_panel,
 )
-from armsight.app.requests.measure import MeasureJob
-from armsight.drivers import read_image
-from armsight.errors import NotEnoughData
-from armsight.geometry import euler_rad
-from armsight.kinematics import Arm
-from armsight.optics import SIDES, Rig
-from armsight.records import Target
-from armsight.report.reproduce import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
-from armsight.store import read_poses, read_rig, read_target, read_times, read_world
-from armsight.store.arm_file import read_arm
-from armsight.store.tracks import read_joints
-from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
@@ -138,7 +139,6 @@ def _by_paper(
 ) -> dict[int, Array]:
     """Return T_rig_target (4, 4) by frame as the paper's method gives it; frames without all lights are left out."""
     files = {side: sorted((folder / side).glob("*.png")) for side in SIDES}
-    centroid = method_of("korayem2018").led_centroid
     out: dict[int, Array] = {}
     for frame in range(n_frames):
         spots = [seen.get((frame, side), {}) for side in SIDES]
@@ -147,12 +147,12 @@ def _by_paper(
         images = [read_image(files[side][frame]) for side in SIDES]
         try:
             uv = [
-                np.array([centroid(image, known[name]) for name in target.names])
+                np.array([korayem2018.led_centroid(image, known[name]) for name in target.names])
                 for image, known in zip(images, spots, strict=True)
             ]
         except NotEnoughData:
             continue
-        out[frame] = method_of("pachidis2005").pose_of_three(positions(rig, uv[0], uv[1]), target.xyz_m)
+        out[frame] = pachidis2005.pose_of_three(positions(rig, uv[0], uv[1]), target.xyz_m)
     return out
 
 
@@ -162,7 +162,7 @@ def positions(rig: Rig, left_px: Array, right_px: Array) -> Array:
     baseline_m = rig.baseline_m
     centres = [camera.intrinsics[2:4] for camera in (rig.left, rig.right)]
     uv_m = [-(px - centre) * PIXEL_M for px, centre in zip((left_px, right_px), centres, strict=True)]
-    XYZ = method_of("korayem2018").triangulate_parallel(focal_m, baseline_m, uv_m[0], uv_m[1])
+    XYZ = korayem2018.triangulate_parallel(focal_m, baseline_m, uv_m[0], uv_m[1])
     return np.asarray(XYZ + np.array([0.5 * baseline_m, 0.0, -focal_m]))
 
 
@@ -204,8 +204,10 @@ def _joints(run: _Run) -> ComparisonTable:
     tracks = run.tracks
     T_tool_flange = run.arm.T_flange_tool.inv().as_matrix()
     T_base_world = run.arm.T_world_base.inv().as_matrix()
-    nearest = method_of("korayem2018").nearest_solution
-    paper = [nearest(T_base_world @ T @ T_tool_flange, q) for T, q in zip(tracks.method, run.q, strict=True)]
+    paper = [
+        korayem2018.nearest_solution(T_base_world @ T @ T_tool_flange, q)
+        for T, q in zip(tracks.method, run.q, strict=True)
+    ]
     ours = [run.arm.ik(T, near=q)[0].q for T, q in zip(tracks.ours, run.q, strict=True)]
     true = [run.arm.ik(T, near=q)[0].q for T, q in zip(tracks.true, run.q, strict=True)]
     names = [f"q{k}_rad" for k in range(1, 7)]

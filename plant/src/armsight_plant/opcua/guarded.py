@@ -27,8 +27,8 @@ from asyncua.server.uaprocessor import UaProcessor
 from cryptography import x509
 
 from armsight.errors import BadFile
-from armsight.publish.requests import Note, Tell
 from armsight.store.tokens import TokenEntry, read_tokens
+from armsight_plant.requests import Note, Tell
 
 Ids = ua.ObjectIds
 

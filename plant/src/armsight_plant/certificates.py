@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.errors import BadFile, DeviceNotFound, UsageError
-from armsight.publish.options import NOTHING, PlantOptions
 from armsight.store.atomic import disk_errors
+from armsight_plant.options import NOTHING, PlantOptions
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey

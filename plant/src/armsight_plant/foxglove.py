@@ -8,10 +8,6 @@ import foxglove
 
 from armsight._version import __version__
 from armsight.errors import DeviceFailed
-from armsight.publish.options import ENDS, FoxgloveOptions
-from armsight.publish.requests import Tell
-from armsight.publish.state import PlantState
-from armsight.publish.values import IN_TOLERANCE, told
 from armsight.store.atomic import json_text
 from armsight.store.recording.contents import (
     EVENTS,
@@ -25,6 +21,10 @@ from armsight.store.recording.contents import (
 )
 from armsight.store.recording.protobuf import NS
 from armsight.store.recording.schemas import schema_of
+from armsight_plant.options import ENDS, FoxgloveOptions
+from armsight_plant.requests import Tell
+from armsight_plant.state import PlantState
+from armsight_plant.values import IN_TOLERANCE, told
 
 BACKLOG = 64
 """Messages that wait for a client; of one that is slower the oldest are left out."""

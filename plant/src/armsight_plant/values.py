@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from armsight._version import __version__
 from armsight.geometry import quat_of_matrix
-from armsight.publish.alarms import NAMES
-from armsight.publish.state import PlantState, Quality, RobotSeen, Seen, trust
-from armsight.verify.supervision import Level
+from armsight.verify.supervision import Level, Seen
+from armsight_plant.alarms import NAMES
+from armsight_plant.state import PlantState, Quality, RobotSeen, trust
 
 Given = bool | int | float | str | list[float] | None
 
