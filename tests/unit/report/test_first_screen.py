@@ -10,15 +10,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.verify.output import _verdict
 from armsight.calibrate.cameras.board_shape import BoardShape
 from armsight.calibrate.identify import Sweeps
+from armsight.calibrate.identify.result import LEANS
+from armsight.calibrate.identify.sweeps import leaning
 from armsight.cli.tables import figure
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance
 from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, axis, layout
-from armsight.report.html import STYLE, Page, table, with_deviation
-from armsight.report.identify_report import LEANS, _lean
-from armsight.report.to_do import after_mastering, after_measuring, after_verify, after_watching
-from armsight.verify.effects import Kind
+from armsight.report.html import STYLE, Page, table
+from armsight.units import with_deviation
 from refusals import names_it
 
 
@@ -29,45 +29,6 @@ def page():
 
 def test_the_verdict_says_what_to_do():
     assert "<b>What to do</b> Go &lt;on&gt;." in page().html(created=datetime(2026, 1, 1))
-
-
-@pytest.mark.parametrize(
-    ("cause", "kind", "said"),
-    [
-        ("none", None, "Nothing"),
-        ("measurement", None, "Correct nothing in the arm"),
-        ("several joints", None, "armsight calibrate arm"),
-        ("model", None, "armsight calibrate arm"),
-        ("undecided", None, "Measure more poses"),
-        ("joint 2", Kind.ZERO.value, "Correct the zero of joint 2"),
-        ("joint 3", Kind.BACKLASH.value, "does not mend backlash"),
-    ],
-)
-def test_what_to_do_after_a_verification(cause, kind, said):
-    seen = SimpleNamespace(
-        cause=cause, kind=kind, alignment=SimpleNamespace(hidden_m=None), after=None, n=9, rejected=[]
-    )
-    assert said in after_verify(seen, with_arm=True)
-    assert "give --arm" in after_verify(seen, with_arm=False)
-
-
-def test_errors_that_base_and_tool_may_hide_are_not_called_nothing():
-    seen = SimpleNamespace(cause="measurement", kind=None, after=SimpleNamespace(rms_m=1e-4), n=9, rejected=[])
-    for hidden_m, said in ((2e-3, "verify with --world"), (5e-5, "Correct nothing in the arm")):
-        seen.alignment = SimpleNamespace(hidden_m=hidden_m)
-        assert said in after_verify(seen, with_arm=True)
-
-
-def test_what_to_do_where_not_all_was_seen():
-    """A good verdict on a part says so."""
-    assert after_watching("good", levels_set=True, gaps=False).startswith("Nothing")
-    assert "nobody watched" in after_watching("good", levels_set=True, gaps=True)
-    assert "--warn-mm" in after_watching("good", levels_set=False, gaps=False)
-    assert "stopped" in after_watching("stop", levels_set=True, gaps=False)
-    assert "not proved" in after_mastering("none", all_judged=False)
-    assert after_mastering("none", all_judged=True) == "Nothing to correct."
-    assert "known length" in after_measuring("Complete", unchecked=True)
-    assert after_measuring("Inconsistent", advice="Fasten it.") == "Fasten it."
 
 
 def test_rounding_is_no_figure():
@@ -103,9 +64,9 @@ def test_depth_is_told_where_the_rig_is_weak_in_it(apart_m, turn_deg, deep):
     rig = Rig(kind=RigKind.STEREO, left=camera, right=camera, T_rig_left=RigidTransform.identity(), T_rig_right=place)
     points = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.02], [-0.03, 0.04, 0.97]])
     uv = np.stack(rig.project(points), axis=1)
-    lean = _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
+    lean = leaning(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
     assert (lean > LEANS) == deep
-    assert _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
+    assert leaning(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
 
 
 def test_a_board_of_which_nothing_is_found_asks_for_nothing():
