@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,16 +18,15 @@ from armsight.app.play.play_job import check as check_play
 from armsight.app.play.play_path import Opened, run_play
 from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.requests.identify import LiveJob, joint_numbers
-from armsight.app.requests.motion import HandJogJob, PlayJob, ServoJob
+from armsight.app.requests.motion import PlayJob, ServoJob
 from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
 from armsight.app.robot.guarding import arm_of
-from armsight.app.robot.jog_by_hand import jog_by_hand
 from armsight.app.robot.opening import open_robot
+from armsight.app.robot.robot_run import check_arm
 from armsight.app.robot.run_motion import run_motion
 from armsight.app.servo.run_servo import _check as check_servo
 from armsight.app.servo.run_servo import _handeye, _turning, measuring, run_servo
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.session import check_arm
 from armsight.app.servo.vision import open_servo
 from armsight.app.verify.live import _check as check_live
 from armsight.app.verify.live import _check_arm, open_supervised
@@ -39,7 +37,7 @@ from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, Weave, plan_path
 from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
-from armsight.drivers.jog_inputs import JogAxes, open_jog_input
+from armsight.drivers.jog_inputs import open_jog_input
 from armsight.kinematics import preset
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
@@ -103,28 +101,6 @@ def moved(*, yes=True, **more):
         clock = ManualClock()
         job = RunMotionJob(**{"robot": SIM, "motion": Path("motion.csv"), "out": Path("moved"), **more})
         return run_motion(job, lambda _: yes, clock=clock, opened=open_robot(SIM, clock))
-
-    return go
-
-
-def by_hand(yes):
-    """Return a call that moves by a hand that lets go at once."""
-
-    class Hand:
-        def help(self):
-            return ""
-
-        def wait(self, timeout_s):
-            return JogAxes((0.0,) * 6, enabled=False, ended=True)
-
-    @contextmanager
-    def inputs(name, n):
-        yield Hand()
-
-    def go():
-        clock = ManualClock()
-        job = HandJogJob(robot=SIM, hand="keyboard")
-        return jog_by_hand(job, lambda _: yes, clock=clock, opened=open_robot(SIM, clock), inputs=inputs)
 
     return go
 
@@ -260,12 +236,11 @@ TRIED = {
         planned(through([[0, 0, 0], [0, 0, 3]])),
         planned(CORNER),
     ),
-    ("app/robot/run_motion.py", "Give --yes to move"): (moved(yes=False), moved()),
+    ("app/robot/robot_run.py", "Give --yes to move"): (moved(yes=False), moved()),
     ("app/robot/run_motion.py", "the limits that it is run with"): (
         moved(limits=Path("aside.yaml")),
         moved(limits=Path("wide.yaml")),
     ),
-    ("app/robot/jog_by_hand.py", "Give --yes to move"): (by_hand(False), by_hand(True)),
     ("drivers/jog_inputs.py", "Give keyboard, gamepad or"): (pressed("joystick"), pressed("gamepad:/dev/null")),
     ("drivers/jog_inputs.py", "Plug it in, look"): (pressed("gamepad:/dev/input/js99"), pressed("gamepad:/dev/null")),
     ("drivers/jog_inputs.py", "Run it in a terminal"): (pressed("keyboard"), jog(joint=1, by=0.02)),
@@ -355,17 +330,11 @@ TRIED = {
         f"{TEACH} --left cell/left --world cell/world.yaml",
         f"{TEACH} {VIEWS} --world cell/world.yaml && teach --from poses.csv -o other",
     ),
-    ("app/play/play_path.py", "Give --yes to move"): (played(yes=False), played()),
-    ("app/play/play_path.py", "Give the arm's file (--arm)"): (
-        played(wrap=Untold),
-        played(wrap=Untold, told="cell/arm.yaml"),
-    ),
-    ("app/servo/run_servo.py", "Give the arm's file (--arm)"): (
+    ("app/robot/robot_run.py", "Give the arm's file (--arm)"): (
         followed(wrap=Untold),
         followed(wrap=Untold, arm="cell/arm.yaml"),
     ),
-    ("app/servo/session.py", "Give --yes to move unasked"): (followed(yes=False), followed()),
-    ("app/servo/session.py", "Give the file of this arm"): (
+    ("app/robot/robot_run.py", "Give the file of this arm"): (
         lambda: check_arm(telling(UR), preset("ur5e")),
         lambda: check_arm(telling(UR), UR),
     ),

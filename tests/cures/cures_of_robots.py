@@ -65,7 +65,6 @@ TRIED = {
         jog(by=0.5, limits=Path("box.yaml"), speed=1.0),
         jog(by=0.02, limits=Path("box.yaml"), speed=1.0),
     ),
-    ("app/robot/jog.py", "Give --yes to move"): (jog(yes=False), jog()),
     ("app/robot/jog_by_hand.py", "Give joints, base or tool"): (
         lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="wrist"), True, SIM),
         lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="tool"), True, SIM),

@@ -15,9 +15,10 @@ from armsight.app.live.pace import pace_of
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
+from armsight.app.robot.robot_run import Confirm
 from armsight.app.servo.run_servo import run_servo
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.session import Confirm, ServoOutput, Show
+from armsight.app.servo.session import ServoOutput, Show
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock
 from armsight.control.events import QueueSink

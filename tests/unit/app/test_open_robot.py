@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.session import check_arm
+from armsight.app.robot.robot_run import check_arm
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState, RobotTraits
 from armsight.errors import BadFile, DeviceNotFound, Inconsistent, UsageError

@@ -4,43 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.measure.warm_up import prepare
 from armsight.app.play.play_job import check, planned, tipped_guard
 from armsight.app.play.target_monitor import TargetMonitor, Watcher
 from armsight.app.requests.motion import PlayJob
-from armsight.app.robot.cycle_tally import CycleTally
-from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
+from armsight.app.robot.guarding import standing
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.recorder import LoopRecorder, require_new
-from armsight.app.robot.with_progress import run_with_progress
+from armsight.app.robot.recorder import require_new
+from armsight.app.robot.robot_run import (
+    Confirm,
+    CycleTally,
+    RecordedSource,
+    RobotRun,
+    ToolRunOutput,
+    check_arm,
+    run_figures,
+)
 from armsight.app.servo.run_servo import LAG_CYCLES
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.session import SHOWN_S, Confirm, check_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard
-from armsight.control.loop import ControlLoop
 from armsight.control.play import PathPlan, PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.play.plan import TURNS_RAD
-from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolPose
+from armsight.control.setpoints import CycleState, SetPoint
 from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot
-from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.fields import Doc
-from armsight.geometry import xyz_quat
 from armsight.records import PoseStatus, Progress, Silent, TaughtPath
 from armsight.records.output import Output, output
 from armsight.store.atomic import write_json
 from armsight.store.path_file import read_path
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 Show = Callable[[RobotStatus, PlayProgress, WatchFigures | None], None]
 """Is told now and then of a cycle, of where the path is, and of what the cameras saw."""
@@ -62,18 +63,9 @@ class PlayMeasuredOutput(Output):
 
 
 @output
-class PlayOutput(Output):
+class PlayOutput(ToolRunOutput):
     """armsight play."""
 
-    state: Annotated[str, Doc("The guard's last state: running, holding, retreating, disabled or stopped.")]
-    n_cycles: Annotated[int, Doc("Cycles of the control loop.")]
-    late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
-    missed: Annotated[int, Doc("Cycles that never began.")]
-    stopped_by: Annotated[str, Doc("Why it ended: end (of the path), operator, or in words what stopped it.")]
-    wrong_premise: Annotated[
-        str | None,
-        Doc("What the target's motion contradicts: hand-eye, rig, target, pictures or robot; null: nothing."),
-    ]
     finished: Annotated[bool, Doc("Whether the path was run to its end.")]
     share: Annotated[float, Doc("Share of the path that was run, 0 to 1.")]
     length_m: Annotated[float, Doc("Length of the path along its seam, m.")]
@@ -90,35 +82,23 @@ class PlayOutput(Output):
         float, Doc("How far the tool is turned from what was asked, at most, by an arm that cannot turn it, rad.")
     ]
     measured: Annotated[PlayMeasuredOutput | None, Doc("What the cameras saw; null: none watched.")]
-    outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
-    holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
-    recording: Annotated[str, Doc("The recording: set points, commands, readings, poses and events.")]
 
 
-class PlayedSource:
+class PlayedSource(RecordedSource):
     """A path whose set points and events go into the recording, and its commands to the watch."""
 
     def __init__(self, source: PathSource, sink: QueueSink, watch: PlayWatch | None) -> None:
-        self.name = source.name
-        self._source, self._sink, self._watch = source, sink, watch
+        super().__init__(source, sink)
+        self._source, self._watch = source, watch
         self._before = ("", False, False, False)
 
     def next(self, now: CycleState) -> SetPoint:
         """Return the set point, and queue it."""
         if self._watch is not None:
             self._watch.cycle(now)
-        wanted = self._source.next(now)
-        if isinstance(wanted, ToolPose):
-            xyz, quat = xyz_quat(wanted.T_base_tool)
-            self._sink.command(now.t_s, "set_point", {"xyz_m": list(xyz), "quat_xyzw": list(quat)})
-        else:
-            self._sink.command(now.t_s, "set_point", {"hold": wanted.why if isinstance(wanted, Hold) else ""})
+        wanted = super().next(now)
         self._record(now.t_s)
         return wanted
-
-    def warm_up(self) -> None:
-        """Run once what a cycle runs."""
-        self._source.warm_up()
 
     def _record(self, t_s: float) -> None:
         """Tell what changed along the path."""
@@ -136,44 +116,24 @@ class PlayedSource:
                 self._sink.event(t_s, f"{text} at {at.s_m:.4f} m", "info", "play")
 
 
-class PlayTally(CycleTally):
-    """Counts cycles of a path as the loop does them; given to it as what may end it."""
-
-    def __init__(self, source: PathSource, watch: PlayWatch | None, cancelled: Callable[[], bool]) -> None:
-        super().__init__(cancelled)
-        self._source, self._watch = source, watch
-
-    @property
-    def finished(self) -> bool:
-        """Whether the path was run to its end."""
-        return self._source.progress.stage == "finished"
-
-    def stopped_by(self, *, finished: bool = False) -> str:
-        """Return why the loop ended."""
-        if self._watch is not None and self._watch.exceeded:
-            return self._watch.exceeded
-        return super().stopped_by(finished=finished or self.finished)
-
-
 def play_output(
-    tally: PlayTally,
+    tally: CycleTally,
     timing: Timing,
     source: PathSource,
     watch: PlayWatch | None,
-    counts: Mapping[PoseStatus, int] | None,
-    recording: str,
+    measured: PlayMeasuredOutput | None,
+    recording: Path,
     outside: str,
 ) -> PlayOutput:
     """Return the figures of a path that ended."""
-    plan = source.plan
+    plan, finished = source.plan, source.progress.stage == "finished"
+    exceeded = "" if watch is None else watch.exceeded
     return PlayOutput(
-        state="disabled" if tally.last is None else tally.last.guard.value,
-        n_cycles=timing.n_cycles,
-        late=timing.late,
-        missed=timing.missed,
-        stopped_by=tally.stopped_by(),
+        **run_figures(tally, timing, exceeded or tally.stopped_by(finished=finished), recording),
+        state=tally.state,
         wrong_premise=None if watch is None or watch.wrong is None else watch.wrong.cause.value,
-        finished=tally.finished,
+        outside=outside,
+        finished=finished,
         share=source.progress.share,
         length_m=plan.length_m,
         planned_s=plan.time_s,
@@ -184,10 +144,7 @@ def play_output(
         rounded_rad=plan.rounded_rad,
         turns=plan.turns,
         turned_rad=plan.turned_rad,
-        measured=None if watch is None or counts is None else _measured(watch, counts),
-        outside=outside,
-        holds=tally.holds,
-        recording=recording,
+        measured=measured,
     )
 
 
@@ -219,96 +176,6 @@ class Opened(NamedTuple):
     clock: Clock
     watcher: Watcher | None = None
     path: TaughtPath | None = None
-
-
-class PlaySession:
-    """One run of a path: opened, planned, asked, run, told."""
-
-    def __init__(
-        self, job: PlayJob, path: TaughtPath, robot: Robot, clock: Clock, guard: Guard, monitor: Watcher | None
-    ) -> None:
-        self._job, self._path, self._robot, self._clock, self._guard = job, path, robot, clock, guard
-        self._monitor = monitor
-        self._watch: PlayWatch | None = None
-
-    def run(
-        self, confirm: Confirm, show: Show, progress: Progress, begun: Begun, enabled: Callable[[], bool]
-    ) -> PlayOutput:
-        """Run the path and return what it came to. Raises as run_play."""
-        job, guard = self._job, self._guard
-        with ExitStack() as stack:
-            robot = stack.enter_context(self._robot)
-            check_arm(robot, guard.arm)
-            outside = standing_outside(guard, robot)
-            with beside_outside(outside):
-                plan = planned(job, self._path, guard.arm, guard.limits, standing(robot, guard.arm.n))
-            source = PathSource(plan, override=job.override)
-            if not confirm(
-                question(robot, guard, plan, self._monitor is not None) + noted(outside, guard, job, job.limits)
-            ):
-                raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
-            recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
-            self._watch = self._watching(stack, recorder.sink)
-            begun(source)
-            tally = PlayTally(source, self._watch, progress.cancelled)
-            loop = ControlLoop(
-                robot,
-                guard,
-                PlayedSource(source, recorder.sink, self._watch),
-                self._clock,
-                enabled=lambda: enabled() and not progress.cancelled(),
-                sink=recorder.sink,
-            )
-            timing = self._loop(loop, tally, source, show, progress)
-        failed = self._failed() or recorder.failed
-        if failed is not None:
-            raise failed
-        counts = None if self._monitor is None else self._monitor.counts()
-        return play_output(tally, timing, source, self._watch, counts, str(job.out / RECORDING), outside)
-
-    def _watching(self, stack: ExitStack, sink: QueueSink) -> PlayWatch | None:
-        """Open the cameras, and return what compares; None without any."""
-        monitor, guard = self._monitor, self._guard
-        if monitor is None:
-            return None
-        watch = PlayWatch(
-            monitor.sight,
-            guard.arm,
-            stop_m=self._job.stop_m,
-            arm_lag_s=LAG_CYCLES * guard.cycle_s,
-            cycle_s=guard.cycle_s,
-        )
-        monitor.open(stack, sink, lambda pose, exposed_s: watch.observe(pose, exposed_s, self._clock.now_s()))
-        return watch
-
-    def _failed(self) -> ArmsightError | None:
-        return None if self._monitor is None else self._monitor.failed()
-
-    def _loop(self, loop: ControlLoop, tally: PlayTally, source: PathSource, show: Show, progress: Progress) -> Timing:
-        """Run the loop: in this thread where time is simulated, beside the telling where it is real."""
-
-        def show_progress() -> None:
-            at = source.progress
-            progress.update(at.s_m / MM, at.length_m / MM, at.stage)
-            if loop.status is not None:
-                show(loop.status, at, None if self._watch is None else self._watch.figures)
-
-        def until(status: RobotStatus) -> bool:
-            if self._watch is not None and self._watch.exceeded:
-                loop.stop(self._watch.exceeded)
-            return tally(status) or self._failed() is not None
-
-        # simulated time passes as the loop waits for it: another thread would see it jump, and pictures come too late
-        if self._monitor is None or not self._monitor.stepped:
-            return run_with_progress(lambda: loop.run(until=until), show_progress)
-        every = max(1, round(SHOWN_S / self._guard.cycle_s))
-
-        def until_and_show(status: RobotStatus) -> bool:
-            if tally.cycles % every == 0:
-                show_progress()
-            return until(status)
-
-        return loop.run(until=until_and_show)
 
 
 def run_play(
@@ -343,19 +210,66 @@ def run_play(
     else:
         clock = SystemClock()
         robot = robot_of(job, clock, model)
-    guard = guard_for(robot, model, job.limits, share=job.speed)
-    if arm_of(robot, model) is None:
-        raise UsageError(
-            f"{robot.name} does not tell its arm's lengths",
-            consequence="Where its tip goes is not known, and nothing is moved",
-            cure="Give the arm's file (--arm)",
-        )
-    guard, path = tipped_guard(guard, job.tip), path or read_path(job.path, parent=job.frame)
+    run = RobotRun(job, robot, model, clock, progress)
+    run.require_lengths("Where its tip goes is not known, and nothing is moved")
+    run.guard, path = tipped_guard(run.guard, job.tip), path or read_path(job.path, parent=job.frame)
     if job.watched:
         prepare(progress)  # before the robot is opened: at its first picture the arm would wait for compilers
-    done = PlaySession(job, path, robot, clock, guard, watcher).run(confirm, show, progress, begun, enabled)
+    done = _played(run, job, path, watcher, confirm, show, begun, enabled)
     write_json(job.out / SUMMARY, done.to_dict())
     return done
+
+
+def _played(
+    run: RobotRun,
+    job: PlayJob,
+    path: TaughtPath,
+    watcher: Watcher | None,
+    confirm: Confirm,
+    show: Show,
+    begun: Begun,
+    enabled: Callable[[], bool],
+) -> PlayOutput:
+    """Plan the path from where the arm stands, ask, run it, and return what it came to."""
+    guard, progress = run.guard, run.progress
+    with ExitStack() as stack:
+        stack.enter_context(run)
+        check_arm(run.robot, guard.arm)
+        with run.planning():
+            plan = planned(job, path, guard.arm, guard.limits, standing(run.robot, guard.arm.n))
+        source, tally = PathSource(plan, override=job.override), CycleTally(progress.cancelled)
+        run.ask(confirm, question(run.robot, guard, plan, watcher is not None))
+        sink = stack.enter_context(run.recorded(job.out / RECORDING))
+        watch = None if watcher is None else _watch(run, job, watcher, stack, sink)
+        begun(source)
+
+        def show_progress(status: RobotStatus | None) -> None:
+            at = source.progress
+            progress.update(at.s_m / MM, at.length_m / MM, at.stage)
+            if status is not None:
+                show(status, at, None if watch is None else watch.figures)
+
+        timing = run.follow(
+            PlayedSource(source, sink, watch),
+            sink,
+            tally,
+            show_progress,
+            enabled=lambda: enabled() and not progress.cancelled(),
+            doubt=lambda: "" if watch is None else watch.exceeded,
+            stepped=watcher is not None and watcher.stepped,
+        )
+    measured = None if watch is None or watcher is None else _measured(watch, watcher.counts())
+    return play_output(tally, timing, source, watch, measured, job.out / RECORDING, run.outside)
+
+
+def _watch(run: RobotRun, job: PlayJob, watcher: Watcher, stack: ExitStack, sink: QueueSink) -> PlayWatch:
+    """Open the cameras until stack ends, and return what compares."""
+    guard, clock = run.guard, run.clock
+    lag_s = LAG_CYCLES * guard.cycle_s
+    watch = PlayWatch(watcher.sight, guard.arm, stop_m=job.stop_m, arm_lag_s=lag_s, cycle_s=guard.cycle_s)
+    run.failed = watcher.failed
+    watcher.open(stack, sink, lambda pose, exposed_s: watch.observe(pose, exposed_s, clock.now_s()))
+    return watch
 
 
 def question(robot: Robot, guard: Guard, plan: PathPlan, watched: bool) -> str:

@@ -11,7 +11,7 @@ from armsight.app.play.play_job import sight_of
 from armsight.app.requests.motion import PlayJob
 from armsight.app.servo.run_servo import measuring
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.vision import Vision, VisionThread, open_servo, probe
+from armsight.app.servo.vision import Vision, open_servo, watch
 from armsight.control.events import QueueSink
 from armsight.control.play import CameraPlacement
 from armsight.errors import ArmsightError
@@ -56,18 +56,13 @@ class TargetMonitor:
         self.latency_s = job.latency_s
         self.stepped = self.devices.stepped is not None
         self._vision: Vision | None = None
-        self._thread: VisionThread | None = None
+        self._ended: Callable[[], ArmsightError | None] = lambda: None
 
     def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
         """Open the cameras and measure what they see until stack ends. Raises where too few frames come."""
-        pairs = stack.enter_context(self.devices.pairs)
-        self._vision = vision = Vision(self.setup, self.devices, self.latency_s, sink)
-        if self.devices.stepped is not None:
-            self.devices.stepped.watch(pairs, vision.take)  # type: ignore[arg-type]  # of a live cell, by number too
-        else:
-            self._thread = stack.enter_context(VisionThread(vision, self.devices))
-        probe(vision, self.devices.clock, self.failed)
-        vision.beside = seen
+        self._vision = Vision(self.setup, self.devices, self.latency_s, sink)
+        self._ended = watch(stack, self._vision, self.devices)
+        self._vision.beside = seen
 
     def counts(self) -> Mapping[PoseStatus, int]:
         """Return the frames so far by what they showed."""
@@ -75,4 +70,4 @@ class TargetMonitor:
 
     def failed(self) -> ArmsightError | None:
         """Return what ended the cameras."""
-        return None if self._thread is None else self._thread.failed
+        return self._ended()

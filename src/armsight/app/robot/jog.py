@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import JogJob
-from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
+from armsight.app.robot.guarding import beside_outside
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.recorder import LoopRecorder
-from armsight.app.robot.with_progress import run_with_progress
+from armsight.app.robot.robot_run import Confirm, RobotRun
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Guard, GuardState
-from armsight.control.loop import ControlLoop
 from armsight.control.sources import GoalSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.fields import Doc
-from armsight.kinematics import Arm
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM, displayed
-
-Array = NDArray[np.float64]
 
 SETTLE_S = 0.5
 """Time in which the arm comes to rest behind its last command."""
 STUCK_S = 1.0
 """Held for so long, or sent nowhere, the motion is given up."""
+UNASKED = "without asking"
 
 
 @output
@@ -78,7 +69,7 @@ class _Watcher:
 
 def jog_robot(
     job: JogJob,
-    confirm: Callable[[str], bool],
+    confirm: Confirm,
     progress: Progress | None = None,
     *,
     clock: Clock | None = None,
@@ -90,45 +81,41 @@ def jog_robot(
     Raises UsageError; Inconsistent for a way beyond a limit; DeviceFailed, DeviceLost where the robot or the guard
     stopped; Cancelled.
     """
-    clock, progress = clock or SystemClock(), progress or Silent()
-    model = given_arm(job.arm)
+    clock, model = clock or SystemClock(), given_arm(job.arm)
     robot = opened or robot_of(job, clock, model)
-    guard = _checked(job, robot, model)
-    with robot:
-        start, outside = robot.read().q, standing_outside(guard, robot)
-        j = job.joint - 1
-        goal = start + job.by * (np.arange(len(start)) == j)
-        _check_range(job, guard, float(start[j]), outside)
-        if not confirm(question(job, robot, guard, float(start[j])) + noted(outside, guard, job, job.limits)):
-            raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
-        with recording(job.record, clock) as sink:
-            source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
-            loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=sink)
-
-            def show_progress() -> None:
-                if loop.status is not None:
-                    progress.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
-
-            run_with_progress(lambda: loop.run(until=watcher), show_progress)
-        with beside_outside(outside):
-            _check_end(loop.status, robot, stuck=watcher.stuck)
-        sent = start if loop.status is None else loop.status.q_sent
-        return JogOutput(
-            asked=job.by,
-            sent=sent.tolist(),
-            reached=robot.read().q.tolist(),
-            limited=watcher.limited,
-            outside=outside,
-            state=robot.state.value,
-        )
-
-
-def _checked(job: JogJob, robot: Robot, arm: Arm | None) -> Guard:
-    """Return the guard of what is asked. Raises UsageError where that cannot be meant."""
     _check(job, robot)
-    guard = guard_for(robot, arm, job.limits, share=job.speed)
-    _check_degrees(job, guard)
-    return guard
+    run = RobotRun(job, robot, model, clock, progress or Silent())
+    _check_degrees(job, run.guard)
+    j = job.joint - 1
+    with run:
+        start = robot.read().q
+        goal = start + job.by * (np.arange(len(start)) == j)
+        with run.planning():
+            _check_range(job, run.guard, float(start[j]), run.outside)
+        run.ask(confirm, question(job, robot, run.guard, float(start[j])), unasked=UNASKED)
+        watcher = _Watcher(robot.cycle_s)
+
+        def show_progress(status: RobotStatus | None) -> None:
+            if status is not None:
+                run.progress.update(100.0 * abs(float(status.q_sent[j] - start[j]) / job.by), 100.0)
+
+        with run.recorded(job.record) as sink:
+            run.follow(GoalSource(goal, "jog"), sink, watcher, show_progress)
+        with beside_outside(run.outside):
+            _check_end(run.status, robot, stuck=watcher.stuck)
+        return jog_output(run, watcher.limited, job.by)
+
+
+def jog_output(run: RobotRun, limited: list[str], asked: float | None) -> JogOutput:
+    """Return where an open robot was sent, and stands."""
+    return JogOutput(
+        asked=asked,
+        sent=[] if run.status is None else run.status.q_sent.tolist(),
+        reached=run.robot.read().q.tolist(),
+        limited=limited,
+        outside=run.outside,
+        state=run.robot.state.value,
+    )
 
 
 def question(job: JogJob, robot: Robot, guard: Guard, start: float) -> str:
@@ -211,15 +198,3 @@ def _check_end(status: RobotStatus | None, robot: Robot, *, stuck: bool = False)
         consequence=f"{robot.name} was stopped",
         cure="Look at the robot and its controller, then begin anew",
     )
-
-
-@contextlib.contextmanager
-def recording(path: Path | None, clock: Clock) -> Iterator[EventSink]:
-    """Return the sink of an .mcap file, or one that keeps nothing. Raises what the recorder failed of."""
-    if path is None:
-        yield NoSink()
-        return
-    with LoopRecorder(path, clock) as recorder:
-        yield recorder.sink
-    if recorder.failed is not None:
-        raise recorder.failed

@@ -11,18 +11,17 @@ from contextlib import AbstractContextManager, contextmanager
 
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob
-from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
-from armsight.app.robot.jog import SETTLE_S, JogOutput, recording
+from armsight.app.robot.jog import SETTLE_S, UNASKED, JogOutput, jog_output
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.with_progress import run_with_progress
+from armsight.app.robot.robot_run import Confirm, RobotRun
 from armsight.clock import Clock, SystemClock
+from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState
-from armsight.control.loop import ControlLoop
 from armsight.control.sources import Enable, JogFrame, JogSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.drivers.jog_inputs import JogInput, open_jog_input, single_keys
-from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
+from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.records import Progress, Silent
 from armsight.units import DEG, MM
 
@@ -32,7 +31,7 @@ LOOK_S = 0.05
 
 def jog_by_hand(
     job: HandJogJob,
-    confirm: Callable[[str], bool],
+    confirm: Confirm,
     progress: Progress | None = None,
     *,
     clock: Clock | None = None,
@@ -44,32 +43,23 @@ def jog_by_hand(
     confirm: asked once, before anything can move. opened, inputs: in place of what the job names. Raises UsageError,
     DeviceNotFound; DeviceFailed where robot, guard or gamepad failed; Cancelled.
     """
-    clock, progress = clock or SystemClock(), progress or Silent()
-    model = given_arm(job.arm)
+    clock, model = clock or SystemClock(), given_arm(job.arm)
     robot = opened or robot_of(job, clock, model)
-    guard = guard_for(robot, model, job.limits, share=job.speed)
-    _check(job, arm_of(robot, model) is not None, robot.name)
-    source = JogSource(robot.n_joints, job.frame, speed_m_s=guard.limits.speed_m_s)
+    run = RobotRun(job, robot, model, clock, progress or Silent())
+    _check(job, run.knows_lengths, robot.name)
+    source = JogSource(robot.n_joints, job.frame, speed_m_s=run.guard.limits.speed_m_s)
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
-    with robot, inputs(job.hand, axes) as hand:
-        outside = standing_outside(guard, robot)
-        if not confirm(_question(robot, guard, source.frame, hand) + noted(outside, guard, job, job.limits)):
-            raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
+    with run, inputs(job.hand, axes) as hand:
+        with run.planning():
+            asked = _question(robot, run.guard, source.frame, hand)
+        run.ask(confirm, asked, unasked=UNASKED)
         enable = Enable(clock)
-        with recording(job.record, clock) as sink:
-            loop = ControlLoop(robot, guard, source, clock, enabled=enable.alive, sink=sink)
-            limited = _follow(loop, _Hand(hand, source, enable, clock), progress)
-        return JogOutput(
-            asked=None,
-            sent=([] if loop.status is None else loop.status.q_sent.tolist()),
-            reached=robot.read().q.tolist(),
-            limited=limited,
-            outside=outside,
-            state=robot.state.value,
-        )
+        with run.recorded(job.record) as sink:
+            limited = _follow(run, source, sink, _Hand(hand, source, enable, clock), enable)
+        return jog_output(run, limited, None)
 
 
-def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
+def _follow(run: RobotRun, source: JogSource, sink: QueueSink, hand: _Hand, enable: Enable) -> list[str]:
     """Run the loop beside the hand until the hand is done; return the limits that slowed it."""
     limited: list[str] = []
     resting_since_s: list[float] = []
@@ -82,23 +72,22 @@ def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
         resting_since_s.append(status.t_s)
         return status.t_s - resting_since_s[0] >= SETTLE_S
 
-    def show_progress() -> None:
-        status = loop.status
-        if progress.cancelled():
+    def show_progress(status: RobotStatus | None) -> None:
+        if run.progress.cancelled():
             hand.end()
         if status is not None:
-            progress.update(float(status.cycle), 0.0, status.why)
+            run.progress.update(float(status.cycle), 0.0, status.why)
 
     hand.start()
     try:
-        run_with_progress(lambda: loop.run(until=done), show_progress)
+        run.follow(source, sink, done, show_progress, enabled=enable.alive)
     finally:
         # first let go, then wait: the hand's thread may be in its last look for a while
         hand.end()
         hand.join()
     if hand.error is not None:
         raise hand.error
-    status = loop.status
+    status = run.status
     if status is not None and status.guard is GuardState.STOPPED:
         raise DeviceFailed(
             status.why,

@@ -12,22 +12,20 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import given_arm
 from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
 from armsight.app.requests.cell_plan import RunMotionJob
-from armsight.app.robot.cycle_tally import CycleTally
-from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing, standing_outside
+from armsight.app.robot.guarding import standing
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.recorder import LoopRecorder, require_new
-from armsight.app.robot.with_progress import run_with_progress
+from armsight.app.robot.recorder import require_new
+from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_figures
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
-from armsight.control.loop import ControlLoop
 from armsight.control.play.joint_motion import JointMotionSource
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.status import RobotStatus
 from armsight.drivers import AUTOMATIC, Robot
-from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.records import Motion, Progress, Silent
-from armsight.records.output import Output, output
+from armsight.records.output import output
 from armsight.store.atomic import write_json
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints, write_joints
@@ -45,18 +43,12 @@ Begun = Callable[[JointMotionSource], None]
 
 
 @output
-class RunMotionOutput(Output):
+class RunMotionOutput(RunOutput):
     """armsight robot run."""
 
-    n_cycles: Annotated[int, Doc("Cycles of the control loop.")]
-    late: Annotated[int, Doc("Cycles that began more than half a cycle too late.")]
-    missed: Annotated[int, Doc("Cycles that never began.")]
-    stopped_by: Annotated[str, Doc("Why it ended: end (of the motion), operator, or in words what stopped it.")]
     finished: Annotated[bool, Doc("Whether the motion was run to its end.")]
     share: Annotated[float, Doc("Share of the motion that was run, 0 to 1.")]
     took_s: Annotated[float, Doc("How long it took, with the way to its start, s.")]
-    holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
-    recording: Annotated[str, Doc("The recording: commands, readings and events.")]
     joints: Annotated[str, Doc("The readings by themselves, joints.csv, for a calibration.")]
     frames: Annotated[str, Doc("The recording of both cameras' frames; empty: none was asked for.")]
     cameras: Annotated[list[CameraRecorded], Doc("What was recorded of each camera.")]
@@ -64,7 +56,7 @@ class RunMotionOutput(Output):
 
 def run_motion(
     job: RunMotionJob,
-    confirm: Callable[[str], bool],
+    confirm: Confirm,
     progress: Progress | None = None,
     *,
     clock: Clock | None = None,
@@ -82,21 +74,14 @@ def run_motion(
     cameras = _cameras(job)
     require_new(job.out, RECORDING, FRAMES)
     motion, model = read_joints(job.motion), given_arm(job.arm)
-    robot = opened or robot_of(job, clock, model)
-    guard = guard_for(robot, model, job.limits, share=job.speed)
-    source = JointMotionSource(_checked(job, motion, guard), override=job.override)
-    with robot:
-        outside = standing_outside(guard, robot)
-        with beside_outside(outside):
-            asked = question(robot, guard, motion, standing(robot, guard.arm.n)) + noted(
-                outside, guard, job, job.limits
-            )
-        if not confirm(asked):
-            raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
-        run = _Run(job, robot, guard, source, clock, progress, cameras)
-        timing = run.followed(begun, enabled)
+    run = RobotRun(job, opened or robot_of(job, clock, model), model, clock, progress)
+    source = JointMotionSource(_checked(job, motion, run.guard), override=job.override)
+    with run:
+        with run.planning():
+            asked = question(run.robot, run.guard, motion, standing(run.robot, run.guard.arm.n))
+        run.ask(confirm, asked)
+        done = _followed(run, job, source, cameras, begun, enabled)
     _write_readings(job)
-    done = run.output(timing)
     write_json(job.out / SUMMARY, done.to_dict())
     return done
 
@@ -116,76 +101,61 @@ def _cameras(job: RunMotionJob) -> FreeJob | None:
     return FreeJob(left=job.left, right=job.right, out=job.out / FRAMES, settings=job.camera_settings)
 
 
-class _Run:
-    """One run of a motion, recorded; both cameras beside it, where a job for them is given."""
+class _Tally(CycleTally):
+    """Ends a motion also where a camera beside it is lost, as moving on gains nothing."""
 
-    def __init__(
-        self,
-        job: RunMotionJob,
-        robot: Robot,
-        guard: Guard,
-        source: JointMotionSource,
-        clock: Clock,
-        progress: Progress,
-        frames: FreeJob | None,
-    ) -> None:
-        self._job, self._robot, self._guard, self._source = job, robot, guard, source
-        self._clock, self._progress = clock, progress
-        self._tally = CycleTally(progress.cancelled)
-        self._cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
-        self._unseen = ""
+    def __init__(self, cancelled: Callable[[], bool], cameras: FreeCameras | None) -> None:
+        super().__init__(cancelled)
+        self._cameras = cameras
+        self.unseen = ""
 
-    def followed(self, begun: Begun, enabled: Callable[[], bool]) -> Timing:
-        """Run the loop, and record it, the cameras from before it until after it.
-
-        Raises what a recorder failed of where the motion was run nevertheless, DeviceFailed for cameras that do not
-        begin.
-        """
-        job, progress, source = self._job, self._progress, self._source
-        with ExitStack() as stack:
-            if self._cameras is not None:
-                progress.update(0.0, source.length_s, "waiting for the cameras")
-                stack.enter_context(self._cameras)
-            recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
-            alive = lambda: enabled() and not progress.cancelled()  # noqa: E731
-            loop = ControlLoop(self._robot, self._guard, source, self._clock, enabled=alive, sink=recorder.sink)
-
-            def show() -> None:
-                progress.update(source.at_s, source.length_s, source.stage)
-
-            begun(source)
-            timing = run_with_progress(lambda: loop.run(until=self._over), show)
-        if recorder.failed is not None:
-            raise recorder.failed
-        if self._cameras is not None and self._cameras.failed is not None and not self._unseen:
-            raise self._cameras.failed  # after the end, while the rest was written
-        return timing
-
-    def _over(self, status: RobotStatus) -> bool:
-        """Take a cycle; tell whether it was the last: also where a camera is lost, as moving on gains nothing."""
+    def __call__(self, status: RobotStatus) -> bool:
         failed = None if self._cameras is None else self._cameras.failed
-        if failed is not None and not self._unseen:
-            self._unseen = f"the cameras are no longer recorded: {failed.cause}"
-        return self._tally(status) or bool(self._unseen)
+        if failed is not None and not self.unseen:
+            self.unseen = f"the cameras are no longer recorded: {failed.cause}"
+        return super().__call__(status) or bool(self.unseen)
 
-    def output(self, timing: Timing) -> RunMotionOutput:
-        """Return what came of it."""
-        job, source, tally = self._job, self._source, self._tally
-        finished = source.stage == "finished"
-        return RunMotionOutput(
-            n_cycles=timing.n_cycles,
-            late=timing.late,
-            missed=timing.missed,
-            stopped_by=self._unseen or tally.stopped_by(finished=finished),
-            finished=finished,
-            share=source.at_s / source.length_s,
-            took_s=tally.took_s,
-            holds=tally.holds,
-            recording=str(job.out / RECORDING),
-            joints=str(job.out / READINGS),
-            frames="" if self._cameras is None else str(job.out / FRAMES),
-            cameras=[] if self._cameras is None else list(self._cameras.recorded),
+
+def _followed(
+    run: RobotRun,
+    job: RunMotionJob,
+    source: JointMotionSource,
+    frames: FreeJob | None,
+    begun: Begun,
+    enabled: Callable[[], bool],
+) -> RunMotionOutput:
+    """Run the loop, and record it, the cameras from before it until after it; return what came of it.
+
+    Raises what a recorder failed of where the motion was run nevertheless, DeviceFailed for cameras that do not begin.
+    """
+    progress = run.progress
+    cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
+    tally = _Tally(progress.cancelled, cameras)
+    with ExitStack() as stack:
+        if cameras is not None:
+            progress.update(0.0, source.length_s, "waiting for the cameras")
+            stack.enter_context(cameras)
+        sink = stack.enter_context(run.recorded(job.out / RECORDING))
+        begun(source)
+        timing = run.follow(
+            source,
+            sink,
+            tally,
+            lambda _: progress.update(source.at_s, source.length_s, source.stage),
+            enabled=lambda: enabled() and not progress.cancelled(),
         )
+    if cameras is not None and cameras.failed is not None and not tally.unseen:
+        raise cameras.failed  # after the end, while the rest was written
+    finished = source.stage == "finished"
+    return RunMotionOutput(
+        **run_figures(tally, timing, tally.unseen or tally.stopped_by(finished=finished), job.out / RECORDING),
+        finished=finished,
+        share=source.at_s / source.length_s,
+        took_s=tally.took_s,
+        joints=str(job.out / READINGS),
+        frames="" if cameras is None else str(job.out / FRAMES),
+        cameras=[] if cameras is None else list(cameras.recorded),
+    )
 
 
 def question(robot: Robot, guard: Guard, motion: Motion, stands: Array) -> str:

@@ -9,10 +9,10 @@ from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob
-from armsight.app.robot.guarding import arm_of, guard_for
 from armsight.app.robot.recorder import require_new
+from armsight.app.robot.robot_run import Confirm, RobotRun
 from armsight.app.servo.servo_job import CAMERA, TOOL, ServoDevices
-from armsight.app.servo.session import RECORDING, Confirm, ServoOutput, ServoSession, Show
+from armsight.app.servo.session import RECORDING, ServoOutput, ServoSession, Show
 from armsight.app.servo.vision import Beside, open_servo
 from armsight.control.servo import Mount, ServoSettings, Turning, on_axis
 from armsight.errors import BadFile, Inconsistent, UsageError
@@ -52,17 +52,12 @@ def run_servo(
     rig, target, handeye = read_rig(job.rig), target_of(job.target), _handeye(job)
     arm = given_arm(job.arm)
     devices = devices or open_servo(job, rig, target, arm=arm)
-    guard = guard_for(devices.robot, arm, job.limits, share=job.speed)
-    if arm_of(devices.robot, arm) is None:
-        raise UsageError(
-            f"{devices.robot.name} does not tell its arm's lengths",
-            consequence="Where its cameras are is not known, and nothing is moved",
-            cure="Give the arm's file (--arm)",
-        )
-    settings = _settings(job, handeye, guard.arm, devices.robot.cycle_s)
+    run = RobotRun(job, devices.robot, arm, devices.clock, progress)
+    run.require_lengths("Where its cameras are is not known, and nothing is moved")
+    settings = _settings(job, handeye, run.guard.arm, devices.robot.cycle_s)
     prepare(progress)
     setup = measuring(rig, target, devices)
-    done = ServoSession(job, devices, guard, settings, setup, beside).run(confirm, show, progress)
+    done = ServoSession(job, devices, settings, setup, beside).run(run, confirm, show)
     write_json(job.out / SUMMARY, done.to_dict())
     return done
 

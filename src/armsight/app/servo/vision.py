@@ -8,7 +8,7 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, cast
@@ -154,6 +154,22 @@ class VisionThread:
             self.failed = error
         except Exception as error:  # told by the main thread; the arm must not go on blind meanwhile
             self.failed = DeviceFailed(f"measuring failed: {error!r}", consequence="The target is not seen any more")
+
+
+def watch(stack: ExitStack, vision: Vision, devices: ServoDevices) -> Callable[[], ArmsightError | None]:
+    """Open the cameras and measure their pairs until stack ends; return what tells why they ended, once they came.
+
+    Of a simulated clock as that moves, else in a thread. Raises as probe.
+    """
+    pairs = stack.enter_context(devices.pairs)
+    failed: Callable[[], ArmsightError | None] = lambda: None  # noqa: E731
+    if devices.stepped is not None:
+        devices.stepped.watch(pairs, vision.take)  # type: ignore[arg-type]  # of a live cell, by number too
+    else:
+        thread = stack.enter_context(VisionThread(vision, devices))
+        failed = lambda: thread.failed  # noqa: E731
+    probe(vision, devices.clock, failed)
+    return failed
 
 
 def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | None]) -> None:
