@@ -62,6 +62,9 @@ def named_outside(folder: Path) -> list[str]:
 
 def inner_kernels_of(module: ModuleType | SimpleNamespace, source: str) -> list[str]:
     """Return the inner kernels that a module which is no kernel names."""
+    seen = [module, *(value for value in vars(module).values() if isinstance(value, ModuleType | SimpleNamespace))]
+    if not any(isinstance(value, InnerKernel) for one in seen for value in vars(one).values()):
+        return []  # most modules: they need not be parsed
     named = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
     found = [name for name in named if isinstance(getattr(module, name, None), InnerKernel)]
     for node in ast.walk(ast.parse(source)):
