@@ -1,4 +1,4 @@
-"""Pages of the documentation that are made from the project itself: start, examples, reference, JSON keys."""
+"""Pages of the documentation that are made: start, examples, reference, JSON keys, flags, tables of benchmarks."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "index.md": start_page(),
         "examples/index.md": examples_page(),
         "reference/index.md": reference_page(),
-        "json.md": json_page(),
+        "json.md": made_by("json_schemas"),
+        "python-flags.md": made_by("python_flags"),
+        "benchmark-tables.md": made_by("benchmark_results"),
     }
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))
     return files
 
 
-def json_page() -> str:
-    """Return the table of keys of every command's JSON object."""
-    text = runpy.run_path(str(ROOT / "tools" / "json_schemas.py"))["page"]()
-    return str(text)
+def made_by(tool: str) -> str:
+    """Return the page that a tool of this folder makes."""
+    return str(runpy.run_path(str(ROOT / "tools" / f"{tool}.py"))["page"]())
 
 
 def start_page() -> str:
