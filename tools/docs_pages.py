@@ -21,6 +21,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "reference/index.md": reference_page(),
         "json.md": made_by("json_schemas"),
         "python-flags.md": made_by("python_flags"),
+        "protocol-messages.md": made_by("protocol_messages"),
         "benchmark-tables.md": made_by("benchmark_results"),
         **{name: f"{head}\n{csv_table(ROOT / rows)}\n" for name, (head, rows) in TABLES.items()},
     }

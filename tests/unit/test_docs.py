@@ -23,7 +23,10 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RUN = {"bash", "python"}
-MADE = {"json.md", "python-flags.md", "benchmark-tables.md", "security-roles.md", "strangers.md"}
+MADE = {
+    *("json.md", "python-flags.md", "protocol-messages.md"),
+    *("benchmark-tables.md", "security-roles.md", "strangers.md"),
+}
 """Pages that are made with the site."""
 SHOWN = {"text", "yaml", "json", "csv", "toml", "mermaid"}
 
