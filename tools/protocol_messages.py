@@ -13,8 +13,8 @@ from armsight.drivers.remote import protocol as say
 HEAD = """\
 # Messages of the robot server
 
-Every message and key of [the protocol](protocol.md). Each message has `type`; those of a client carry `session` and `seq`
-besides. Lengths are in m, angles in rad, times in s on the clock of the robot's loop.
+Every message and key of [the protocol](protocol.md). Each message has `type`; those of a client also carry `session`
+and `seq`. Lengths are in m, angles in rad, times in s on the clock of the robot's loop.
 """
 
 
@@ -37,9 +37,9 @@ def message(kind: type[BaseModel]) -> str:
 
 def keys_of(kind: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield every key with its meaning, those of the objects inside it after it."""
-    for key, field in kind.model_fields.items():
-        if not prefix and key in ("type", "session", "seq") and kind in get_args(say.Command) or key == "type":
-            continue
+    everywhere = {"type", "session", "seq"} if kind in get_args(say.Command) else {"type"}
+    for key in [key for key in kind.model_fields if key not in everywhere]:
+        field = kind.model_fields[key]
         inner = [one for one in parts_of(field.annotation) if inspect.isclass(one) and issubclass(one, BaseModel)]
         yield f"{prefix}{key}", field.description or next((str(one.__doc__) for one in inner), "")
         for one in inner:
