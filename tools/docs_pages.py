@@ -49,11 +49,19 @@ TABLES = {
 
 Every message of every socket and every route, sent by each kind of caller: without a token; on a connection whose token
 was removed since; by a watcher; by a watcher, and by another driver, in the names of the driver (page, session, key);
-by the driver. Three words: before anybody drives / while the driver drives / after a stop. `beat: key` is a held jog key;
-*ignored* is an event of an element that a watcher's page does not have; *let go* is the enable's end.
+by the driver. Three words: before anybody drives / while the driver drives / after a stop. `beat: key` is a held jog
+key; *ignored* is an event of an element that a watcher's page does not have; *let go* is the enable's end.
 `tests/security/test_roles.py` plays each cell against a server. See [security](security.md#who-may-say-what).
 """,
         "tests/security/roles.csv",
+    ),
+    "security-tests.md": (
+        """\
+# What was tried against it
+
+Attacks, their tests and what became of them; the tests are in `tests/security`. See [security](security.md).
+""",
+        "tests/security/tried.csv",
     ),
     "strangers.md": (
         """\

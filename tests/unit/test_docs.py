@@ -6,6 +6,7 @@ Blocks marked `text` are output, need hardware or take long, and are not run her
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import subprocess
@@ -25,7 +26,7 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RUN = {"bash", "python"}
 MADE = {
     *("json.md", "python-flags.md", "protocol-messages.md"),
-    *("benchmark-tables.md", "security-roles.md", "strangers.md"),
+    *("benchmark-tables.md", "security-roles.md", "security-tests.md", "strangers.md"),
 }
 """Pages that are made with the site."""
 SHOWN = {"text", "yaml", "json", "csv", "toml", "mermaid"}
@@ -109,3 +110,10 @@ def test_what_a_benchmark_printed_is_kept() -> None:
     assert run["tables"] == [{"title": "Times", "rows": 'what,ms\n"a, b",1.5\n'}]
     with refuses(SystemExit, "date", "table"):
         tool.dumped("python benchmarks/x.py", "nothing", "0123abcd")
+
+
+def test_the_tests_of_what_was_tried_are_there() -> None:
+    with (ROOT / "tests" / "security" / "tried.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    named = {name for row in rows for name in re.findall(r"`(?:architecture/)?(test_\w+)`", row["test"])}
+    assert len(rows) > 30 and named <= {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
