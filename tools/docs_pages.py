@@ -1,8 +1,9 @@
-"""Pages of the documentation that are made from the project itself: start, examples, reference, JSON keys."""
+"""Pages of the documentation that are made: start, examples, reference, JSON keys, flags, tables of benchmarks."""
 
 from __future__ import annotations
 
 import ast
+import csv
 import runpy
 from pathlib import Path
 
@@ -18,17 +19,62 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "index.md": start_page(),
         "examples/index.md": examples_page(),
         "reference/index.md": reference_page(),
-        "json.md": json_page(),
+        "json.md": made_by("json_schemas"),
+        "python-flags.md": made_by("python_flags"),
+        "protocol-messages.md": made_by("protocol_messages"),
+        "benchmark-tables.md": made_by("benchmark_results"),
+        **{name: f"{head}\n{csv_table(ROOT / rows)}\n" for name, (head, rows) in TABLES.items()},
     }
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))
     return files
 
 
-def json_page() -> str:
-    """Return the table of keys of every command's JSON object."""
-    text = runpy.run_path(str(ROOT / "tools" / "json_schemas.py"))["page"]()
-    return str(text)
+def made_by(tool: str) -> str:
+    """Return the page that a tool of this folder makes."""
+    return str(runpy.run_path(str(ROOT / "tools" / f"{tool}.py"))["page"]())
+
+
+def csv_table(path: Path) -> str:
+    """Return a CSV file as a Markdown table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows))
+
+
+TABLES = {
+    "security-roles.md": (
+        """\
+# Who may say what
+
+Every message of every socket and every route, sent by each kind of caller: without a token; on a connection whose token
+was removed since; by a watcher; by a watcher, and by another driver, in the names of the driver (page, session, key);
+by the driver. Three words: before anybody drives / while the driver drives / after a stop. `beat: key` is a held jog
+key; *ignored* is an event of an element that a watcher's page does not have; *let go* is the enable's end.
+`tests/security/test_roles.py` plays each cell against a server. See [security](security.md#who-may-say-what).
+""",
+        "tests/security/roles.csv",
+    ),
+    "security-tests.md": (
+        """\
+# What was tried against it
+
+Attacks, their tests and what became of them; the tests are in `tests/security`. See [security](security.md).
+""",
+        "tests/security/tried.csv",
+    ),
+    "strangers.md": (
+        """\
+# Strangers' cases
+
+Public reports, questions and file forms of this field, rebuilt as small inputs of our own: what the person had, what is
+right and how it is known, and what comes now. `tests/golden/reports` runs them; the inputs lie beside the repository
+(`../shared/data/reports`). Sources are given as project and number.
+""",
+        "tests/golden/reports/cases.csv",
+    ),
+}
+"""Page -> its text and the table below it."""
 
 
 def start_page() -> str:

@@ -1,10 +1,8 @@
-"""Write the table of docs/python.md: every flag of the command line with the Python name that does it.
-
-python tools/python_flags.py [--check]
+"""Make the page of flags: every flag of the command line with the Python name that does it. `make docs` builds it.
 
 A flag is a parameter of the command's function where that has one of its name (api.commands.parameter); what is done
 otherwise stands in OTHERWISE, and what is not done at all in WHY_NOT, with the reason. Exits 1 for a flag without
-either, for an entry that no flag needs any more, and with --check where the page is not as it would be written.
+either, and for an entry that no flag needs any more; run as a program it prints the page.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ import inspect
 import sys
 from collections.abc import Iterator, Mapping
 from functools import reduce
-from pathlib import Path
 
 import typer
 
@@ -22,8 +19,12 @@ from armsight.cli.commands import app
 from armsight.fields import Flag, marks
 from armsight.ops.commands import COMMANDS, parameter
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "python.md"
-BEGIN, END = "<!-- flags -->", "<!-- end of flags -->"
+HEAD = """\
+# Flags in Python
+
+Every flag and argument of the command line with the Python name that does it, or the reason why there is none.
+[From Python](python.md) says how the functions are used.
+"""
 
 FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "verify": ("verify", "supervise", "plan_verification", "propose_mastering_poses", "check_mastering"),
@@ -251,13 +252,9 @@ def table() -> str:
 
 
 def page() -> str:
-    """Return docs/python.md with the table as it is now."""
-    text = PAGE.read_text(encoding="utf-8")
-    return f"{text.partition(BEGIN)[0]}{BEGIN}\n\n{table()}\n\n{END}{text.partition(END)[2]}"
+    """Return the page."""
+    return f"{HEAD}\n{table()}\n"
 
 
 if __name__ == "__main__":
-    made = page()
-    if "--check" in sys.argv:
-        sys.exit(0 if made == PAGE.read_text(encoding="utf-8") else "docs/python.md: run tools/python_flags.py")
-    PAGE.write_text(made, encoding="utf-8")
+    print(page())

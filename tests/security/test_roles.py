@@ -1,11 +1,13 @@
 """Who may say what, when: every message of every socket and page, by every kind of caller, as the robot's loop sees it.
 
 The rows are the code's own registries of messages and routes: one that is added without a row fails here. The table of
-docs/security.md is this one; `ARMSIGHT_WRITE_TABLES=1` before pytest writes it anew.
+roles.csv is this one, which `make docs` shows; `ARMSIGHT_WRITE_TABLES=1` before pytest writes it.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import pickle
@@ -50,8 +52,7 @@ from armsight.store.tokens import add_token
 
 WAIT_S = 30.0
 ROOT = Path(__file__).resolve().parents[2]
-DOC = ROOT / "docs/security.md"
-BEGIN, END = "<!-- roles: begin -->\n", "<!-- roles: end -->\n"
+KEPT = Path(__file__).with_name("roles.csv")
 ANN = Person(who="ann")
 Q = [0.0, -1.0, 1.0, -0.5, 0.5, 0.1]
 
@@ -561,26 +562,24 @@ def test_no_message_and_no_route_is_left_out(world: World) -> None:
 
 
 def table() -> str:
-    """Return the table, as docs/security.md has it."""
-    lines = ["| where | what | " + " | ".join(CALLERS.values()) + " |", "|---" * (2 + len(CALLERS)) + "|"]
+    """Return the table as CSV."""
+    lines = [["where", "what", *CALLERS.values()]]
     grouped: dict[tuple[str, ...], list[str]] = {}
     for where, kind in ROWS:
         cells = [[expected((where, kind), caller, phase) for phase in PHASES] for caller in CALLERS]
         words = [found[0] if len(set(found)) == 1 else " / ".join(found) for found in cells]
         grouped.setdefault((where, *words), []).append(kind)
-    for (where, *words), kinds in grouped.items():
-        lines.append("| " + " | ".join([where, ", ".join(kinds), *words]) + " |")
-    return "\n".join(lines) + "\n"
+    lines += [[where, ", ".join(kinds), *words] for (where, *words), kinds in grouped.items()]
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    return text.getvalue()
 
 
-def test_the_page_on_security_has_this_table() -> None:
-    text = DOC.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
-    kept, after = rest.split(END)
+def test_the_table_of_the_documentation_is_this_one() -> None:
     if os.environ.get("ARMSIGHT_WRITE_TABLES"):
-        DOC.write_text(f"{before}{BEGIN}{table()}{END}{after}", encoding="utf-8")
+        KEPT.write_text(table(), encoding="utf-8")
         return
-    assert kept == table(), "write it anew with ARMSIGHT_WRITE_TABLES=1"
+    assert KEPT.read_text(encoding="utf-8") == table(), "ARMSIGHT_WRITE_TABLES=1 writes it"
 
 
 PLANTED: dict[str, tuple[Row, str, str]] = {

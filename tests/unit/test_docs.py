@@ -6,6 +6,7 @@ Blocks marked `text` are output, need hardware or take long, and are not run her
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import subprocess
@@ -13,13 +14,21 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 import warm_python
+from loading import module_of
+from refusals import refuses
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RUN = {"bash", "python"}
+MADE = {
+    *("json.md", "python-flags.md", "protocol-messages.md"),
+    *("benchmark-tables.md", "security-roles.md", "security-tests.md", "strangers.md"),
+}
+"""Pages that are made with the site."""
 SHOWN = {"text", "yaml", "json", "csv", "toml", "mermaid"}
 
 
@@ -64,7 +73,7 @@ def test_links_inside_the_project_lead_somewhere(page: Path) -> None:
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     for link in re.findall(r"\]\(([^)#\s]+)", text):
         if "://" not in link and not link.startswith("mailto:"):
-            there = (page.parent / link).exists() or link.endswith("json.md")  # that page is made with the site
+            there = (page.parent / link).exists() or link.split("/")[-1] in MADE
             assert there, f"{page.name} links to {link}, which is not there"
 
 
@@ -74,3 +83,37 @@ def test_the_files_that_the_architecture_leads_to_are_there() -> None:
     roots = ("", "src/armsight", "sim/src", "sim/src/armsight_sim", "plant/src")
     missing = [name for name in named if not any((ROOT / root / name).is_file() for root in roots)]
     assert len(named) > 40 and not missing
+
+
+def test_every_benchmark_with_figures_has_a_headline_a_script_and_tables() -> None:
+    tool = module_of(ROOT / "tools" / "benchmark_results.py")
+    results = tool.results()
+    page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"benchmark-tables\.md#(\w+)", page)) == set(results)
+    scripts = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+    assert set(results) - scripts == {"public_data"}  # read by hand
+    made = tool.page()
+    for name, content in results.items():
+        assert f"\n## {name}\n" in made
+        for run in content["runs"]:
+            assert {"command", "date", "machine", "commit"} < set(run)
+            for one in run["tables"]:
+                head, _, *rows = tool.markdown(one["rows"]).splitlines()
+                assert {row.count(" | ") for row in rows} == {head.count(" | ")}, (name, one["title"])
+
+
+def test_what_a_benchmark_printed_is_kept() -> None:
+    tool = module_of(ROOT / "tools" / "benchmark_results.py")
+    printed = "2026-11-29, a machine, 2 cores\n\n### Times\n\n| what | ms |\n|---|---|\n| a, b | 1.5 |\n"
+    run = yaml.safe_load(tool.dumped("python benchmarks/x.py", printed, "0123abcd"))["runs"][0]
+    assert run["date"] == "2026-11-29" and run["machine"] == "a machine, 2 cores" and run["commit"] == "0123abcd"
+    assert run["tables"] == [{"title": "Times", "rows": 'what,ms\n"a, b",1.5\n'}]
+    with refuses(SystemExit, "date", "table"):
+        tool.dumped("python benchmarks/x.py", "nothing", "0123abcd")
+
+
+def test_the_tests_of_what_was_tried_are_there() -> None:
+    with (ROOT / "tests" / "security" / "tried.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    named = {name for row in rows for name in re.findall(r"`(?:architecture/)?(test_\w+)`", row["test"])}
+    assert len(rows) > 30 and named <= {path.stem for path in (ROOT / "tests").rglob("test_*.py")}

@@ -49,7 +49,7 @@ COMMANDS: Mapping[str, str] = {
     "robot test": "check_robot",
     "robot jog": "jog",
 }
-"""The public name that does what a command does; docs/python.md has every flag."""
+"""The public name that does what a command does; tools/python_flags.py lists every flag."""
 
 PARAMETERS: Mapping[str, str] = {
     "--approach-speed": "approach_speed_m_s",

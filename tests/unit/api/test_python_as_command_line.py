@@ -20,11 +20,12 @@ FRAMES = list(CELL)
 LEFT, RIGHT = [f.left for f in FRAMES], [f.right for f in FRAMES]
 
 
-def test_the_page_has_every_flag_of_the_parser() -> None:
+def test_every_flag_of_the_parser_has_a_python_name_or_a_reason() -> None:
     done = subprocess.run(
-        [sys.executable, "tools/python_flags.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "tools/python_flags.py"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+    assert "| measure | `--rig` | `measure(rig)` |" in done.stdout
 
 
 def test_a_flag_without_a_name_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
