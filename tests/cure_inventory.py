@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TypeGuard
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "src" / "armsight"
+SOURCES = {ROOT / "src" / "armsight": "", ROOT / "lab" / "src" / "armsight_lab": "armsight_lab/"}
+"""Folders of the product, and how the path of a module in each begins."""
 
 NAMES = re.compile(
     r"(?<![\w-])--[a-z]|\barmsight (?!anew|is )[a-z]|"
@@ -22,7 +23,7 @@ NAMES = re.compile(
 
 @dataclass(frozen=True)
 class Cure:
-    """A cure of a module (path from src/armsight), its text with {} for what is put in."""
+    """A cure of a module (path as SOURCES has it), its text with {} for what is put in."""
 
     module: str
     text: str
@@ -37,7 +38,7 @@ class Cure:
 def cures() -> tuple[Cure, ...]:
     """Return all cures, each text of a module once."""
     found = {}
-    for path in sorted(SOURCE.rglob("*.py")):
+    for source, path in ((folder, path) for folder in SOURCES for path in sorted(folder.rglob("*.py"))):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         constants = {
             target.id: node.value
@@ -50,7 +51,7 @@ def cures() -> tuple[Cure, ...]:
             if _is_cure(node):
                 for text in texts(node.value, constants):
                     if text.strip("{} "):
-                        found[Cure(path.relative_to(SOURCE).as_posix(), text)] = None
+                        found[Cure(SOURCES[source] + path.relative_to(source).as_posix(), text)] = None
     return tuple(found)
 
 

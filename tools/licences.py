@@ -20,7 +20,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-OURS = ("armsight", "armsight-sim")
+OURS = ("armsight", "armsight-sim", "armsight-lab")
 INSTALLATION = "install"
 DEVELOPMENT = "dev"
 UNSAID = {

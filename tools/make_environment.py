@@ -20,7 +20,7 @@ OLDEST = (3, 11)
 
 
 def main(folder: str, lock: str) -> int:
-    """Create the environment in folder and install the locked packages, armsight itself and its simulation."""
+    """Create the environment in folder and install the locked packages, armsight and the distributions beside it."""
     if sys.version_info < OLDEST:
         have = ".".join(map(str, sys.version_info[:3]))
         print(f"armsight needs Python {OLDEST[0]}.{OLDEST[1]} or newer; this is {have}.", file=sys.stderr)
@@ -42,6 +42,7 @@ def main(folder: str, lock: str) -> int:
             print("The packages could not be installed: see pip's message above.", file=sys.stderr)
             return 1
     ours = ["--editable", str(ROOT), "--editable", str(ROOT / "sim")]
+    ours += ["--editable", str(ROOT / "lab")]
     return run([*pip, "--no-deps", "--no-build-isolation", *ours])
 
 

@@ -20,7 +20,11 @@ from pathlib import Path
 import yaml
 
 HOME = Path(__file__).resolve().parent.parent
-ROOTS = (HOME / "src" / "armsight", HOME / "sim" / "src" / "armsight_sim")
+ROOTS = (
+    HOME / "src" / "armsight",
+    HOME / "sim" / "src" / "armsight_sim",
+    HOME / "lab" / "src" / "armsight_lab",
+)
 LIMITS = Path(__file__).with_name("ratchet.yaml")
 DECISIONS = HOME / "docs" / "decisions"
 

@@ -1,3 +1,3 @@
-"""The version of armsight and of armsight-sim: both are built with it."""
+"""The version of armsight, of armsight-sim and of armsight-lab: all are built with it."""
 
 __version__ = "0.1.0"

@@ -12,6 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
+PARTS = ("src", "sim/src", "lab/src")
+BESIDE = {"armsight_sim": "sim/src", "armsight_lab": "lab/src"}
 PLANTED = {
     "geometry sees records": ("geometry/planted.py", "import armsight.records"),
     "optics sees kinematics": ("optics/planted.py", "import armsight.kinematics"),
@@ -26,6 +28,8 @@ PLANTED = {
     "a room sees a cell": ("armsight_sim/rooms/planted.py", "import armsight_sim.cell"),
     "a cell sees a paper": ("armsight_sim/sets/planted.py", "import armsight_sim.papers.kapucu2005"),
     "a module outside the simulation's plan": ("armsight_sim/planted.py", '"""Nobody knows what this is."""'),
+    "the batch sees the commands": ("armsight_lab/batch/planted.py", "import armsight_lab.cli.batch"),
+    "app imports the laboratory by name": ("app/planted.py", "import armsight_lab.batch.run"),
     "store sees config": ("store/planted.py", "import armsight.config"),
     "app imports the simulation by name": ("app/planted.py", "import armsight_sim.cells"),
     "drivers see testing": ("drivers/planted.py", "import armsight.testing"),
@@ -40,7 +44,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{folder / 'src'}{os.pathsep}{folder / 'sim' / 'src'}"},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(str(folder / part) for part in PARTS)},
         capture_output=True,
         text=True,
         check=False,
@@ -50,7 +54,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("house")
-    for part in ("src", "sim/src"):
+    for part in PARTS:
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     return folder
@@ -64,7 +68,7 @@ def test_the_clean_tree_passes(copy: Path) -> None:
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_violation_fails(copy: Path, name: str) -> None:
     path, text = PLANTED[name]
-    planted = copy / ("sim/src" if path.startswith("armsight_sim") else "src/armsight") / path
+    planted = copy / BESIDE.get(path.partition("/")[0], "src/armsight") / path
     new_folder = not planted.parent.exists()
     planted.parent.mkdir(exist_ok=True)
     planted.write_text(text + "\n")

@@ -15,7 +15,7 @@ MADE = {".pyc", ".nbi", ".nbc"}
 BESIDE = {"CHANGELOG.md", "LICENSE", "README.md", "PKG-INFO", ".gitignore", "pyproject.toml"}
 
 
-@pytest.mark.parametrize(("folder", "package"), [(".", "armsight"), ("sim", "armsight_sim")])
+@pytest.mark.parametrize(("folder", "package"), [(".", "armsight"), ("sim", "armsight_sim"), ("lab", "armsight_lab")])
 def test_a_package_is_whole(folder, package, tmp_path):
     command = [sys.executable, "-m", "hatchling", "build", "--directory", str(tmp_path)]
     subprocess.run(command, cwd=ROOT / folder, check=True, capture_output=True)

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "src" / "armsight"
-SIMULATION = ROOT / "sim" / "src"
+BESIDE = (ROOT / "sim" / "src", ROOT / "lab" / "src")
 
 UNSAFE = re.compile(
     r"(?:pickle|_pickle|dill|marshal|shelve)\.(?:load|loads|Unpickler|open)|(?:builtins\.)?(?:eval|exec)|os\.(?:system|popen)"
@@ -51,7 +51,7 @@ OFF = (("shell", True), ("verify", False), ("check_hostname", False), ("allow_pi
 def found() -> dict[str, set[str]]:
     said = {
         path.relative_to(root).as_posix(): set(calls(path.read_text()))
-        for root in (SOURCE, SIMULATION)
+        for root in (SOURCE, *BESIDE)
         for path in root.rglob("*.py")
     }
     return {name: called for name, called in said.items() if called}

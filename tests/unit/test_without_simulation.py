@@ -1,6 +1,6 @@
-"""armsight without armsight-sim: its own work goes on, and what would be simulated is refused with the cure.
+"""armsight without the distributions beside it: its own work goes on, what they bring is refused with the cure.
 
-The environment is a new one that holds links to all that is installed here, armsight-sim excepted.
+The environment is a new one that holds links to all that is installed here, those excepted.
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from typer.main import get_command
 
 import armsight
 from armsight._version import __version__
 from armsight.app.simulate.run import simulate
+from armsight.cli.commands import app
 from armsight.kinematics import fk, presets
+from armsight.registry import COMMANDS, known
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -51,13 +54,24 @@ REFUSED = (
     "--right camera:sim:webcam-cell:right -o none --json",
 )
 
+LABORATORY = (
+    "batch jobs.csv -o none --json",
+    "batch --help",
+    "design --rig cell/rig.yaml --target cell/target.yaml --volume=0:1,0:1,0:1 -o none --json",
+    "calibrate cell-plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
+    "calibrate cell --plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
+)
+BESIDE = {"armsight_sim": "sim", "armsight_lab": "lab"}
+"""Distributions of their own: package -> folder and extra."""
+
 CODE = """
 import importlib.util, json, sys
 from typer.testing import CliRunner
 import armsight
 from armsight.cli.commands import app
 
-out = {"there": importlib.util.find_spec("armsight_sim") is not None, "scenarios": armsight.scenarios()}
+there = [name for name in ("armsight_sim", "armsight_lab") if importlib.util.find_spec(name)]
+out = {"there": there, "scenarios": armsight.scenarios()}
 for line in json.load(sys.stdin):
     done = CliRunner().invoke(app, line.split())
     out[line] = [done.exit_code, done.stdout, done.stderr]
@@ -65,6 +79,11 @@ try:
     armsight.simulate("webcam-cell")
 except armsight.ArmsightError as error:
     out["simulate"] = [type(error).__name__, error.cure]
+for name in ("batch", "design"):
+    try:
+        getattr(armsight, name)()
+    except armsight.ArmsightError as error:
+        out[name] = [type(error).__name__, error.cure]
 print(json.dumps(out))
 """
 
@@ -81,13 +100,13 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     here = Path(sysconfig.get_path("purelib"))
     packages = work / "venv" / here.relative_to(sys.prefix)
     for path in here.iterdir():
-        if "armsight_sim" not in path.name:
+        if not any(package in path.name for package in BESIDE):
             (packages / path.name).symlink_to(path)
     done = subprocess.run(
         [str(work / "venv" / "bin" / "python"), "-c", CODE],
         cwd=work,
         env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-        input=json.dumps([*WORKS, *REFUSED]),
+        input=json.dumps([*WORKS, *REFUSED, *LABORATORY]),
         capture_output=True,
         text=True,
         check=True,
@@ -117,7 +136,7 @@ def write_track(folder: Path) -> None:
         (folder / f"{name}.csv").write_text("\n".join(["x_m,y_m,z_m,qx,qy,qz,qw", *rows]) + "\n")
 
 
-def test_the_simulation_is_not_there(bare: dict[str, Any]) -> None:
+def test_they_are_not_there(bare: dict[str, Any]) -> None:
     assert not bare["there"]
     assert bare["scenarios"] == []
     assert "webcam-cell" in armsight.scenarios(), "... and it is here"
@@ -133,37 +152,57 @@ def test_armsights_own_work_goes_on(bare: dict[str, Any], line: str) -> None:
         assert json.loads(stdout)["drivers"]["cells"] == [] and "egm" in json.loads(stdout)["drivers"]["robots"]
 
 
-@pytest.mark.parametrize("line", REFUSED)
-def test_what_would_be_simulated_is_refused_with_the_cure(bare: dict[str, Any], line: str) -> None:
+@pytest.mark.parametrize(
+    ("line", "extra"), [*((line, "sim") for line in REFUSED), *((line, "lab") for line in LABORATORY)]
+)
+def test_what_they_would_bring_is_refused_with_the_cure(bare: dict[str, Any], line: str, extra: str) -> None:
     code, stdout, stderr = bare[line]
     assert code == 4, stderr or stdout
     if "--json" in line:
         error = json.loads(stdout)["error"]
         assert (error["kind"], error["exit_code"]) == ("DeviceNotFound", 4)
-        assert error["consequence"] and "armsight[sim]" in error["cure"]
+        assert error["consequence"] and f"armsight[{extra}]" in error["cure"]
     else:
-        assert "armsight[sim]" in stderr
+        assert f"armsight[{extra}]" in stderr
 
 
 def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
-    kind, cure = bare["simulate"]
-    assert kind == "DeviceNotFound" and "armsight[sim]" in cure
+    for name, extra in {"simulate": "sim", "batch": "lab", "design": "lab"}.items():
+        kind, cure = bare[name]
+        assert kind == "DeviceNotFound" and f"armsight[{extra}]" in cure
 
 
-def test_both_distributions_have_one_version_and_ask_for_each_other_by_it() -> None:
+def test_the_overview_is_the_same_without_them(bare: dict[str, Any]) -> None:
+    assert {"batch", "design"} <= set(bare["--help"][1].split())
+
+
+@pytest.mark.parametrize("name", known(COMMANDS))
+def test_the_overview_tells_of_a_command_what_its_own_help_begins_with(name: str) -> None:
+    """It is written twice, for the overview loads none of them."""
+    parser: Any = get_command(app)
+    for word in name.split("."):
+        parser = parser.commands[word]
+    told = parser.help
+    _ = parser.params
+    assert told == parser.help.partition("\n\n")[0].replace("\n", " ")
+
+
+@pytest.mark.parametrize("folder", BESIDE.values())
+def test_the_distributions_have_one_version_and_ask_for_each_other_by_it(folder: str) -> None:
     core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    sim = tomllib.loads((ROOT / "sim" / "pyproject.toml").read_text(encoding="utf-8"))
-    assert core["project"]["optional-dependencies"]["sim"] == [f"armsight-sim=={__version__}"]
-    assert f"armsight=={__version__}" in sim["project"]["dependencies"]
-    for project, folder in ((core, ROOT), (sim, ROOT / "sim")):
+    other = tomllib.loads((ROOT / folder / "pyproject.toml").read_text(encoding="utf-8"))
+    assert core["project"]["optional-dependencies"][folder] == [f"armsight-{folder}=={__version__}"]
+    assert f"armsight=={__version__}" in other["project"]["dependencies"]
+    for project, folder_ in ((core, ROOT), (other, ROOT / folder)):
         assert project["project"]["dynamic"] == ["version"]
-        assert (folder / project["tool"]["hatch"]["version"]["path"]).resolve() == ROOT / "src/armsight/_version.py"
+        assert (folder_ / project["tool"]["hatch"]["version"]["path"]).resolve() == ROOT / "src/armsight/_version.py"
 
 
-def test_the_simulation_asks_for_no_other_version_of_what_both_need() -> None:
-    core, sim = (
+@pytest.mark.parametrize("folder", BESIDE.values())
+def test_they_ask_for_no_other_version_of_what_both_need(folder: str) -> None:
+    core, other = (
         {re.split(r"[<>=]", need)[0]: need for need in tomllib.loads(path.read_text())["project"]["dependencies"]}
-        for path in (ROOT / "pyproject.toml", ROOT / "sim" / "pyproject.toml")
+        for path in (ROOT / "pyproject.toml", ROOT / folder / "pyproject.toml")
     )
-    sim.pop("armsight")
-    assert sim and sim.items() <= core.items()
+    other.pop("armsight")
+    assert other and other.items() <= core.items()
