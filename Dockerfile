@@ -10,7 +10,8 @@ RUN /opt/armsight/bin/pip install --no-cache-dir --require-hashes -r requirement
 COPY pyproject.toml README.md CHANGELOG.md LICENSE ./
 COPY src src
 COPY sim sim
-RUN /opt/armsight/bin/pip install --no-cache-dir --no-deps --no-build-isolation . ./sim
+COPY lab lab
+RUN /opt/armsight/bin/pip install --no-cache-dir --no-deps --no-build-isolation . ./sim ./lab
 
 FROM ${BASE}
 # BLAS and OpenMP would each take all cores in every worker

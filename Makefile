@@ -27,8 +27,8 @@ $(VERSIONS:%=test-%): test-%: install
 	.venv-$*/bin/pytest -m alone
 
 check: install
-	$(BIN)/ruff format --check src sim plant tests benchmarks tools examples
-	$(BIN)/ruff check src sim plant tests benchmarks tools examples
+	$(BIN)/ruff format --check src sim plant lab tests benchmarks tools examples
+	$(BIN)/ruff check src sim plant lab tests benchmarks tools examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/structure.py
@@ -39,13 +39,13 @@ guides: install
 
 install: $(READY)
 
-$(READY): pyproject.toml sim/pyproject.toml plant/pyproject.toml requirements.lock tools/make_environment.py
+$(READY): pyproject.toml sim/pyproject.toml plant/pyproject.toml lab/pyproject.toml requirements.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv requirements.lock
 	$(BIN)/python -m armsight.app.compilation
 	@touch $@ $(RUNS)
 
 # what it takes to run it, without what the tests and the documentation need
-$(RUNS): pyproject.toml sim/pyproject.toml plant/pyproject.toml requirements-run.lock tools/make_environment.py
+$(RUNS): pyproject.toml sim/pyproject.toml plant/pyproject.toml lab/pyproject.toml requirements-run.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv requirements-run.lock
 	$(BIN)/python -m armsight.app.compilation demo
 	@touch $@
@@ -56,6 +56,7 @@ packages: install
 	$(BIN)/python -m uv build --quiet --no-build-isolation --out-dir dist .
 	$(BIN)/python -m uv build --quiet --no-build-isolation --out-dir dist sim
 	$(BIN)/python -m uv build --quiet --no-build-isolation --out-dir dist plant
+	$(BIN)/python -m uv build --quiet --no-build-isolation --out-dir dist lab
 	$(BIN)/python tools/licences.py --out dist/licences.md
 
 docs: install
@@ -68,7 +69,8 @@ LOCKED = $(BIN)/python -m uv pip compile --quiet --universal --python-version 3.
 lock:
 	$(LOCKED) --extra dev -o requirements.lock
 	$(LOCKED) --constraint requirements.lock -o requirements-run.lock
-	$(LOCKED) --extra batch --constraint requirements.lock -o requirements-worker.lock
+	echo 'armsight-lab ; python_version < "3"' > .venv/.ours  # built from here, and in no index: left out of the lock
+	$(LOCKED) --extra batch --override .venv/.ours --constraint requirements.lock -o requirements-worker.lock
 
 clean:
-	rm -rf .venv .venv-3.* demo dist sim/dist plant/dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-3.* demo dist sim/dist plant/dist lab/dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

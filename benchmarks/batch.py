@@ -191,10 +191,10 @@ def overhead(n: int, in_groups: bool) -> None:
     import dask
     from distributed import Client, LocalCluster
 
-    from armsight.app.batch import run as batch_run
-    from armsight.app.batch.cluster import CONFIG
-    from armsight.app.batch.jobs import Job
     from armsight.records import Silent
+    from armsight_lab.batch import run as batch_run
+    from armsight_lab.batch.cluster import CONFIG
+    from armsight_lab.batch.jobs import Job
 
     sys.path.insert(0, str(Path(__file__).parent))
     import batch_sleep
@@ -219,8 +219,8 @@ def overhead(n: int, in_groups: bool) -> None:
 
 def table(n: int) -> None:
     """Print what the table of n jobs with the figures of a measurement costs."""
-    from armsight.store.job_results import JobResult, rows_of, write_job_result
-    from armsight.store.result_table import write_result_table
+    from armsight_lab.batch.job_results import JobResult, rows_of, write_job_result
+    from armsight_lab.batch.result_table import write_result_table
 
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)

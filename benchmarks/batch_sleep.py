@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from armsight.app.batch.jobs import Job, Status
-from armsight.app.batch.work import Finished
+from armsight_lab.batch.jobs import Job, Status
+from armsight_lab.batch.work import Finished
 
 
 def group(jobs: Sequence[Job]) -> list[Finished]:

@@ -26,12 +26,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.cell.knowledge import ArmTolerance
 from armsight.calibrate.cell.model import CellModel, start_vector
 from armsight.calibrate.cell.observations import recording_of
-from armsight.calibrate.cell.plan import ENDLESS, PlanSettings, plan_motion
-from armsight.calibrate.cell.plan_cautious import cautious_motion
-from armsight.calibrate.cell.plan_information import blank_recording, known_before, motion_information, noise_px
-from armsight.calibrate.cell.plan_path import MotionBounds
-from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
-from armsight.calibrate.cell.plan_tour import longest
 from armsight.calibrate.cell.rounds import solve_cell
 from armsight.errors import ArmsightError
 from armsight.geometry import align_points
@@ -39,6 +33,12 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import Rig, RigKind
 from armsight.records import Motion, Silent, Spots, Target, spot_target
+from armsight_lab.cell_plan.cautious import cautious_motion
+from armsight_lab.cell_plan.information import blank_recording, known_before, motion_information, noise_px
+from armsight_lab.cell_plan.path import MotionBounds
+from armsight_lab.cell_plan.plan import ENDLESS, PlanSettings, plan_motion
+from armsight_lab.cell_plan.scene import Scene, places, roadmap
+from armsight_lab.cell_plan.tour import longest
 from bench import machine, table, test_scene
 from cell_records import EXACT_PX, arm_of, target_of, track_of
 

@@ -18,22 +18,22 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.design.run import run_design
-from armsight.app.requests.design import DesignJob
-from armsight.calibrate.cameras.planned import planned_views
 from armsight.drivers import CELLS, load
 from armsight.errors import BadImage
 from armsight.geometry import xyz_quat
 from armsight.measure.boards.find import find_board
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.measure.spots.expected import centre_deviation
 from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.records.noise import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
 from armsight.store import parse_board, rig_mapping, target_mapping, write_rig, write_target
 from armsight.store.worlds import World, write_world
+from armsight_lab.design.expected_spots import centre_deviation
+from armsight_lab.design.planned_cameras import planned_views
+from armsight_lab.design.request import DesignJob
+from armsight_lab.design.run import run_design
 from bench import machine, table
 
 DEG = np.pi / 180.0

@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = (
     (ROOT / "src" / "armsight", ""),
     (ROOT / "plant" / "src", "armsight_plant"),
+    (ROOT / "lab" / "src", "armsight_lab"),
     (ROOT / "sim" / "src", "armsight_sim/reproduce"),
 )
 """Where modules are named from, and the folder in it whose cures are a person's."""

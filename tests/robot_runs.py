@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.play.play_path import Opened, run_play
-from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob, TeachJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.jog_by_hand import jog_by_hand

@@ -86,13 +86,14 @@ def load_all() -> None:
 
     cv2.setNumThreads(1)  # threads do not survive a fork
     import armsight
+    import armsight_lab
     import armsight_plant
     import armsight_sim
     from armsight.app.compilation import GROUPS
     from armsight.app.simulate.run import simulate
     from armsight.kinematics import warm_up
 
-    for package in (armsight, armsight_sim, armsight_plant):
+    for package in (armsight, armsight_sim, armsight_plant, armsight_lab):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if not module.name.endswith("__main__"):
                 with contextlib.suppress(ImportError), warnings.catch_warnings():  # of what is not installed

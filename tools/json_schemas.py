@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
-from armsight.app.batch.results import BatchOutput
 from armsight.app.calibrate.arm import ArmOutput
-from armsight.app.calibrate.cell_plan import CellPlanOutput
 from armsight.app.calibrate.results import (
     CameraOutput,
     MirrorCheckOutput,
@@ -64,12 +62,14 @@ from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import MeasureOutput
-from armsight.records.design import DesignOutput
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
 from armsight.store.recording import Repaired
 from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput, VerifyOutput
+from armsight_lab.batch.results import BatchOutput
+from armsight_lab.cell_plan.run import CellPlanOutput
+from armsight_lab.design.records import DesignOutput
 
 OUTPUTS: Mapping[str, type[Output]] = {
     "measure": MeasureOutput,

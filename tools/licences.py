@@ -20,7 +20,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-OURS = ("armsight", "armsight-plant", "armsight-sim")
+OURS = ("armsight", "armsight-lab", "armsight-plant", "armsight-sim")
 INSTALLATION = "install"
 DEVELOPMENT = "dev"
 UNSAID = {

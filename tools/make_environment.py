@@ -41,7 +41,7 @@ def main(folder: str, lock: str) -> int:
         if run([*pip, *locked]) != 0:
             print("The packages could not be installed: see pip's message above.", file=sys.stderr)
             return 1
-    ours = ["--editable", str(ROOT), "--editable", str(ROOT / "sim"), "--editable", str(ROOT / "plant")]
+    ours = [word for folder in ("", "sim", "plant", "lab") for word in ("--editable", str(ROOT / folder))]
     return run([*pip, "--no-deps", "--no-build-isolation", *ours])
 
 

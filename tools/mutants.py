@@ -28,7 +28,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 FAULTS = Path(__file__).with_suffix(".yaml")
-SOURCES = ("src", "sim/src", "plant/src")
+SOURCES = ("src", "sim/src", "plant/src", "lab/src")
 LIMIT_S = 300.0
 """A fault after which the tests do not end within this is found: it hangs."""
 PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "--hypothesis-seed=0")

@@ -234,7 +234,7 @@ def keep(folder: Path, source: Path, only: str | None) -> None:
         (work / name).write_text(text, encoding="utf-8")
     header = "index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag"
     (work / "path.csv").write_text("\n".join([header, *PATH_ROWS]) + "\n", encoding="utf-8")
-    sources = os.pathsep.join(str(source / part) for part in ("src", "sim/src", "plant/src"))
+    sources = os.pathsep.join(str(source / part) for part in ("src", "sim/src", "plant/src", "lab/src"))
     environment = {**os.environ, "PYTHONPATH": sources, "COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"}
     for name, arguments in steps(only):
         begun = time.perf_counter()

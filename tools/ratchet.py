@@ -24,6 +24,7 @@ ROOTS = (
     HOME / "src" / "armsight",
     HOME / "sim" / "src" / "armsight_sim",
     HOME / "plant" / "src" / "armsight_plant",
+    HOME / "lab" / "src" / "armsight_lab",
 )
 LIMITS = Path(__file__).with_name("ratchet.yaml")
 DECISIONS = HOME / "docs" / "decisions"

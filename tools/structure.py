@@ -23,6 +23,7 @@ ROOTS = (
     HOME / "src" / "armsight",
     HOME / "sim" / "src" / "armsight_sim",
     HOME / "plant" / "src" / "armsight_plant",
+    HOME / "lab" / "src" / "armsight_lab",
 )
 MOST_LINES = 40
 MOST_ARGUMENTS = 8
@@ -48,6 +49,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "arguments": {
         "api/*": FLAGS,
         "ops/calibrate_*": FLAGS,
+        "armsight_lab/api/*": FLAGS,
         "cli/serve.py:console": FLAGS,
         "cli/kinematics.py:ik": FLAGS,
         "cli/kinematics.py:path": FLAGS,
@@ -72,7 +74,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "imports by name": {
         "__init__.py": "public names are loaded when they are asked for",
         "app/requests/__init__.py": "requests are loaded when a command is called: help begins without them",
-        "cli/command.py": "help is drawn by what only help needs",
+        "cli/lazy.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",
         "kinematics/dynamics.py": "an extra that is not always there",
     },

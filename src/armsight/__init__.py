@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
     from armsight.api import history as history
     from armsight.api import paths as paths
-    from armsight.api.batch import BatchResult as BatchResult
-    from armsight.api.batch import batch as batch
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
     from armsight.api.cameras import calibrate_camera as calibrate_camera
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
     from armsight.api.convert import open_recording as open_recording
     from armsight.api.convert import show_arm as show_arm
     from armsight.api.convert import write_formulas as write_formulas
-    from armsight.api.design import design as design
     from armsight.api.files import read_arm as read_arm
     from armsight.api.files import read_camera as read_camera
     from armsight.api.files import read_hand_eye as read_hand_eye
@@ -160,6 +157,9 @@ if TYPE_CHECKING:
     from armsight.store.foreign import FrameNames as FrameNames
     from armsight.store.interpret import TableFormat as TableFormat
     from armsight.store.recording import Recording as Recording
+    from armsight_lab.api.batch import BatchResult as BatchResult
+    from armsight_lab.api.batch import batch as batch
+    from armsight_lab.api.design import design as design
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "armsight._version": ("__version__",),
@@ -184,8 +184,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "repair_recording",
         "verify",
     ),
-    "armsight.api.design": ("design",),
-    "armsight.api.batch": ("BatchResult", "batch"),
+    "armsight_lab.api.design": ("design",),
+    "armsight_lab.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
     "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
@@ -304,6 +304,27 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
 
+_EXTRAS = {"armsight_lab": "lab"}
+"""Distributions of their own, by the extra that brings each."""
+
+
+class _NotInstalled:
+    """Stands for a public name of a distribution that is not installed, and refuses to be called or looked into."""
+
+    def __init__(self, name: str, extra: str) -> None:
+        self._name, self._extra = name, extra
+
+    def __call__(self, *_: object, **__: object) -> None:
+        from armsight.registry import not_installed
+
+        raise not_installed(self._name, self._extra)
+
+    def __getattr__(self, name: str) -> None:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        self()
+
+
 class _Face(ModuleType):
     """Keeps a public name such as armsight.measure what it is: importing the package of that name binds nothing."""
 
@@ -335,7 +356,12 @@ if not TYPE_CHECKING:  # type checkers know the names above, and refuse all othe
     def __getattr__(name: str) -> Any:
         if name not in _PLACES:
             raise AttributeError(f"module 'armsight' has no attribute {name!r}")
-        module = import_module(_PLACES[name])
+        try:
+            module = import_module(_PLACES[name])
+        except ModuleNotFoundError as error:
+            if error.name not in _EXTRAS:
+                raise
+            return _NotInstalled(name, _EXTRAS[error.name])
         value = getattr(module, name, None)
         if value is None:  # a module of the face, such as armsight.paths
             value = import_module(f"{_PLACES[name]}.{name}")

@@ -17,6 +17,7 @@ import pytest
 from numba.core.errors import TypingError
 
 import armsight
+import armsight_lab
 import armsight_sim
 from armsight import _kernel_cache
 from armsight._kernel_cache import KernelCache
@@ -79,6 +80,7 @@ def test_only_one_file_says_how_kernels_are_compiled(tmp_path: Path) -> None:
     assert not named_outside(ROOT / "src")
     assert not named_outside(ROOT / "sim" / "src")
     assert not named_outside(ROOT / "plant" / "src")
+    assert not named_outside(ROOT / "lab" / "src")
     (tmp_path / "planted.py").write_text("from numba import njit\n")
     assert named_outside(tmp_path) == ["planted.py"]
 
@@ -87,6 +89,7 @@ def test_the_program_calls_no_inner_kernel_from_python() -> None:
     walked = [
         *pkgutil.walk_packages(armsight.__path__, "armsight."),
         *pkgutil.walk_packages(armsight_sim.__path__, "armsight_sim."),
+        *pkgutil.walk_packages(armsight_lab.__path__, "armsight_lab."),
     ]
     for info in walked:
         if "kernels" in info.name.split(".") or info.name == "armsight.__main__":

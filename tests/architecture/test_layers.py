@@ -15,6 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 OTHERS = {"armsight_sim": "sim/src", "armsight_plant": "plant/src"}
 PARTS = ("src", *OTHERS.values())
 
+PARTS = ("src", "sim/src", "lab/src")
+BESIDE = {"armsight_sim": "sim/src", "armsight_lab": "lab/src"}
 PLANTED = {
     "geometry sees records": ("geometry/planted.py", "import armsight.records"),
     "optics sees kinematics": ("optics/planted.py", "import armsight.kinematics"),
@@ -29,6 +31,8 @@ PLANTED = {
     "a room sees a cell": ("armsight_sim/rooms/planted.py", "import armsight_sim.cell"),
     "a cell sees a paper": ("armsight_sim/sets/planted.py", "import armsight_sim.papers.kapucu2005"),
     "a module outside the simulation's plan": ("armsight_sim/planted.py", '"""Nobody knows what this is."""'),
+    "the batch sees the commands": ("armsight_lab/batch/planted.py", "import armsight_lab.cli.batch"),
+    "app imports the laboratory by name": ("app/planted.py", "import armsight_lab.batch.run"),
     "store sees config": ("store/planted.py", "import armsight.config"),
     "a world runs armsight": ("armsight_sim/sets/planted.py", "import armsight.app.measure.run"),
     "a world sees what runs armsight on it": ("armsight_sim/twins/planted.py", "import armsight_sim.reproduce.run"),

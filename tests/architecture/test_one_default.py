@@ -71,6 +71,7 @@ def commands() -> Iterator[tuple[str, Command]]:
     for group, typed in (("", app), *((str(one.name), one.typer_instance) for one in app.registered_groups)):
         for one in typed.registered_commands:  # type: ignore[union-attr]  # a group has its app
             command = vars(one.callback)["armsight"]
+            command = command() if callable(command) else command
             name = one.name or command.function.__name__.replace("_", "-")
             yield f"{group} {name}".strip(), command
 

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "src" / "armsight"
-OTHERS = (ROOT / "sim" / "src", ROOT / "plant" / "src")
+OTHERS = (ROOT / "sim" / "src", ROOT / "plant" / "src", ROOT / "lab" / "src")
 
 UNSAFE = re.compile(
     r"(?:pickle|_pickle|dill|marshal|shelve)\.(?:load|loads|Unpickler|open)|(?:builtins\.)?(?:eval|exec)|os\.(?:system|popen)"

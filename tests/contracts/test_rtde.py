@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from tests.contracts.conftest import WRONG
 from tests.truth.emulated_links import World, link_of
 
-from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.run_motion import run_motion
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.play.joint_motion import JointMotionSource

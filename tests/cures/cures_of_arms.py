@@ -10,11 +10,11 @@ import numpy as np
 from cures_of_runs import HEAD, MOVING, OF_ARM, POSES, VERIFY, row
 from scipy.spatial.transform import Rotation
 
-from armsight.app.requests.cell_plan import CellPlanJob
 from armsight.control.paths import smoothed
 from armsight.kinematics import preset
 from armsight.store.path_file import read_path
 from armsight.units import DEG
+from armsight_lab.cell_plan.request import CellPlanJob
 
 HOME = np.array([0.1, 0.2, 0.1, 0.2, 0.9, 0.3])
 START = "-0.0078,-1.0686,1.6257,-0.5679,1.7323,0.1617"
@@ -123,7 +123,7 @@ def plan(**more):
     """Return a call that plans a motion for the cell of given_files."""
 
     def made():
-        from armsight.app.calibrate.cell_plan import run_cell_plan
+        from armsight_lab.cell_plan.run import run_cell_plan
 
         known = {"model": "cell/arm.yaml", "start": START, "duration_s": 20.0, "rate_hz": 50.0}
         return run_cell_plan(CellPlanJob(**{"out": Path("motion.csv"), **known, **more}))
@@ -226,21 +226,21 @@ TRIED = {
         (with_covariance("wrong.csv", 9.0), f"{VERIFY.replace('poses.csv', 'wrong.csv')} {OF_ARM}"),
         (with_covariance("right.csv", 1e-9), f"{VERIFY.replace('poses.csv', 'right.csv')} {OF_ARM}"),
     ),
-    ("app/calibrate/cell_plan.py", "(--link-radius-mm)"): (
+    ("armsight_lab/cell_plan/run.py", "(--link-radius-mm)"): (
         plan(limits=Path("elbow.yaml")),
         lambda: [plan(limits=Path("elbow.yaml"), link_radius_m=0.01)(), plan()()],
     ),
-    ("calibrate/cell/plan.py", "or correct the boxes (--limits)"): (
+    ("armsight_lab/cell_plan/plan.py", "or correct the boxes (--limits)"): (
         plan(limits=Path("tool.yaml")),
         plan(limits=Path("free.yaml")),
     ),
-    ("app/calibrate/cell_plan.py", "or none of them, for small moves"): (plan(rig=Path("cell/rig.yaml")), plan()),
-    ("calibrate/cell/plan.py", "Give one value for each joint"): (plan(start="0,-1,1.6"), plan()),
-    ("calibrate/cell/plan.py", "or in limits.yaml (--limits)"): (
+    ("armsight_lab/cell_plan/run.py", "or none of them, for small moves"): (plan(rig=Path("cell/rig.yaml")), plan()),
+    ("armsight_lab/cell_plan/plan.py", "Give one value for each joint"): (plan(start="0,-1,1.6"), plan()),
+    ("armsight_lab/cell_plan/plan.py", "or in limits.yaml (--limits)"): (
         (without_limits, plan(model="open.yaml")),
         lambda: [plan(model="open.yaml", limits=Path("wide.yaml"))(), plan()()],
     ),
-    ("calibrate/cell/plan.py", "Move it back within them"): (
+    ("armsight_lab/cell_plan/plan.py", "Move it back within them"): (
         plan(limits=Path("aside.yaml")),
         lambda: [plan(start=START.replace("-0.0078", "0.5"), limits=Path("aside.yaml"))(), plan()()],
     ),

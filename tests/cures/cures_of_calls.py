@@ -11,11 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import armsight
-from armsight.api.design import _mount, _size
 from armsight.api.files import image_size
-from armsight.app.batch.cluster import Workers
-from armsight.app.calibrate.cell_plan import _extent
-from armsight.app.requests.design import mount_of
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Box
 from armsight.control.guard.plausible import check_corners
@@ -42,6 +38,10 @@ from armsight.server.web_server import ServeOptions, check_options
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import write_arm
 from armsight.store.urdf_writer import urdf_text
+from armsight_lab.api.design import _mount, _size
+from armsight_lab.batch.cluster import Workers
+from armsight_lab.cell_plan.run import _extent
+from armsight_lab.design.request import mount_of
 from armsight_plant.options import mqtt_options
 
 FILES: dict[str, str] = {}
@@ -108,12 +108,12 @@ def soft(compliance):
 
 TRIED = {
     ("api/pose.py", "Give the times of the exposures"): (followed(1.0, 0.5), followed(0.5, 1.0)),
-    ("app/batch/cluster.py", "Give --jobs from 1"): (lambda: Workers(n=0), lambda: Workers(n=1)),
-    ("app/requests/design.py", "Write for instance --mount"): (
+    ("armsight_lab/batch/cluster.py", "Give --jobs from 1"): (lambda: Workers(n=0), lambda: Workers(n=1)),
+    ("armsight_lab/design/request.py", "Write for instance --mount"): (
         lambda: mount_of("0,0"),
         each(lambda: mount_of("0,0,0.1"), lambda: mount_of("0,0,0.1,0,90,0")),
     ),
-    ("app/calibrate/cell_plan.py", "Write for instance --volume"): (
+    ("armsight_lab/cell_plan/run.py", "Write for instance --volume"): (
         lambda: _extent(((0.3, 0.3), (-0.2, 0.2), (0.1, 0.4))),
         lambda: _extent(((0.3, 0.6), (-0.2, 0.2), (0.1, 0.4))),
     ),
@@ -127,8 +127,8 @@ TRIED = {
         (lambda: write_arm(Path("soft.yaml"), soft(1e-5)), "convert arm soft.yaml -o arm.urdf"),
     ),
     ("server/waiting.py", "Choose another port with --port"): (listens(taken=True), listens(taken=False)),
-    ("api/design.py", "Give (width, height) in px"): (lambda: _size((640,)), lambda: _size((640, 480))),
-    ("api/design.py", "Give (x, y, z) in m"): (
+    ("armsight_lab/api/design.py", "Give (width, height) in px"): (lambda: _size((640,)), lambda: _size((640, 480))),
+    ("armsight_lab/api/design.py", "Give (x, y, z) in m"): (
         lambda: _mount((1.0, 2.0)),
         each(lambda: _mount((0.0, 0.0, 0.1)), lambda: _mount((0.0, 0.0, 0.1, 0.0, 90.0, 0.0))),
     ),

@@ -12,25 +12,25 @@ from cures_of_arms import START, plan
 from cures_of_cameras import MEASURE, RECORD, SIDES
 from cures_of_runs import FIND
 
-from armsight.app.calibrate import cell_plan
 from armsight.app.calibrate.cell import _check as check_cell
 from armsight.app.calibrate.cell import _require_inside
-from armsight.app.calibrate.cell_plan import _following
 from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.calibrate.timing import _require_both
 from armsight.app.measure.run import _settings_of_one
 from armsight.app.requests.calibrate_cell import CellJob
-from armsight.app.requests.cell_plan import CellPlanJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.cell.assignment import name_lights
 from armsight.calibrate.cell.calibrate import _require_motion
-from armsight.calibrate.cell.plan import PlanSettings
 from armsight.cli.measure import _zoomed
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.kinematics import preset
 from armsight.records import Frame, Motion
 from armsight.store import read_spot_track
 from armsight.store.recording import RecordingWriter
+from armsight_lab.cell_plan import run as cell_plan
+from armsight_lab.cell_plan.plan import PlanSettings
+from armsight_lab.cell_plan.request import CellPlanJob
+from armsight_lab.cell_plan.run import _following
 
 HEAD = "t_s,u_px,v_px,spot\n"
 LIGHTS = np.array([[-0.04, 0.0, 0.0], [0.03, 0.03, 0.0], [0.03, -0.03, 0.0]])  # of target.yaml
@@ -180,7 +180,7 @@ TRIED = {
         f"{TIMING} {tables('many')}",
         f"{TIMING} {tables('six')}",
     ),
-    ("app/calibrate/cell_plan.py", "Give the folder that `armsight calibrate cell"): (
+    ("armsight_lab/cell_plan/run.py", "Give the folder that `armsight calibrate cell"): (
         plan(after=Path("left")),
         lambda: _following(CellPlanJob(model="ur10", start=START, out=Path("m.csv"), after=Path("cell"))),
     ),
@@ -239,10 +239,10 @@ TRIED = {
             MeasureJob(rig=Path("rig.yaml"), target=Path("target.yaml"), out=Path("m"), zoom=(100.0, None))
         ),
     ),
-    ("calibrate/cell/plan.py", "Give more time (--duration)"): (viewed(duration_s=0.1), in_view),
-    ("calibrate/cell/plan.py", "Give a volume that arm and cameras reach"): (
+    ("armsight_lab/cell_plan/plan.py", "Give more time (--duration)"): (viewed(duration_s=0.1), in_view),
+    ("armsight_lab/cell_plan/plan.py", "Give a volume that arm and cameras reach"): (
         viewed(volume=((2.0, 2.2), (0.0, 0.2), (0.0, 0.2))),
         in_view,
     ),
-    ("calibrate/cell/plan_scene.py", "Check where the rig stands (--world)"): (viewed(facing_rad=1e-3), in_view),
+    ("armsight_lab/cell_plan/scene.py", "Check where the rig stands (--world)"): (viewed(facing_rad=1e-3), in_view),
 }

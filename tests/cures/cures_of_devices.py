@@ -23,7 +23,7 @@ from cures_of_runs import BOARD, CAMERAS, DESIGN, FIND
 from armsight.app.identify.live import Known, _ask, _modelled
 from armsight.app.live.measurement import LiveJob, require_kind
 from armsight.app.record.free_cameras import FreeJob
-from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.recorder import require_recorded
 from armsight.app.robot.run_motion import _cameras
 from armsight.cli.serve import _of_robot
@@ -251,7 +251,7 @@ TRIED = {
     ),
     ("armsight_sim/reproduce/stage.py", "Give --frames {}, or leave it away"): (stage(9, most=3), stage(3, most=3)),
     ("armsight_sim/reproduce/stage.py", "Give --frames {} or more"): (stage(2, least=3), stage(3, least=3)),
-    ("app/design/volume.py", "Give more --cells, or"): (
+    ("armsight_lab/design/volume.py", "Give more --cells, or"): (
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 1",
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 3",
     ),

@@ -16,9 +16,9 @@ from armsight.app.identify.live import open_devices, read_limits
 from armsight.app.play.play_job import _check_speeds
 from armsight.app.play.play_job import check as check_play
 from armsight.app.play.play_path import Opened, run_play
-from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.requests.identify import LiveJob, joint_numbers
 from armsight.app.requests.motion import PlayJob, ServoJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.opening import open_robot

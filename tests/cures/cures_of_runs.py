@@ -8,14 +8,14 @@ import random
 import sqlite3
 from pathlib import Path
 
-from armsight.app.batch.jobs import check_inputs, check_names
-from armsight.app.batch.run import _require_free
-from armsight.app.requests.batch import BatchJob
-from armsight.cli.batch import _listed
-from armsight.cli.batch_commands import checked_job
-from armsight.cli.batch_jobs import jobs_of_file, jobs_of_pattern
 from armsight.store.history.database import VERSION_TABLE, writing
 from armsight.store.history.place import place_of
+from armsight_lab.batch.jobs import check_inputs, check_names
+from armsight_lab.batch.request import BatchJob
+from armsight_lab.batch.run import _require_free
+from armsight_lab.cli.batch import _listed
+from armsight_lab.cli.batch_commands import checked_job
+from armsight_lab.cli.batch_jobs import jobs_of_file, jobs_of_pattern
 
 HEAD = "q1,q2,q3,q4,q5,q6\n"
 
@@ -171,40 +171,43 @@ TRIED = {
         "verify --mastering --measured poses.csv --arm irb120 -o m",
         "{} --joints j.csv",
     ),
-    ("app/design/plan.py", "Write metres, or the unit: 600mm"): (
+    ("armsight_lab/design/plan.py", "Write metres, or the unit: 600mm"): (
         f"{DESIGN} {CAMERAS} {BOARD} --volume=-40m:40m,-40m:40m,50m:70m",
         f"{DESIGN} {CAMERAS} {BOARD} --volume=-40mm:40mm,-40mm:40mm,500mm:700mm",
     ),
-    ("app/design/plan.py", "Give --board and --views"): (f"{DESIGN} --rig rig.yaml --baseline 0.2", f"{{}} {BOARD}"),
-    ("app/design/plan.py", "Give --rig rig.yaml, or"): (f"{DESIGN} {BOARD}", f"{{}} {CAMERAS}"),
-    ("app/design/plan.py", "Give both, or --focal-px"): (
+    ("armsight_lab/design/plan.py", "Give --board and --views"): (
+        f"{DESIGN} --rig rig.yaml --baseline 0.2",
+        f"{{}} {BOARD}",
+    ),
+    ("armsight_lab/design/plan.py", "Give --rig rig.yaml, or"): (f"{DESIGN} {BOARD}", f"{{}} {CAMERAS}"),
+    ("armsight_lab/design/plan.py", "Give both, or --focal-px"): (
         f"{DESIGN} {BOARD} --size 1280x720 --focal-mm 4 --baseline 0.2",
         "{} --pixel-um 3",
     ),
-    ("app/design/plan.py", "Give --focal-px with --size"): (
+    ("armsight_lab/design/plan.py", "Give --focal-px with --size"): (
         f"{DESIGN} --rig rig.yaml {BOARD} --size 1280x720",
         "{} --focal-px 900",
     ),
-    ("app/design/plan.py", "or the unit: 120mm"): (
+    ("armsight_lab/design/plan.py", "or the unit: 120mm"): (
         f"{DESIGN} {BOARD} --size 1280x720 --focal-mm 4 --pixel-um 3 --baseline 20m",
         f"{DESIGN} {BOARD} --size 1280x720 --focal-mm 4 --pixel-um 3 --baseline 200mm",
     ),
-    ("app/design/plan.py", "--focal-mm is in millimetres"): (
+    ("armsight_lab/design/plan.py", "--focal-mm is in millimetres"): (
         f"{DESIGN} {BOARD} --size 1280x720 --focal-mm 0.004 --pixel-um 3 --baseline 0.2",
         f"{DESIGN} {BOARD} {CAMERAS}",
     ),
-    ("app/design/plan.py", "Give --world world.yaml"): (
+    ("armsight_lab/design/plan.py", "Give --world world.yaml"): (
         f"{DESIGN} {BOARD} {CAMERAS} --arm ur10",
         f"design --target cell/target.yaml --volume=-1:-0.8,-0.3:0.1,0.1:0.4 --cells 2 -o d {BOARD} --rig cell/rig.yaml"
         " --arm ur10 --world cell/world.yaml --poses 6",
     ),
-    ("app/design/plan.py", "Give --board checkerboard"): (f"{DESIGN} {CAMERAS}", f"{{}} {BOARD}"),
-    ("app/design/plan.py", "Give --arm with it"): (
+    ("armsight_lab/design/plan.py", "Give --board checkerboard"): (f"{DESIGN} {CAMERAS}", f"{{}} {BOARD}"),
+    ("armsight_lab/design/plan.py", "Give --arm with it"): (
         f"{DESIGN} {BOARD} {CAMERAS} --mount=0,0,0.1",
         f"design --target cell/target.yaml --volume=-1:-0.8,-0.3:0.1,0.1:0.4 --cells 2 -o d {BOARD} --rig cell/rig.yaml"
         " --arm ur10 --world cell/world.yaml --poses 6 --mount=0,0,0.1",
     ),
-    ("app/requests/design.py", "Write for instance --volume="): (
+    ("armsight_lab/design/request.py", "Write for instance --volume="): (
         f"{DESIGN} {BOARD} {CAMERAS} --volume=1:2",
         f"{DESIGN} {BOARD} {CAMERAS} --volume=-0.2:0.2,-0.1:0.1,0.6:1.0",
     ),
@@ -255,15 +258,21 @@ TRIED = {
         "convert arm ur10 -o a.yaml && convert arm panda -o b.yaml && compare a.yaml b.yaml -o c",
         "compare a.yaml a.yaml -o c",
     ),
-    ("app/batch/jobs.py", "with --each by --name"): (named("{name}"), named("{parent}-{name}")),
-    ("app/batch/jobs.py", "with another folder (-o)"): (reads("batch"), reads("second")),
-    ("app/batch/run.py", "--resume to do what is missing"): (held(), held(resume=True)),
-    ("cli/batch.py", "Give one jobs.csv or jobs.yaml"): (listed(), listed("v1.yaml")),
-    ("cli/batch.py", "Write it after --:"): (listed(each="runs/*.csv"), listed(*FK, "{}", each="runs/*.csv")),
-    ("cli/batch_commands.py", "lists the flags"): (checked("j.csv", "--jonts", "x"), "kinematics fk --help"),
-    ("cli/batch_commands.py", "Leave --help away"): (checked("j.csv", "--help"), checked("j.csv")),
-    ("cli/batch_jobs.py", "Write {} where"): (pattern("j.csv"), pattern("{}")),
-    ("store/job_files.py", "This armsight knows 1"): (
+    ("armsight_lab/batch/jobs.py", "with --each by --name"): (named("{name}"), named("{parent}-{name}")),
+    ("armsight_lab/batch/jobs.py", "with another folder (-o)"): (reads("batch"), reads("second")),
+    ("armsight_lab/batch/run.py", "--resume to do what is missing"): (held(), held(resume=True)),
+    ("armsight_lab/cli/batch.py", "Give one jobs.csv or jobs.yaml"): (listed(), listed("v1.yaml")),
+    ("armsight_lab/cli/batch.py", "Write it after --:"): (
+        listed(each="runs/*.csv"),
+        listed(*FK, "{}", each="runs/*.csv"),
+    ),
+    ("armsight_lab/cli/batch_commands.py", "lists the flags"): (
+        checked("j.csv", "--jonts", "x"),
+        "kinematics fk --help",
+    ),
+    ("armsight_lab/cli/batch_commands.py", "Leave --help away"): (checked("j.csv", "--help"), checked("j.csv")),
+    ("armsight_lab/cli/batch_jobs.py", "Write {} where"): (pattern("j.csv"), pattern("{}")),
+    ("armsight_lab/batch/job_files.py", "This armsight knows 1"): (
         lambda: jobs_of_file(Path("v2.yaml"), SETTINGS),
         lambda: jobs_of_file(Path("v1.yaml"), SETTINGS),
     ),

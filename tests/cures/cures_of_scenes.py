@@ -90,11 +90,14 @@ FILES = {
     "leap.csv": HEAD + "".join(ROWS[:15] + ROWS[46:]),
 }
 TRIED = {
-    ("calibrate/cell/plan_scene.py", "Look at the joints' limits, the workspace and the forbidden boxes (--limits)"): (
+    (
+        "armsight_lab/cell_plan/scene.py",
+        "Look at the joints' limits, the workspace and the forbidden boxes (--limits)",
+    ): (
         walled_in(START, lambda lower, upper: f"workspace: {box(lower, upper)}\n"),
         in_view,
     ),
-    ("calibrate/cell/plan_scene.py", "and begin there (--start)"): (walled_in(AWAY, pocket), in_view),
+    ("armsight_lab/cell_plan/scene.py", "and begin there (--start)"): (walled_in(AWAY, pocket), in_view),
     ("app/compare/run.py", "Convert it first: armsight convert camera"): (
         "compare camera.yml camera.yml -o c",
         "convert camera camera.yml -o k.yaml && compare k.yaml k.yaml -o c && "

@@ -92,7 +92,7 @@ IN_TESTS = {
     ("calibrate/cameras/other_board.py", "Check what --board says"): (
         "tests/unit/calibrate/test_other_board.py::test_points_that_are_no_such_board_are_refused_by_what_they_miss"
     ),
-    ("app/batch/run.py", "Begin it again, then give --resume"): (
+    ("armsight_lab/batch/run.py", "Begin it again, then give --resume"): (
         "tests/unit/app/test_batch.py::test_resume_does_what_is_missing_changed_or_failed_by_chance"
     ),
     ("app/path/picks.py", "Leave them out with --skip"): (
@@ -104,10 +104,10 @@ IN_TESTS = {
     ("armsight_plant/opcua/publisher.py", "Choose another port or address with --opcua"): (
         "tests/unit/publish/test_opcua.py::test_a_port_in_use_is_told"
     ),
-    ("app/batch/work.py", "Make room, then give --resume"): (
+    ("armsight_lab/batch/work.py", "Make room, then give --resume"): (
         "tests/unit/app/test_batch.py::test_a_full_disk_ends_the_batch_and_keeps_what_is_done"
     ),
-    ("app/design/simulate.py", "Give --board and --views"): (
+    ("armsight_lab/design/simulate.py", "Give --board and --views"): (
         "tests/unit/app/test_design.py::test_simulated_runs_are_a_batch_and_beside_the_forecast"
     ),
     ("app/identify/sweep_files.py", "Use --method ml"): (
@@ -123,11 +123,11 @@ IN_TESTS = {
     ("measure/consistency/other_setups.py", "Multiply xyz_m of both cameras"): (
         "tests/unit/app/test_other_unit.py::test_a_rig_in_another_unit_is_named_and_its_cure_works"
     ),
-    ("app/batch/work.py", "fewer workers at once (--jobs)"): (
+    ("armsight_lab/batch/work.py", "fewer workers at once (--jobs)"): (
         "tests/unit/app/test_batch.py::"
         "test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cure_says"
     ),
-    ("cli/batch_commands.py", "Give fewer workers (--jobs)"): (
+    ("armsight_lab/cli/batch_commands.py", "Give fewer workers (--jobs)"): (
         "tests/unit/cli/test_batch.py::test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone"
     ),
     ("calibrate/arm/senses.py", "In an arm.yaml (`armsight convert arm` writes one)"): (

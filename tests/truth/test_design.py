@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.batch.jobs import Job
-from armsight.app.design.plan import plan_of
-from armsight.app.design.simulate import _compared, foretold_at, spec_of
-from armsight.app.design.simulated_run import Errors, simulate_run
-from armsight.app.design.volume import Foretold, foretell
-from armsight.app.requests.design import DesignJob
 from armsight.optics import Camera, Plate
 from armsight.optics.mirrors import Mirrors
-from armsight.records.design import DesignSimulation
 from armsight.records.target import spot_target
 from armsight.store import write_rig, write_target
 from armsight.store.worlds import World, write_world
+from armsight_lab.batch.jobs import Job
+from armsight_lab.design.plan import plan_of
+from armsight_lab.design.records import DesignSimulation
+from armsight_lab.design.request import DesignJob
+from armsight_lab.design.simulate import _compared, foretold_at, spec_of
+from armsight_lab.design.simulated_run import Errors, simulate_run
+from armsight_lab.design.volume import Foretold, foretell
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
 RUNS, PLACES = 8, 12

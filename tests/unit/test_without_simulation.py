@@ -19,15 +19,20 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from typer.main import get_command
 
 import armsight
 from armsight._version import __version__
 from armsight.app.simulate.run import simulate
+from armsight.cli.commands import app
 from armsight.kinematics import fk, presets
+from armsight.registry import COMMANDS, known
 
 ROOT = Path(__file__).resolve().parents[2]
 
-OTHERS = ("sim", "plant")
+OTHERS = ("sim", "plant", "lab")
+EXTRAS = {"plant": ("foxglove",), "lab": ("batch",)}
+"""Further extras that bring them."""
 
 WORKS = (
     "--help",
@@ -64,7 +69,14 @@ PUBLISHED = (
     f"{LIVE} --opcua opc.tcp://127.0.0.1:4840 --opcua-anonymous",
     f"{LIVE} --mqtt mqtts://broker/cell",
 )
-REFUSED = {**dict.fromkeys(SIMULATED, "sim"), **dict.fromkeys(PUBLISHED, "plant")}
+LABORATORY = (
+    "batch jobs.csv -o none --json",
+    "batch --help",
+    "design --rig cell/rig.yaml --target cell/target.yaml --volume=0:1,0:1,0:1 -o none --json",
+    "calibrate cell-plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
+    "calibrate cell --plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
+)
+REFUSED = {**dict.fromkeys(SIMULATED, "sim"), **dict.fromkeys(PUBLISHED, "plant"), **dict.fromkeys(LABORATORY, "lab")}
 
 CODE = """
 import importlib.util, json, sys
@@ -72,7 +84,7 @@ from typer.testing import CliRunner
 import armsight
 from armsight.cli.commands import app
 
-there = [name for name in ("armsight_sim", "armsight_plant") if importlib.util.find_spec(name)]
+there = [name for name in ("armsight_sim", "armsight_plant", "armsight_lab") if importlib.util.find_spec(name)]
 out = {"there": there, "scenarios": armsight.scenarios()}
 for line in json.load(sys.stdin):
     done = CliRunner().invoke(app, line.split())
@@ -81,6 +93,11 @@ try:
     armsight.simulate("webcam-cell")
 except armsight.ArmsightError as error:
     out["simulate"] = [type(error).__name__, error.cure]
+for name in ("batch", "design"):
+    try:
+        getattr(armsight, name)()
+    except armsight.ArmsightError as error:
+        out[name] = [type(error).__name__, error.cure]
 print(json.dumps(out))
 """
 
@@ -165,8 +182,9 @@ def test_what_they_would_do_is_refused_with_the_cure(bare: dict[str, Any], line:
 
 
 def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
-    kind, cure = bare["simulate"]
-    assert kind == "DeviceNotFound" and "armsight[sim]" in cure
+    for name, extra in {"simulate": "sim", "batch": "lab", "design": "lab"}.items():
+        kind, cure = bare[name]
+        assert kind == "DeviceNotFound" and f"armsight[{extra}]" in cure
 
 
 def project(folder: str) -> dict[str, Any]:
@@ -176,7 +194,7 @@ def project(folder: str) -> dict[str, Any]:
 @pytest.mark.parametrize("other", OTHERS)
 def test_distributions_have_one_version_and_ask_for_each_other_by_it(other: str) -> None:
     extras = project("")["project"]["optional-dependencies"]
-    for extra in (other, *(("foxglove",) if other == "plant" else ())):
+    for extra in (other, *EXTRAS.get(other, ())):
         assert f"armsight-{other}=={__version__}" in extras[extra]
     assert f"armsight=={__version__}" in project(other)["project"]["dependencies"]
     for folder in ("", other):
@@ -193,3 +211,18 @@ def test_a_distribution_asks_for_no_other_version_of_what_both_need(other: str) 
     )
     its.pop("armsight")
     assert its and its.items() <= core.items()
+
+
+def test_the_overview_is_the_same_without_them(bare: dict[str, Any]) -> None:
+    assert {"batch", "design"} <= set(bare["--help"][1].split())
+
+
+@pytest.mark.parametrize("name", known(COMMANDS))
+def test_the_overview_tells_of_a_command_what_its_own_help_begins_with(name: str) -> None:
+    """It is written twice, for the overview loads none of them."""
+    parser: Any = get_command(app)
+    for word in name.split("."):
+        parser = parser.commands[word]
+    told = parser.help
+    _ = parser.params
+    assert told == parser.help.partition("\n\n")[0].replace("\n", " ")

@@ -7,26 +7,21 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
 import inspect
-import math
-import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 import typer
-from typer.core import TyperCommand, TyperGroup
-from typer.main import get_command_from_info
-from typer.models import CommandInfo
 
 from armsight._files import real_path
 from armsight.app.requests.history import PLACE
 from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags, taken_by
+from armsight.cli.lazy import Group, LazyCommand
 from armsight.errors import ArmsightError, Cancelled, UsageError
+from armsight.registry import COMMANDS, extension
 
 if TYPE_CHECKING:
     from armsight.app.history.filing import Filing
@@ -44,9 +39,6 @@ VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.
 WRITTEN = {"out", "record", "log"}
 """Options that name what a command writes."""
 NOT_TO_BE_TRUSTED = 3
-ALSO = {("calibrate", "cell", "--plan"): "cell-plan"}
-"""Group, command and flag that stand for another command of the group, whose flags are then read."""
-
 Face: TypeAlias = Callable[..., CommandUI]
 """Makes a command's way to the person, of as_json."""
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
@@ -197,107 +189,6 @@ def _filed(face: CommandUI, filing: Filing | None) -> Iterator[None]:
                 face.say(line)
 
 
-def load_help() -> None:
-    """Load typer's help without rich's Markdown and traceback, which take longer than all else and are not used."""
-    if "typer.rich_utils" in sys.modules:
-        return
-    unused = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
-    stand_ins = {name: ModuleType(name) for name in unused if name not in sys.modules}
-    for name, module in stand_ins.items():
-        setattr(module, unused[name], type(unused[name], (), {}))
-    sys.modules.update(stand_ins)
-    try:
-        importlib.import_module("typer.rich_utils")
-    finally:
-        for name in stand_ins:
-            del sys.modules[name]
-
-
-@contextlib.contextmanager
-def _telling_at_once() -> Iterator[None]:
-    try:
-        yield
-    except typer.Exit:
-        raise
-    except Exception:  # typer prints what is wrong by the same means as its help
-        load_help()
-        raise
-
-
-class Group(TyperGroup):
-    """A group whose help is printed at once, and what is wrong with its arguments too."""
-
-    def make_context(self, *given: Any, **more: Any) -> Any:
-        """Read the arguments of the group itself."""
-        with _telling_at_once():
-            return super().make_context(*given, **more)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that is asked for, by its other spelling too, and what is left of the arguments."""
-        flags = args[: args.index("--")] if "--" in args else args
-        for flag in flags[1:]:
-            if other := ALSO.get((self.name or "", args[0], flag)):
-                args = [other, *(one for one in args[1:] if one != flag)]
-                break
-        return super().resolve_command(ctx, args)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command that is asked for."""
-        with _telling_at_once():
-            return super().invoke(ctx)
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the help."""
-        load_help()
-        super().format_help(ctx, formatter)
-
-
-class LazyCommand(TyperCommand):
-    """A command whose flags are made when it is asked for: those of all would take longer than printing the help.
-
-    Its numbers are finite: nan is below no limit and above none, and passes every range.
-    """
-
-    _params: Any = ()
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the help."""
-        load_help()
-        super().format_help(ctx, formatter)
-
-    @property
-    def params(self) -> Any:
-        """The flags."""
-        if not self._params and (command := getattr(self.callback, "armsight", None)) is not None:
-
-            def run(**given: Any) -> None:
-                command.run(**given)
-
-            parameters = command.parameters()
-            run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
-            run.__annotations__ = {one.name: one.annotation for one in parameters}
-            made = get_command_from_info(
-                CommandInfo(name=self.name, callback=run), pretty_exceptions_short=False, rich_markup_mode="rich"
-            )
-            self._params, self.callback = made.params, made.callback
-        return self._params
-
-    @params.setter
-    def params(self, value: Any) -> None:
-        self._params = value
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # typer's own copy of click has the type
-        """Return what is left of the arguments. Raises typer.BadParameter for nan and inf."""
-        left = super().parse_args(ctx, args)
-        parameters: list[Any] = self.get_params(ctx)
-        for one in parameters:
-            given = ctx.params.get(one.name or "")
-            for value in given if isinstance(given, list | tuple) else [given]:
-                if isinstance(value, float) and not math.isfinite(value):
-                    raise typer.BadParameter(f"{value} is no finite number", ctx=ctx, param=one)
-        return left
-
-
 app = typer.Typer(
     name="armsight",
     cls=Group,
@@ -333,22 +224,33 @@ def command(
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         made = Command(function=function, taken=functools.partial(taken_by, function), **more)
-        add(group, name or function.__name__.replace("_", "-"), function.__doc__ or "", made)
+        add(group, name or function.__name__, inspect.getdoc(function), made)
         return function
 
     return decorate
 
 
-def add(group: typer.Typer, name: str, text: str, made: Command) -> None:
-    """Add a command to a group. text: of its help."""
+def elsewhere(group: typer.Typer, extra: str, commands: Mapping[str, str]) -> None:
+    """Add commands that the distribution armsight-EXTRA brings; commands: name -> the first paragraph of its help."""
+    for name, told in commands.items():
+        words = name if group is app else f"{group.info.name}.{name}"
+        add(group, name, told, functools.partial(extension, COMMANDS, words, extra))
+
+
+def add(group: typer.Typer, name: str, told: str | None, command: Command | Callable[[], Command]) -> None:
+    """Add a command, or what returns it when it is asked for, under a line of help."""
 
     def run() -> None:
         """Stand for the command until its flags are made."""
 
-    run.__doc__ = text
-    run.__signature__ = inspect.Signature()  # type: ignore[attr-defined]  # none yet, see LazyCommand
-    run.armsight = made  # type: ignore[attr-defined]
-    group.command(name, cls=LazyCommand)(run)
+    run.__doc__, run.__signature__ = told, inspect.Signature()  # type: ignore[attr-defined]  # none yet, see LazyCommand
+    run.armsight = command  # type: ignore[attr-defined]
+    group.command(name.replace("_", "-"), cls=LazyCommand)(run)
+
+
+def declared(**more: Any) -> Callable[[Callable[..., None]], Command]:
+    """Make a function a command, for the entry points of another distribution; more: of Command."""
+    return lambda function: Command(function=function, taken=functools.partial(taken_by, function), **more)
 
 
 def refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any]) -> None:

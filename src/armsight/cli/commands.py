@@ -12,13 +12,10 @@ from armsight.app.requests.shared import OutFolder
 from armsight.app.requests.simulate import Room
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
-    batch,
     calibrate_cameras,
     calibrate_cell,
     calibrate_robot,
-    cell_plan,
     convert,
-    design,
     files,
     history,
     identify,
@@ -30,7 +27,7 @@ from armsight.cli import (
     serve,
     verify,
 )
-from armsight.cli.command import ARM, MEASURED, SETS, VIEWS, WORLD, app, command
+from armsight.cli.command import ARM, MEASURED, SETS, VIEWS, WORLD, app, calibrate, command, elsewhere
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
 from armsight.cli.tables import demo_tables, doctor_tables
@@ -38,13 +35,10 @@ from armsight.fields import Bounds, Doc
 
 __all__ = [
     "app",
-    "batch",
     "calibrate_cameras",
     "calibrate_cell",
     "calibrate_robot",
-    "cell_plan",
     "convert",
-    "design",
     "files",
     "history",
     "identify",
@@ -140,4 +134,19 @@ def doctor(face: CommandUI, job: requests.simulate.DoctorJob) -> None:
     face.result(found)
 
 
+elsewhere(
+    app,
+    "lab",
+    {
+        "batch": "Run many measure, verify, identify, simulate, calibrate or kinematics commands, "
+        "on all cores or a Dask cluster.",
+        "design": "Tell what a planned rig will measure over a volume, what the deviations come from, "
+        "and what to change.",
+    },
+)
+elsewhere(
+    calibrate,
+    "lab",
+    {"cell-plan": "Plan the motion that calibrates a cell best: two minutes that tell most of the tip over a volume."},
+)
 add_examples(app)

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight.app import requests
+from armsight.app.requests.motion import ARM, CAMERAS
+from armsight.app.requests.run_motion import RunMotionJob
+from armsight.app.requests.shared import CAMERAS as SETTINGS
 from armsight.cli.command import app, command, robot
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
+from armsight.cli.motion import PLAY_KEYS, STEP
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from armsight.control.play.joint_motion import JointMotionSource
 
 
 @command(robot)
@@ -68,6 +78,51 @@ def jog(
             cure="Give --joint and --by for one way, or --with keyboard or gamepad alone",
         )
     face.result(done)
+
+
+@command(robot, keeps=("motion.json", "motion.mcap", "joints.csv", "frames.mcap"), panels=(ARM, CAMERAS, SETTINGS))
+def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move without asking.")] = False) -> None:
+    """Run a motion of the joints through the guard, and record the readings. Ctrl-C brings the arm to rest.
+
+    The whole motion is checked first. Both cameras are recorded beside it, from before it until after it: one that
+    fails or falls silent brings the arm to rest.
+    """
+    from armsight.app.robot.jog_by_hand import listening
+    from armsight.app.robot.run_motion import run_motion
+
+    with ExitStack() as stack:
+
+        def begun(source: JointMotionSource) -> None:
+            face.say(PLAY_KEYS)
+            stack.enter_context(listening(run_keys(source)))
+
+        done = run_motion(job, face.moves(yes=yes), face.progress("moving"), begun=begun)
+    face.say(
+        f"{100.0 * done.share:.0f} % of the motion in {done.took_s:.1f} s; {done.n_cycles} cycles, "
+        f"{done.late} late, {done.missed} missed; ended by: {done.stopped_by}"
+    )
+    for why in done.holds:
+        face.say(f"  it held: {why}")
+    face.say(f"Recording: {done.recording}; readings: {done.joints}")
+    for one in done.cameras:
+        lost = f", {one.n_dropped} dropped" if one.n_dropped else ""
+        face.say(f"{one.camera}: {one.n_frames} frames over {one.duration_s:.1f} s{lost}: {done.frames}")
+    face.result(done)
+
+
+def run_keys(source: JointMotionSource) -> dict[str, Callable[[], None]]:
+    """Return what each key does."""
+
+    def space() -> None:
+        if source.paused:
+            source.resume()
+        else:
+            source.pause()
+
+    def by(step: float) -> None:
+        source.override = min(max(source.override + step, STEP), 1.0)
+
+    return {" ": space, "+": lambda: by(STEP), "-": lambda: by(-STEP)}
 
 
 @command(app, json=False)

@@ -8,10 +8,10 @@ from armsight.drivers.opening import is_live, is_video, open_pairs, open_source,
 from armsight.drivers.pace import Pace, Paced
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages, ended_early
 from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent
-from armsight.drivers.registry import CAMERAS, CELLS, PAPERS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, frame_period_s, ordered_map
 from armsight.records.result_parts import Skew
+from armsight.registry import CAMERAS, CELLS, PAPERS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load
 
 __all__ = [
     "AS_THEY_ARE",

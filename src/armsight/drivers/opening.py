@@ -13,9 +13,9 @@ from armsight.drivers.images import AS_THEY_ARE, ImageReading
 from armsight.drivers.live import MAX_SKEW_S, LivePairs
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource
-from armsight.drivers.registry import CAMERAS, load
 from armsight.drivers.sources import FPS, VIDEO_SUFFIXES, ImageFolder, VideoFile
 from armsight.errors import UsageError
+from armsight.registry import CAMERAS, load
 
 CAMERA = "camera:"
 DEFAULT_CAMERA = "opencv"

@@ -6,8 +6,8 @@ import os
 import signal
 from pathlib import Path
 
-from armsight.app.batch.jobs import Ended, Job
 from armsight.errors import DeviceFailed, NotEnoughData
+from armsight_lab.batch.jobs import Ended, Job
 
 
 def work(job: Job, folder: Path) -> Ended:

@@ -19,18 +19,18 @@ sys.path.insert(0, str(Path(__file__).parent))  # workers inherit it
 
 from batch_tasks import work
 
-from armsight.api.batch import _job, call
-from armsight.app.batch import run as batch_run
-from armsight.app.batch import work as batch_work
-from armsight.app.batch.cluster import ONE_THREAD, Workers, connected
-from armsight.app.batch.jobs import Ended, Job, check_inputs, check_names, fingerprint
-from armsight.app.batch.results import BatchOutput
-from armsight.app.batch.run import run_batch
-from armsight.app.batch.work import RUNNING, Place
 from armsight.errors import Cancelled, DeviceFailed, UsageError
 from armsight.records import Silent
-from armsight.store.job_results import write_batch
-from armsight.store.result_table import write_result_table
+from armsight_lab.api.batch import _job, call
+from armsight_lab.batch import run as batch_run
+from armsight_lab.batch import work as batch_work
+from armsight_lab.batch.cluster import ONE_THREAD, Workers, connected
+from armsight_lab.batch.job_results import write_batch
+from armsight_lab.batch.jobs import Ended, Job, check_inputs, check_names, fingerprint
+from armsight_lab.batch.result_table import write_result_table
+from armsight_lab.batch.results import BatchOutput
+from armsight_lab.batch.run import run_batch
+from armsight_lab.batch.work import RUNNING, Place
 from refusals import refuses
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")

@@ -11,19 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.cell_plan import free_of, links_of, motion_bounds, run_cell_plan, scene_of
-from armsight.app.requests.cell_plan import CellPlanJob, RunMotionJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.run_motion import RunMotionOutput, run_motion
 from armsight.app.simulate.run import simulate
-from armsight.calibrate.cell import plan as plan_module
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
-from armsight.calibrate.cell.plan import CellPlan, PlanSettings, plan_motion, refine
-from armsight.calibrate.cell.plan_cautious import CAUTIOUS_RAD, cautious_motion
-from armsight.calibrate.cell.plan_information import known_before, motion_information, seen_spots
-from armsight.calibrate.cell.plan_scene import Scene, places, roadmap
-from armsight.calibrate.cell.plan_tour import longest
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
 from armsight.control.play.joint_motion import JointMotionSource
@@ -33,6 +26,14 @@ from armsight.records import Motion, Silent
 from armsight.store import read_target
 from armsight.store.limits_file import write_limits
 from armsight.store.tracks import read_joints, write_joints
+from armsight_lab.cell_plan import plan as plan_module
+from armsight_lab.cell_plan.cautious import CAUTIOUS_RAD, cautious_motion
+from armsight_lab.cell_plan.information import known_before, motion_information, seen_spots
+from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, plan_motion, refine
+from armsight_lab.cell_plan.request import CellPlanJob
+from armsight_lab.cell_plan.run import free_of, links_of, motion_bounds, run_cell_plan, scene_of
+from armsight_lab.cell_plan.scene import Scene, places, roadmap
+from armsight_lab.cell_plan.tour import longest
 from refusals import refuses
 
 START = "-0.0078,-1.0686,1.6257,-0.5679,1.7323,0.1617"

@@ -12,11 +12,6 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
 import armsight
-from armsight.app.design.changes import CHANGES, _doubled, reaches
-from armsight.app.design.plan import plan_of
-from armsight.app.design.run import run_design
-from armsight.app.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, foretell, moving, rigid_part
-from armsight.app.requests.design import DesignJob, mount_of, volume_of
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.poses.setup import symmetries
 from armsight.optics import Camera, LensKind, parallel_rig
@@ -25,6 +20,11 @@ from armsight.records.target import spot_target, unmeasured_target
 from armsight.store import write_rig, write_target
 from armsight.store.worlds import World, write_world
 from armsight.units import DEG
+from armsight_lab.design.changes import CHANGES, _doubled, reaches
+from armsight_lab.design.plan import plan_of
+from armsight_lab.design.request import DesignJob, mount_of, volume_of
+from armsight_lab.design.run import run_design
+from armsight_lab.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, foretell, moving, rigid_part
 from refusals import refuses
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}

@@ -15,7 +15,7 @@ import pytest
 
 from armsight.app.record import free_cameras
 from armsight.app.record.free_cameras import SILENT_S, CameraRecorded, FreeCameras, FreeJob, record_free
-from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot import run_motion as run_motion_module
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.run_motion import RunMotionOutput, run_motion

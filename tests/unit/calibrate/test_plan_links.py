@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.calibrate.cell.plan_links import Links, Wall, _apart, _from_box
 from armsight.kinematics import PRESETS, Arm, Joint, JointType, in_convention, link_frames, preset
+from armsight_lab.cell_plan.links import Links, Wall, _apart, _from_box
 
 HALF_PI = np.pi / 2.0
 PLANAR = Arm(

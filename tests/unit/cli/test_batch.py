@@ -16,14 +16,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from armsight.app import compilation
-from armsight.app.batch import cluster as batch_cluster
-from armsight.app.batch import run as batch_run
-from armsight.app.batch import warm
-from armsight.app.batch.cluster import Workers, connected
-from armsight.app.batch.jobs import Job
-from armsight.cli.batch_commands import NOBODY, OUTPUTS, checked_job, parameters, run_command
-from armsight.cli.batch_jobs import jobs_of_file, jobs_of_pattern
 from armsight.errors import BadFile, DeviceFailed, NotEnoughData, UsageError
+from armsight_lab.batch import cluster as batch_cluster
+from armsight_lab.batch import run as batch_run
+from armsight_lab.batch import warm
+from armsight_lab.batch.cluster import Workers, connected
+from armsight_lab.batch.jobs import Job
+from armsight_lab.cli.batch_commands import NOBODY, OUTPUTS, checked_job, parameters, run_command
+from armsight_lab.cli.batch_jobs import jobs_of_file, jobs_of_pattern
 from refusals import refuses
 
 NO_SETTINGS: dict[str, object] = {"fps": None, "max_skew_s": None}

@@ -44,7 +44,7 @@ def test_help_shows_them_and_the_overview_has_panels_and_completion() -> None:
 
 
 PROJECT = Path(__file__).resolve().parents[3]
-SOURCES = (PROJECT / "src", PROJECT / "sim" / "src")
+SOURCES = (PROJECT / "src", PROJECT / "sim" / "src", PROJECT / "lab" / "src")
 GIVEN = re.compile(r"armsight ([a-z]+(?: [a-z][a-z-]*)?)((?: (?!armsight )[^\s`';(),]+)*)")
 
 

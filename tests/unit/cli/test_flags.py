@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import batch, calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify
+from armsight.app.requests import calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify
 from armsight.app.requests.shared import Table
 from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
@@ -24,6 +24,7 @@ from armsight.measure.correspondence import PatchSettings
 from armsight.optics import Plate
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
+from armsight_lab.batch import request as batch
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

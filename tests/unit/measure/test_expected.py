@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.measure.poses.expected import expected_poses, look
 from armsight.measure.poses.pose import NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup
-from armsight.measure.spots.expected import centre_deviation
 from armsight.optics import Camera, moved_rig, parallel_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS
 from armsight.records import NamedCovariance
 from armsight.records.noise import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
 from armsight.store import parse_board
+from armsight_lab.design.expected_poses import expected_poses, look
+from armsight_lab.design.expected_spots import centre_deviation
 
 CAMERA = Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5)
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}

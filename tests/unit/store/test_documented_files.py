@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import armsight.store
+import armsight_lab
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.columns import POSE6
 from armsight.store.arm_file import arm_from_mapping
@@ -16,7 +17,6 @@ from armsight.store.handeye_file import HandEyeModel, TipModel
 from armsight.store.interpret.read import is_ours
 from armsight.store.interpret.roles import ROLES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
-from armsight.store.job_files import parse_jobs
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.path_file import parse_path
 from armsight.store.picks_file import parse_picks
@@ -29,6 +29,7 @@ from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, par
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
 from armsight.store.zoom import is_zoom_camera, zoom_camera_from_mapping
+from armsight_lab.batch.job_files import parse_jobs
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "file-formats.md"
 BLOCKS = re.findall(r"^```(yaml|csv)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
@@ -92,8 +93,9 @@ def test_every_kind_is_shown():
 
 
 def test_every_format_of_the_store_is_shown():
-    store = Path(armsight.store.__file__).parent
-    formats = {name for path in store.rglob("*.py") for name in re.findall(r'"(armsight/[a-z]+)"', path.read_text())}
+    folders = (Path(armsight.store.__file__).parent, Path(armsight_lab.__file__).parent)
+    paths = [path for folder in folders for path in folder.rglob("*.py")]
+    formats = {name for path in paths for name in re.findall(r'"(armsight/[a-z]+)"', path.read_text())}
     shown = {parse_yaml(text.encode(), "x")["format"] for kind, text in BLOCKS if kind == "yaml"}
     assert formats - shown == {"armsight/recording"}, "the recording is no text file; all others are shown"
 

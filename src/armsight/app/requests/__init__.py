@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armsight.app.requests import batch as batch
     from armsight.app.requests import calibrate_cameras as calibrate_cameras
     from armsight.app.requests import calibrate_cell as calibrate_cell
     from armsight.app.requests import calibrate_robot as calibrate_robot
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from armsight.app.requests import verify as verify
 else:
     _MODULES = (
-        "batch",
         "calibrate_cameras",
         "calibrate_cell",
         "calibrate_robot",

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.requests.cell_plan import RunMotionJob
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
-from armsight.app.requests.cell_plan import RunMotionJob
+from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.guarding import standing
 from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import require_new

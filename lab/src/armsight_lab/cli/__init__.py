@@ -1,0 +1,1 @@
+"""Their commands, each an entry point of the group armsight.commands."""

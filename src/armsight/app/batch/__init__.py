@@ -1,1 +1,0 @@
-"""Many jobs on many workers: run_batch in app.batch.run."""

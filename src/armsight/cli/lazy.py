@@ -1,0 +1,133 @@
+"""Commands that are made when they are asked for, and groups of them: of help that only lists them none is made."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import inspect
+import math
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command_from_info
+from typer.models import CommandInfo
+
+from armsight.cli.command_ui import CommandUI
+
+ALSO = {("calibrate", "cell", "--plan"): "cell-plan"}
+"""Group, command and flag that stand for another command of the group, whose flags are then read."""
+
+
+def load_help() -> None:
+    """Load typer's help without rich's Markdown and traceback, which take longer than all else and are not used."""
+    if "typer.rich_utils" in sys.modules:
+        return
+    unused = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
+    stand_ins = {name: ModuleType(name) for name in unused if name not in sys.modules}
+    for name, module in stand_ins.items():
+        setattr(module, unused[name], type(unused[name], (), {}))
+    sys.modules.update(stand_ins)
+    try:
+        importlib.import_module("typer.rich_utils")
+    finally:
+        for name in stand_ins:
+            del sys.modules[name]
+
+
+@contextlib.contextmanager
+def _telling_at_once() -> Iterator[None]:
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except Exception:  # typer prints what is wrong by the same means as its help
+        load_help()
+        raise
+
+
+class Group(TyperGroup):
+    """A group whose help is printed at once, and what is wrong with its arguments too."""
+
+    def make_context(self, *given: Any, **more: Any) -> Any:
+        """Read the arguments of the group itself."""
+        with _telling_at_once():
+            return super().make_context(*given, **more)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that is asked for, by its other spelling too, and what is left of the arguments."""
+        flags = args[: args.index("--")] if "--" in args else args
+        for flag in flags[1:]:
+            if other := ALSO.get((self.name or "", args[0], flag)):
+                args = [other, *(one for one in args[1:] if one != flag)]
+                break
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that is asked for."""
+        with _telling_at_once():
+            return super().invoke(ctx)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help."""
+        load_help()
+        super().format_help(ctx, formatter)
+
+
+class LazyCommand(TyperCommand):
+    """A command whose flags are made when it is asked for: those of all would take longer than printing the help.
+
+    One of another distribution is loaded then. Its numbers are finite: nan is below no limit and above none, and
+    passes every range.
+    """
+
+    _params: Any = ()
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help."""
+        load_help()
+        super().format_help(ctx, formatter)
+
+    @property
+    def params(self) -> Any:
+        """The flags."""
+        if not self._params and (command := getattr(self.callback, "armsight", None)) is not None:
+            if callable(command):
+                command = command()
+                self.help = inspect.getdoc(command.function)
+
+            def run(**given: Any) -> None:
+                command.run(**given)
+
+            parameters = command.parameters()
+            run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
+            run.__annotations__ = {one.name: one.annotation for one in parameters}
+            made = get_command_from_info(
+                CommandInfo(name=self.name, callback=run), pretty_exceptions_short=False, rich_markup_mode="rich"
+            )
+            self._params, self.callback = made.params, made.callback
+        return self._params
+
+    @params.setter
+    def params(self, value: Any) -> None:
+        self._params = value
+
+    def make_context(self, info_name: Any, args: list[str], parent: Any = None, **more: Any) -> Any:
+        """Read the arguments. A command that is not installed is refused as a failing one ends."""
+        with CommandUI(as_json="--json" in args):
+            _ = self.params
+        return super().make_context(info_name, args, parent, **more)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # typer's own copy of click has the type
+        """Return what is left of the arguments. Raises typer.BadParameter for nan and inf."""
+        left = super().parse_args(ctx, args)
+        parameters: list[Any] = self.get_params(ctx)
+        for one in parameters:
+            given = ctx.params.get(one.name or "")
+            for value in given if isinstance(given, list | tuple) else [given]:
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise typer.BadParameter(f"{value} is no finite number", ctx=ctx, param=one)
+        return left
