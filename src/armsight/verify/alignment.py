@@ -31,6 +31,8 @@ FOREIGN = "misses what the other rows agree on"
 """How the reason of a gross row begins."""
 TRIMMED, TRIM_ROUNDS = 0.6, 6
 """Share of the rows, the best ones, that the search for gross rows fits; how often it chooses anew."""
+TRIM_SETTLED = 1e-3
+"""Share of the median error by which no row's error changes any more where choosing anew has come to its end."""
 DRAWS, DRAWN, DRAW_SEED = 40, 5, 3
 """Draws of so many rows from which that search begins as well: at 30 % wrong rows one of six has none."""
 SENSELESS = 0.1
@@ -187,8 +189,12 @@ def _trimmed(F: Array, measured: Measured, mounts: Mounts, how: Align) -> tuple[
     """Return the mounts fitted to the best rows, their median error in m, and how far the worst tenth lies from it."""
     if set(measured.labels) == set() or len(mounts.tools) != len(measured.labels):
         return mounts, np.inf, 0.0
+    before = np.full(len(measured), np.inf)
     for _ in range(TRIM_ROUNDS):
         size = _sizes(F, measured, mounts)
+        if np.abs(size - before).max() < TRIM_SETTLED * np.median(size):
+            break
+        before = size
         chosen = np.sort(np.argsort(size)[: max(round(TRIMMED * len(size)), 4)])
         part = measured.take(chosen)
         if part.labels != measured.labels:
@@ -203,8 +209,10 @@ def _trimmed(F: Array, measured: Measured, mounts: Mounts, how: Align) -> tuple[
 
 
 def _sizes(F: Array, measured: Measured, mounts: Mounts) -> Array:
-    residual, _ = Model(measured=measured, expected=nothing_more(F)).linearised(mounts.vector)
-    return np.asarray(np.linalg.norm(residual[:, :3], axis=1))
+    """Return by how much each position is missed (m,), in m."""
+    at = np.array([T.translation for T in mounts.tools])[measured.which]
+    local = np.einsum("mij,mj->mi", F[:, :3, :3], at) + F[:, :3, 3]
+    return np.asarray(np.linalg.norm(measured.xyz_m - mounts.base.apply(local), axis=1))
 
 
 def closed_form(F: Array, measured: Measured, nominal: Mounts, how: Align, *, near: bool = False) -> Mounts:
@@ -217,7 +225,7 @@ def closed_form(F: Array, measured: Measured, nominal: Mounts, how: Align, *, ne
     if how is Align.BOTH:
         beside = [] if near else [np.tile(v, (len(at), 1)) for v in STARTS_M * np.vstack([np.eye(3), -np.eye(3)])]
         firsts = [at, *beside] if near else [at, 0.0 * at, *beside]
-        base, at, _ = min((mounts_by_turns(F, measured.xyz_m, which, first) for first in firsts), key=lambda x: x[2])
+        base, at = mounts_by_turns(F, measured.xyz_m, which, firsts)
     elif how is Align.BASE:
         base = placed(measured.xyz_m, np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3])
     R_base, t = base.rotation.as_matrix(), base.translation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +43,7 @@ def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Arra
     firsts = [np.tile(first, (n, 1)) for first in beside]
     if like is not None:
         firsts = [np.stack([model.pose(like, k + 1).translation for k in range(n)])]
-    tries = [mounts_by_turns(F, points.xyz_m, which, first) for first in firsts]
-    base, at, _ = min(tries, key=lambda found: found[2])
+    base, at = mounts_by_turns(F, points.xyz_m, which, firsts)
     turn = model.arm.T_flange_tool.rotation  # positions do not tell it, and what they do not tell stays nominal
     if points.rotation is not None:
         turn = Rotation.from_matrix(
@@ -64,17 +64,27 @@ def placed(there_m: Array, here_m: Array) -> RigidTransform:
         ) from None
 
 
-def mounts_by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) -> tuple[RigidTransform, Array, float]:
-    """Return the base, the tool's points (k, 3) in flange axes and the RMS per coordinate in m that fit positions best.
+def mounts_by_turns(
+    F: Array, xyz_m: Array, which: NDArray[np.intp], firsts: Sequence[Array]
+) -> tuple[RigidTransform, Array]:
+    """Return the base and the tool's points (k, 3) in flange axes that fit positions best.
 
-    F (m, 4, 4): base to flange. xyz_m (m, 3): positions of the points which (m,), counted from 0. at (k, 3): where the
-    search begins. Raises Degenerate for positions on one line.
+    F (m, 4, 4): base to flange. xyz_m (m, 3): positions of the points which (m,), counted from 0. firsts, each (k, 3):
+    where searches begin; the best of them counts. Raises Degenerate for positions on one line.
     """
     placed(xyz_m, xyz_m)
-    at = _Sums.of(F, xyz_m, which, len(at)).turns(at)
-    local = np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3]
-    base = placed(xyz_m, local)
-    return base, at, float(np.sqrt(np.mean((base.apply(local) - xyz_m) ** 2)))
+    sums = _Sums.of(F, xyz_m, which, len(firsts[0]))
+
+    def carried(at: Array) -> Array:
+        return np.asarray(np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3])
+
+    def misfit(at: Array) -> float:
+        x, y = xyz_m - xyz_m.mean(axis=0), carried(at)
+        y = y - y.mean(axis=0)
+        return float(((y @ _kabsch(x.T @ y).T - x) ** 2).sum())
+
+    at = min(map(sums.turns, firsts), key=misfit)
+    return placed(xyz_m, carried(at)), at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

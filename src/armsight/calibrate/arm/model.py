@@ -46,11 +46,14 @@ class ArmModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters."""
-        joints = [joint.name for joint in self.arm.joints]
-        links = parameter_names(self.arm)[: 5 * self.arm.n]
-        scales = tuple(f"{name}.scale" for name in joints)
-        couplings = tuple(f"{b}.by_{a}" for a, b in pairwise(joints))
-        return (*links, *scales, *couplings, *(f"{name}.sag" for name in joints), *self.mounts)
+        found = self.arm.found
+        if "names" not in found:
+            joints = [joint.name for joint in self.arm.joints]
+            links = parameter_names(self.arm)[: 5 * self.arm.n]
+            scales = tuple(f"{name}.scale" for name in joints)
+            couplings = tuple(f"{b}.by_{a}" for a, b in pairwise(joints))
+            found["names"] = (*links, *scales, *couplings, *(f"{name}.sag" for name in joints))
+        return (*cast(tuple[str, ...], found["names"]), *self.mounts)
 
     @property
     def loaded(self) -> Arm:
@@ -131,6 +134,14 @@ class ArmModel:
 
     def arm_at(self, p: Array, tool: int | None = 0) -> Arm:
         """Return the arm of parameters p; its couplings are p's on top of the nominal arm's. tool: None for none."""
+        asked = (p.tobytes(), tool)
+        known, arm = cast(tuple[object, Arm], self.arm.found.get("at", (None, None)))
+        if known != asked:  # errors, levers and derivatives of one p are asked for in a row
+            arm = self._arm_at(p, tool)
+            self.arm.found["at"] = (asked, arm)
+        return arm
+
+    def _arm_at(self, p: Array, tool: int | None) -> Arm:
         n = self.arm.n
         links, scales, sag = p[: 5 * n].reshape(n, 5), p[5 * n : 6 * n], p[7 * n - 1 : 8 * n - 1]
         soft = sag / np.maximum(self.carried, LEAST_WEIGHT_N) if sag.any() else sag
@@ -156,6 +167,8 @@ class ArmModel:
 
     def _couplings(self, p: Array) -> tuple[Coupling, ...]:
         """Return how the arm of parameters p follows the controller's readings."""
+        if not self.arm.couplings and not p[6 * self.arm.n : 7 * self.arm.n - 1].any():
+            return ()
         gearing = self.values(p, np.eye(self.arm.n)).T @ self.arm.gearing
         names = [joint.name for joint in self.arm.joints]
         return tuple(

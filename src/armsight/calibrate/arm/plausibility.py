@@ -285,7 +285,7 @@ def _mounted(F: Array, xyz_m: Array, wanted_m: Array, k: int) -> _Parting:
     labels = _parted(wanted_m, k)
     at, left = _means(wanted_m, labels), np.inf
     for _ in range(MOUNT_TURNS):
-        base, at, _ = mounts_by_turns(F, xyz_m, labels, _means(wanted_m, labels))
+        base, at = mounts_by_turns(F, xyz_m, labels, (_means(wanted_m, labels),))
         wanted_m = np.einsum("mji,mj->mi", F[:, :3, :3], np.asarray(base.inv().apply(xyz_m)) - F[:, :3, 3])
         left = float(np.sqrt(np.square(wanted_m - at[labels]).sum() / max(len(labels) - k - 2, 1)))
         now = _nearest(wanted_m, at)
