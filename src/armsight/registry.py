@@ -32,6 +32,9 @@ TWINS = "armsight.twins"
 COMMANDS = "armsight.commands"
 """Group of cli.command.Command, by the command's words with a dot between them."""
 
+FILING = "armsight.history"
+"""Group of a callable (command, cell, history, given) -> cli.command.Filing, under the name `filing`."""
+
 METHODS = "armsight.papers"
 """Group of modules, each with what a paper computes, as the paper computes it."""
 

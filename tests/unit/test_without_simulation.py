@@ -58,6 +58,9 @@ LABORATORY = (
     "batch jobs.csv -o none --json",
     "batch --help",
     "design --rig cell/rig.yaml --target cell/target.yaml --volume=0:1,0:1,0:1 -o none --json",
+    "history list --json",
+    "history trend --help",
+    "verify --measured measured.csv --commanded commanded.csv -o filed --cell weld-3 --json",
     "calibrate cell-plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
     "calibrate cell --plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
 )
@@ -79,9 +82,9 @@ try:
     armsight.simulate("webcam-cell")
 except armsight.ArmsightError as error:
     out["simulate"] = [type(error).__name__, error.cure]
-for name in ("batch", "design"):
+for name in ("batch", "design", "history.runs"):
     try:
-        getattr(armsight, name)()
+        eval(f"armsight.{name}()")
     except armsight.ArmsightError as error:
         out[name] = [type(error).__name__, error.cure]
 print(json.dumps(out))
@@ -167,13 +170,13 @@ def test_what_they_would_bring_is_refused_with_the_cure(bare: dict[str, Any], li
 
 
 def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
-    for name, extra in {"simulate": "sim", "batch": "lab", "design": "lab"}.items():
+    for name, extra in {"simulate": "sim", "batch": "lab", "design": "lab", "history.runs": "lab"}.items():
         kind, cure = bare[name]
         assert kind == "DeviceNotFound" and f"armsight[{extra}]" in cure
 
 
 def test_the_overview_is_the_same_without_them(bare: dict[str, Any]) -> None:
-    assert {"batch", "design"} <= set(bare["--help"][1].split())
+    assert {"batch", "design", "history"} <= set(bare["--help"][1].split())
 
 
 @pytest.mark.parametrize("name", known(COMMANDS))

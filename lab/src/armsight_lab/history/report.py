@@ -9,10 +9,10 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.drift import SMALLEST_STEP, Chart, Limits
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
 from armsight.report.html import Card, Page, bullets, figure_of, in_degrees, table, with_deviation
+from armsight_lab.history.drift import SMALLEST_STEP, Chart, Limits
 
 Array = NDArray[np.float64]
 
