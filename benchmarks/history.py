@@ -22,12 +22,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # histories.py
 
 import histories
-from armsight.app.history.adding import file_entry
-from armsight.calibrate.drift import SLACK, charted, limits_for
-from armsight.store.history import queries
-from armsight.store.history.database import reading, writing
-from armsight.store.history.place import place_of
-from armsight.store.history.queries import Filter
+from armsight_lab.history import queries
+from armsight_lab.history.adding import file_entry
+from armsight_lab.history.database import reading, writing
+from armsight_lab.history.drift import SLACK, charted, limits_for
+from armsight_lab.history.place import place_of
+from armsight_lab.history.queries import Filter
 
 CELLS, RUNS = 50, 10_000
 FIGURES = 16
@@ -41,8 +41,8 @@ WRITERS, SECONDS, LEAST_BYTES = 8, 20.0, 100
 WRITER = """
 import sys
 import histories
-from armsight.app.history.adding import file_entry
-from armsight.store.history.place import place_of
+from armsight_lab.history.adding import file_entry
+from armsight_lab.history.place import place_of
 place = place_of(sys.argv[1])
 for entry in histories.runs(sys.argv[2], 100_000, seed=int(sys.argv[3]), every_days=0.01):
     print(file_entry(place, entry).run, flush=True)

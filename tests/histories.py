@@ -9,12 +9,12 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.app.history.filing import Made, entry_of_result
-from armsight.app.history.moments import utc
-from armsight.app.history.parameters import parameters_of
 from armsight.kinematics import preset
 from armsight.records import NamedCovariance
-from armsight.store.history.entry import Entry, Quantity
+from armsight_lab.history.entry import Entry, Quantity
+from armsight_lab.history.filing import Made, entry_of_result
+from armsight_lab.history.moments import utc
+from armsight_lab.history.parameters import parameters_of
 
 START = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 DEG = np.pi / 180.0

@@ -25,14 +25,6 @@ from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
 from armsight.app.doctor import DoctorOutput
-from armsight.app.history.adding import AddedOutput
-from armsight.app.history.looking import (
-    HistoryCompareOutput,
-    HistoryExportOutput,
-    HistoryListOutput,
-    HistoryShowOutput,
-)
-from armsight.app.history.trend import TrendOutput
 from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
 from armsight.app.join import JoinOutput
 from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
@@ -70,6 +62,14 @@ from armsight.verify.results import MasteringOutput, MasteringPlanOutput, Verify
 from armsight_lab.batch.results import BatchOutput
 from armsight_lab.cell_plan.run import CellPlanOutput
 from armsight_lab.design.records import DesignOutput
+from armsight_lab.history.adding import AddedOutput
+from armsight_lab.history.looking import (
+    HistoryCompareOutput,
+    HistoryExportOutput,
+    HistoryListOutput,
+    HistoryShowOutput,
+)
+from armsight_lab.history.trend import TrendOutput
 
 OUTPUTS: Mapping[str, type[Output]] = {
     "measure": MeasureOutput,

@@ -68,7 +68,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "app/simulate/run.py": SCENES,
         "app/simulate/scenarios.py": SCENES,
         "app/compare/run.py": "a file of any kind, looked at to say what it lacks",
-        "app/history/*": "results of every kind, of which all numbers are figures of the history",
         "report/figures.py": "plotly's traces and layouts, under one name for all pages",
     },
     "imports by name": {
@@ -79,7 +78,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "kinematics/dynamics.py": "an extra that is not always there",
     },
     "types of a result": {
-        "app/history/series.py:Found": "of many runs by number what an entry has of one",
+        "armsight_lab/history/series.py:Found": "of many runs by number what an entry has of one",
         "report/run.py:Parameter": "of a page, always a number; a row of a history's table may lack it",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
         "app/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",

@@ -18,7 +18,6 @@ from armsight._files import Files
 
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
-    from armsight.api import history as history
     from armsight.api import paths as paths
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
@@ -157,6 +156,7 @@ if TYPE_CHECKING:
     from armsight.store.foreign import FrameNames as FrameNames
     from armsight.store.interpret import TableFormat as TableFormat
     from armsight.store.recording import Recording as Recording
+    from armsight_lab.api import history as history
     from armsight_lab.api.batch import BatchResult as BatchResult
     from armsight_lab.api.batch import batch as batch
     from armsight_lab.api.design import design as design
@@ -256,7 +256,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "simulate",
         "write_simulation",
     ),
-    "armsight.api": ("history", "paths"),
+    "armsight.api": ("paths",),
+    "armsight_lab.api": ("history",),
     "armsight.measure.settings": ("SpotSettings",),
     "armsight.calibrate.cameras": ("BoardOptions",),
     "armsight.control.guard": ("Limits",),
@@ -320,7 +321,7 @@ class _NotInstalled:
         raise not_installed(self._name, self._extra)
 
     def __getattr__(self, name: str) -> None:
-        if name.startswith("__"):
+        if name.startswith("_"):
             raise AttributeError(name)
         self()
 

@@ -73,8 +73,8 @@ def write_stills(folder):
 
 def fill_history(path):
     """File three runs of an arm, and baselines of which nobody tells a deviation, or one that no chart holds."""
-    from armsight.app.history.adding import file_entry
-    from armsight.store.history.place import place_of
+    from armsight_lab.history.adding import file_entry
+    from armsight_lab.history.place import place_of
 
     untold = baseline_runs("untold", [0.5, 0.501, 0.502], None)
     for entry in [*runs("a", 3), *untold, *baseline_runs("wide", [1e300] * 9 + [2e300] * 3, 1e297)]:

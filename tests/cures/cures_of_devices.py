@@ -228,7 +228,7 @@ TRIED = {
         (joints_only, lambda: frames_of("joints.mcap")),
         (RECORD, lambda: frames_of("a.mcap")),
     ),
-    ("store/history/database.py", "Check folder, permissions"): (
+    ("armsight_lab/history/database.py", "Check folder, permissions"): (
         f"{FIND} && history add w.yaml --cell a --history left/frame0.png/h.db",
         "history add w.yaml --cell a --history h.db",
     ),

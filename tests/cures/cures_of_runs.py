@@ -8,14 +8,14 @@ import random
 import sqlite3
 from pathlib import Path
 
-from armsight.store.history.database import VERSION_TABLE, writing
-from armsight.store.history.place import place_of
 from armsight_lab.batch.jobs import check_inputs, check_names
 from armsight_lab.batch.request import BatchJob
 from armsight_lab.batch.run import _require_free
 from armsight_lab.cli.batch import _listed
 from armsight_lab.cli.batch_commands import checked_job
 from armsight_lab.cli.batch_jobs import jobs_of_file, jobs_of_pattern
+from armsight_lab.history.database import VERSION_TABLE, writing
+from armsight_lab.history.place import place_of
 
 HEAD = "q1,q2,q3,q4,q5,q6\n"
 
@@ -211,42 +211,54 @@ TRIED = {
         f"{DESIGN} {BOARD} {CAMERAS} --volume=1:2",
         f"{DESIGN} {BOARD} {CAMERAS} --volume=-0.2:0.2,-0.1:0.1,0.6:1.0",
     ),
-    ("app/history/adding.py", "Give --cell NAME"): (f"{FIND} && history add w.yaml", "history add w.yaml --cell a"),
+    ("armsight_lab/history/adding.py", "Give --cell NAME"): (
+        f"{FIND} && history add w.yaml",
+        "history add w.yaml --cell a",
+    ),
     ("cli/command.py", "Add --cell NAME"): (f"{FIND} --history b.db", f"{FIND} --history b.db --cell NAME"),
-    ("store/history/database.py", "File a run with --cell NAME"): (
+    ("armsight_lab/history/database.py", "File a run with --cell NAME"): (
         "history list --history none.db",
         f"{FIND} --cell NAME --history none.db && history list --history none.db",
     ),
-    ("store/history/entry.py", "Give a name such as"): (f"{FIND} --cell ' a'", f"{FIND} --cell weld-3"),
-    ("store/history/entry.py", "Give what --json printed, a"): (
+    ("armsight_lab/history/entry.py", "Give a name such as"): (f"{FIND} --cell ' a'", f"{FIND} --cell weld-3"),
+    ("armsight_lab/history/entry.py", "Give what --json printed, a"): (
         "history add no.json --cell a",
         f"{VERIFY} {OF_ARM} && history add v/verify.json --cell a",
     ),
-    ("store/history/entry.py", "Give what --json printed"): (
+    ("armsight_lab/history/entry.py", "Give what --json printed"): (
         "history add list.json --cell a",
         f"{VERIFY} {OF_ARM} && history add v/verify.json --cell a",
     ),
-    ("app/history/looking.py", "armsight history list shows"): ("history show 99", "history list && history show 1"),
-    ("app/history/looking.py", "Ask for more: armsight"): (
+    ("armsight_lab/history/looking.py", "armsight history list shows"): (
+        "history show 99",
+        "history list && history show 1",
+    ),
+    ("armsight_lab/history/looking.py", "Ask for more: armsight"): (
         "history export -o x.csv --since 2030-01-01",
         "history list && history export -o x.csv",
     ),
-    ("app/history/trend.py", "Ask for more with --since"): (f"{TREND} a --since 2030-01-01", f"{TREND} a"),
-    ("app/history/trend.py", "Name other figures with --figure"): (f"{TREND} untold", "{} --figure baseline_m"),
-    ("app/history/trend.py", "name the other figures with"): (f"{TREND} wide", f"{TREND} untold --figure baseline_m"),
-    ("app/history/looking.py", "File one with --cell NAME"): (
+    ("armsight_lab/history/trend.py", "Ask for more with --since"): (f"{TREND} a --since 2030-01-01", f"{TREND} a"),
+    ("armsight_lab/history/trend.py", "Name other figures with --figure"): (
+        f"{TREND} untold",
+        "{} --figure baseline_m",
+    ),
+    ("armsight_lab/history/trend.py", "name the other figures with"): (
+        f"{TREND} wide",
+        f"{TREND} untold --figure baseline_m",
+    ),
+    ("armsight_lab/history/looking.py", "File one with --cell NAME"): (
         (empty_history, "history list --cell a --history empty.db"),
         f"{FIND} --cell a --history empty.db && history list --cell a --history empty.db",
     ),
-    ("store/history/database.py", "Give another file with --history"): (
+    ("armsight_lab/history/database.py", "Give another file with --history"): (
         (foreign, "history list --history foreign.db"),
         "history list --history history.db",
     ),
-    ("store/history/database.py", "Update armsight, or give another"): (
+    ("armsight_lab/history/database.py", "Update armsight, or give another"): (
         (newer, "history list --history newer.db"),
         "history list --history history.db",
     ),
-    ("store/history/database.py", "bring a copy back"): (
+    ("armsight_lab/history/database.py", "bring a copy back"): (
         "history list --history list.json",
         "history list --history history.db",
     ),

@@ -66,7 +66,7 @@ IN_TESTS = {
     ("app/path/picks.py", "; or leave them out with --skip"): (
         "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
     ),
-    ("app/history/series.py", "--since"): (
+    ("armsight_lab/history/series.py", "--since"): (
         "tests/unit/cli/test_history.py::test_two_arms_in_one_cell_are_told_and_not_held_against_each_other"
     ),
     ("calibrate/mirrors/calibration.py", "Exchange the sources of --left-only"): (

@@ -31,7 +31,7 @@ from armsight.registry import COMMANDS, known
 ROOT = Path(__file__).resolve().parents[2]
 
 OTHERS = ("sim", "plant", "lab")
-EXTRAS = {"plant": ("foxglove",), "lab": ("batch",)}
+EXTRAS = {"plant": ("foxglove",), "lab": ("batch", "history", "postgresql")}
 """Further extras that bring them."""
 
 WORKS = (
@@ -73,6 +73,9 @@ LABORATORY = (
     "batch jobs.csv -o none --json",
     "batch --help",
     "design --rig cell/rig.yaml --target cell/target.yaml --volume=0:1,0:1,0:1 -o none --json",
+    "history list --json",
+    "history trend --help",
+    "verify --measured measured.csv --commanded commanded.csv -o filed --cell weld-3 --json",
     "calibrate cell-plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
     "calibrate cell --plan --model ur5e --start=0,0,0,0,0,0 -o none.csv --json",
 )
@@ -93,9 +96,9 @@ try:
     armsight.simulate("webcam-cell")
 except armsight.ArmsightError as error:
     out["simulate"] = [type(error).__name__, error.cure]
-for name in ("batch", "design"):
+for name in ("batch", "design", "history.runs"):
     try:
-        getattr(armsight, name)()
+        eval(f"armsight.{name}()")
     except armsight.ArmsightError as error:
         out[name] = [type(error).__name__, error.cure]
 print(json.dumps(out))
@@ -182,7 +185,7 @@ def test_what_they_would_do_is_refused_with_the_cure(bare: dict[str, Any], line:
 
 
 def test_the_python_face_refuses_it_too(bare: dict[str, Any]) -> None:
-    for name, extra in {"simulate": "sim", "batch": "lab", "design": "lab"}.items():
+    for name, extra in {"simulate": "sim", "batch": "lab", "design": "lab", "history.runs": "lab"}.items():
         kind, cure = bare[name]
         assert kind == "DeviceNotFound" and f"armsight[{extra}]" in cure
 
@@ -214,7 +217,7 @@ def test_a_distribution_asks_for_no_other_version_of_what_both_need(other: str) 
 
 
 def test_the_overview_is_the_same_without_them(bare: dict[str, Any]) -> None:
-    assert {"batch", "design"} <= set(bare["--help"][1].split())
+    assert {"batch", "design", "history"} <= set(bare["--help"][1].split())
 
 
 @pytest.mark.parametrize("name", known(COMMANDS))

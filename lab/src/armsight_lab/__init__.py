@@ -1,1 +1,1 @@
-"""What laboratories use: many runs at once, rigs and motions planned. armsight reaches it by entry points."""
+"""What laboratories use: many runs at once, rigs and motions planned, histories. Reached by entry points."""

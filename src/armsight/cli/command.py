@@ -11,20 +11,20 @@ import inspect
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias, get_args
 
 import typer
 
 from armsight._files import real_path
-from armsight.app.requests.history import PLACE
+from armsight.app.requests import shared
 from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags, taken_by
 from armsight.cli.lazy import Group, LazyCommand
 from armsight.errors import ArmsightError, Cancelled, UsageError
-from armsight.registry import COMMANDS, extension
+from armsight.registry import COMMANDS, FILING, extension
 
 if TYPE_CHECKING:
-    from armsight.app.history.filing import Filing
+    from armsight.records.output import Output
 
 MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
 VIEWS = ("left", "right", "image")
@@ -50,10 +50,17 @@ CELL = Annotated[
     ),
 ]
 HISTORY_PLACE = Annotated[
-    str | None, typer.Option("--history", metavar="FILE_OR_URL", rich_help_panel=HISTORY, help=PLACE)
+    str | None, typer.Option("--history", metavar="FILE_OR_URL", rich_help_panel=HISTORY, help=shared.HISTORY_PLACE)
 ]
 CHECK = Annotated[bool, typer.Option("--check", help="End with exit code 3 where the verdict is not good.")]
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
+
+
+class Filing(Protocol):
+    """What files a command's result in the history of a cell."""
+
+    def file(self, result: Output, exit_code: int, reason: str) -> list[str]:
+        """File a result; return what to tell the person."""
 
 
 class ResultsDoubted(typer.Exit):
@@ -138,15 +145,14 @@ class Command:
                 raise ResultsDoubted  # filed as what it is: the result holds, and is no good news
 
     def _filing(self, given: dict[str, Any]) -> Filing | None:
-        """Return what files the result where a cell is named. Raises UsageError, before any work is done."""
+        """Return what files the result where a cell is named. Raises UsageError and DeviceNotFound, before any work."""
         cell, place = given.pop("cell", None), given.pop("history", None)
         if cell is None:
             if place is not None:
                 raise UsageError("--history says where to file, and no cell is named", cure="Add --cell NAME")
             return None
-        from armsight.app.history.filing import filing
-
-        return filing(self.filed, cell, place, dict(given))
+        found: Filing = extension(FILING, "filing", "lab")(self.filed, cell, place, dict(given))
+        return found
 
     def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:
         """Hold what is written for this command alone. Raises UsageError for an input, and for what is no file."""

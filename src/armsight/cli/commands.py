@@ -17,7 +17,6 @@ from armsight.cli import (
     calibrate_robot,
     convert,
     files,
-    history,
     identify,
     kinematics,
     measure,
@@ -27,7 +26,7 @@ from armsight.cli import (
     serve,
     verify,
 )
-from armsight.cli.command import ARM, MEASURED, SETS, VIEWS, WORLD, app, calibrate, command, elsewhere
+from armsight.cli.command import ARM, MEASURED, SETS, VIEWS, WORLD, app, calibrate, command, elsewhere, history
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
 from armsight.cli.tables import demo_tables, doctor_tables
@@ -40,7 +39,6 @@ __all__ = [
     "calibrate_robot",
     "convert",
     "files",
-    "history",
     "identify",
     "kinematics",
     "measure",
@@ -148,5 +146,18 @@ elsewhere(
     calibrate,
     "lab",
     {"cell-plan": "Plan the motion that calibrates a cell best: two minutes that tell most of the tip over a volume."},
+)
+elsewhere(
+    history,
+    "lab",
+    {
+        "add": "File the result of an earlier run, or of one that could not be filed.",
+        "list": "List runs, the newest first.",
+        "show": "Show a run: what it was given, what it found, every number with its deviation.",
+        "compare": "Hold two runs side by side: every number, its difference and deviation, "
+        "and whether it exceeds that.",
+        "export": "Write every number of every run as a table: CSV, Parquet, or JSON line by line.",
+        "trend": "Say whether a joint zero, hand-eye, baseline or tool tip has drifted: what, since when, by how much.",
+    },
 )
 add_examples(app)

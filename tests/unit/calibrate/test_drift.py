@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from armsight.calibrate import drift
-from armsight.calibrate.drift import Kind, charted, drift_limit, judged, jump_limit, limits_for, run_length
+from armsight_lab.history import drift
+from armsight_lab.history.drift import Kind, charted, drift_limit, judged, jump_limit, limits_for, run_length
 
 WEEKS = 52
 

@@ -17,7 +17,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 import histories
-from armsight.app.history.adding import file_entry
 from armsight.app.print_report import BROWSERS
 from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
@@ -25,8 +24,9 @@ from armsight.cli.examples import EXAMPLES
 from armsight.kinematics import presets
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
-from armsight.store.history.place import place_of
 from armsight.store.path_file import write_path
+from armsight_lab.history.adding import file_entry
+from armsight_lab.history.place import place_of
 
 NOT_HERE = {
     "serve": "serves until Ctrl-C: tests/unit/server runs it",

@@ -16,14 +16,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 import histories
-from armsight.app.history.adding import file_entry
-from armsight.app.history.figures import figures_of
-from armsight.app.history.filing import Made, entry_of_result
-from armsight.app.history.parameters import parameters_of
 from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
-from armsight.store.history.entry import Entry
-from armsight.store.history.place import place_of
+from armsight_lab.history.adding import file_entry
+from armsight_lab.history.entry import Entry
+from armsight_lab.history.figures import figures_of
+from armsight_lab.history.filing import Made, entry_of_result
+from armsight_lab.history.parameters import parameters_of
+from armsight_lab.history.place import place_of
 
 Run = Callable[..., object]
 WEEK = timedelta(days=7)

@@ -19,14 +19,14 @@ import pytest
 from sqlalchemy import text
 
 import histories
-from armsight.app.history.adding import file_entry
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
-from armsight.store.history import database, queries
-from armsight.store.history.database import reading, writing
-from armsight.store.history.entry import cell_name, entry_of, read_json, write_entry
-from armsight.store.history.place import Place, place_of, require_packages
-from armsight.store.history.queries import Filter
-from armsight.store.history.tables import HEAD, VERSION_TABLE
+from armsight_lab.history import database, queries
+from armsight_lab.history.adding import file_entry
+from armsight_lab.history.database import reading, writing
+from armsight_lab.history.entry import cell_name, entry_of, read_json, write_entry
+from armsight_lab.history.place import Place, place_of, require_packages
+from armsight_lab.history.queries import Filter
+from armsight_lab.history.tables import HEAD, VERSION_TABLE
 from refusals import refuses
 
 POSTGRES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
@@ -93,8 +93,8 @@ def _version(place: Place, value: str) -> None:
 WRITER = """
 import sys
 import histories
-from armsight.app.history.adding import file_entry
-from armsight.store.history.place import place_of
+from armsight_lab.history.adding import file_entry
+from armsight_lab.history.place import place_of
 place = place_of(sys.argv[1])
 for entry in histories.runs(sys.argv[2], 1000, seed=int(sys.argv[3])):
     print(file_entry(place, entry).run, flush=True)
@@ -331,7 +331,7 @@ def test_where_a_history_is():
 
 @pytest.mark.parametrize(("missing", "extra"), [("sqlalchemy", "history"), ("pg8000", "postgresql")])
 def test_a_missing_package_is_told_with_its_extra(monkeypatch: pytest.MonkeyPatch, missing: str, extra: str):
-    from armsight.store.history import place as module
+    from armsight_lab.history import place as module
 
     monkeypatch.setattr(module, "find_spec", lambda name: None if name == missing else object())
     with refuses(UsageError, missing, f"armsight[{extra}]"):

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from armsight.app.requests import calibrate_cell as calibrate_cell
     from armsight.app.requests import calibrate_robot as calibrate_robot
     from armsight.app.requests import files as files
-    from armsight.app.requests import history as history
     from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
@@ -26,7 +25,6 @@ else:
         "calibrate_cell",
         "calibrate_robot",
         "files",
-        "history",
         "identify",
         "measure",
         "motion",

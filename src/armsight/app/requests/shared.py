@@ -26,6 +26,9 @@ BOARD = (
     "charuco:8x5:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3 or a file: target.yaml, Kalibr's aprilgrid.yaml"
 )
 KNOWN_ARM = "arm.yaml, .urdf or a known arm's name such as ur5e"
+HISTORY_PLACE = (
+    "File (SQLite) or postgresql:// URL of the history. [default: $ARMSIGHT_HISTORY, or in the user's data folder]"
+)
 OUT = Flag("-o --out")
 A_SRC = Flag(metavar="SRC")
 AN_ARM = Flag(metavar="ARM")

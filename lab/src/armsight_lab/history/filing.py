@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from armsight._version import __version__
-from armsight.app.history.figures import Content, figures_of
-from armsight.app.history.moments import utc
-from armsight.app.history.parameters import Parameters, parameters_of
 from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
 from armsight.records.output import Output
 from armsight.store.atomic import sha256
-from armsight.store.history.entry import Entry, InputFile, cell_name, write_entry
-from armsight.store.history.place import Place, place_of, require_packages
+from armsight_lab.history.entry import Entry, InputFile, cell_name, write_entry
+from armsight_lab.history.figures import Content, figures_of
+from armsight_lab.history.moments import utc
+from armsight_lab.history.parameters import Parameters, parameters_of
+from armsight_lab.history.place import Place, place_of, require_packages
 
 PLANS = ("VerifyPlanOutput", "MasteringPlanOutput", "ProposedPlanOutput")
 """Results that say what to measure, and hold nothing that was."""
@@ -47,7 +47,7 @@ class Filing:
             return ["Not filed: a plan holds nothing that was measured."]
         entry = self._entry(result, exit_code, reason)
         try:
-            from armsight.app.history.adding import added
+            from armsight_lab.history.adding import added
 
             return added(self.place, entry)
         except ArmsightError as error:

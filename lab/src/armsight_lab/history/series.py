@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection
 
-from armsight.app.history.arms import other_arm
-from armsight.app.history.figures import UNITS
-from armsight.app.history.looking import one_of, pose_change, wrapped
 from armsight.columns import POSE6, POSITION
 from armsight.errors import Inconsistent
-from armsight.store.history import queries
-from armsight.store.history.entry import InputFile, Quantity, StoredPose
-from armsight.store.history.queries import Run
+from armsight_lab.history import queries
+from armsight_lab.history.arms import other_arm
+from armsight_lab.history.entry import InputFile, Quantity, StoredPose
+from armsight_lab.history.figures import UNITS
+from armsight_lab.history.looking import one_of, pose_change, wrapped
+from armsight_lab.history.queries import Run
 
 Array = NDArray[np.float64]
 
@@ -222,7 +222,7 @@ MOST_NOTES = 6
 
 def clock_notes(found: Found) -> list[str]:
     """Return where a run that was filed later is dated earlier, though both were filed as they were made."""
-    from armsight.app.history.moments import day_of
+    from armsight_lab.history.moments import day_of
 
     at_once = [run for run in found.runs if abs(day_of(run.filed) - day_of(run.created)) < AT_ONCE_DAYS]
     at_once.sort(key=lambda run: run.id)

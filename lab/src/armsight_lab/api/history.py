@@ -5,9 +5,15 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from armsight.app.history.adding import AddedOutput
-from armsight.app.history.adding import add as run_add
-from armsight.app.history.looking import (
+from armsight.errors import UsageError
+from armsight.kinematics import Arm
+from armsight.ops.arrays import as_path
+from armsight.ops.checks import speaks_python
+from armsight.ops.given import Given, PathText
+from armsight.store.atomic import write_json
+from armsight_lab.history.adding import AddedOutput
+from armsight_lab.history.adding import add as run_add
+from armsight_lab.history.looking import (
     HistoryCompareOutput,
     HistoryExportOutput,
     HistoryListOutput,
@@ -17,9 +23,7 @@ from armsight.app.history.looking import (
     list_runs,
     show_run,
 )
-from armsight.app.history.trend import TrendOutput
-from armsight.app.history.trend import trend as run_trend
-from armsight.app.requests.history import (
+from armsight_lab.history.request import (
     AddJob,
     CompareRunsJob,
     ExportRunsJob,
@@ -27,12 +31,8 @@ from armsight.app.requests.history import (
     ShowJob,
     TrendJob,
 )
-from armsight.errors import UsageError
-from armsight.kinematics import Arm
-from armsight.ops.arrays import as_path
-from armsight.ops.checks import speaks_python
-from armsight.ops.given import Given, PathText
-from armsight.store.atomic import write_json
+from armsight_lab.history.trend import TrendOutput
+from armsight_lab.history.trend import trend as run_trend
 
 __all__ = ["add", "compare", "export", "runs", "show", "trend"]
 

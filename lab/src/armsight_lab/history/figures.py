@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from armsight.columns import POSE6, POSITION
-from armsight.store.history.entry import Quantity, deviation, number
+from armsight_lab.history.entry import Quantity, deviation, number
 
 LONGEST_LIST = 64
 """Entries of a list whose numbers are figures; longer ones, such as rows left out, stay in the result alone."""

@@ -10,20 +10,18 @@ from typing import Annotated, Any
 
 from sqlalchemy import Connection
 
-from armsight.app.history.arms import other_arm
-from armsight.app.history.filing import Made, entry_of_result, hash_of
-from armsight.app.history.moments import moment, utc, whole_moment
-from armsight.app.history.parameters import Parameters, of_arm, parameters_of, point_named, pose_named
-from armsight.app.requests.history import AddJob
 from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.errors import ArmsightError, BadFile, UsageError
 from armsight.fields import Doc
 from armsight.optics import Rig
 from armsight.records.output import Output, keys, output
 from armsight.store.arm_file import ARM_FORMAT, arm_from_mapping
-from armsight.store.history import queries
-from armsight.store.history.database import writing
-from armsight.store.history.entry import (
+from armsight.store.rigs import RIG_FORMAT, read_rig
+from armsight.store.yamls import read_yaml
+from armsight_lab.history import queries
+from armsight_lab.history.arms import other_arm
+from armsight_lab.history.database import writing
+from armsight_lab.history.entry import (
     FORMAT,
     Entry,
     InputFile,
@@ -34,9 +32,11 @@ from armsight.store.history.entry import (
     number,
     read_json,
 )
-from armsight.store.history.place import Place, place_of
-from armsight.store.rigs import RIG_FORMAT, read_rig
-from armsight.store.yamls import read_yaml
+from armsight_lab.history.filing import Made, entry_of_result, hash_of
+from armsight_lab.history.moments import moment, utc, whole_moment
+from armsight_lab.history.parameters import Parameters, of_arm, parameters_of, point_named, pose_named
+from armsight_lab.history.place import Place, place_of
+from armsight_lab.history.request import AddJob
 
 LEFT_OUT = ("format", "version", "created", "software", "inputs", "covariance")
 """Of a YAML file: what is no figure."""

@@ -13,19 +13,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sqlalchemy import Connection
 
-from armsight.app.history.moments import optional_moment
-from armsight.app.requests.history import CompareRunsJob, ExportRunsJob, ListJob, ShowJob
 from armsight.columns import POSE6, POSITION, ROTATION_VECTOR
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import Difference
 from armsight.store.atomic import write_bytes
-from armsight.store.history import queries
-from armsight.store.history.database import reading
-from armsight.store.history.entry import InputFile, Quantity, StoredPose, cell_name
-from armsight.store.history.place import place_of
-from armsight.store.history.queries import Filter, Run
+from armsight_lab.history import queries
+from armsight_lab.history.database import reading
+from armsight_lab.history.entry import InputFile, Quantity, StoredPose, cell_name
+from armsight_lab.history.moments import optional_moment
+from armsight_lab.history.place import place_of
+from armsight_lab.history.queries import Filter, Run
+from armsight_lab.history.request import CompareRunsJob, ExportRunsJob, ListJob, ShowJob
 
 BEYOND = 3.0
 """Deviations of a difference beyond which it is marked: chance brings one in 400 so far."""

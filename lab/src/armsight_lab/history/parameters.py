@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from armsight.app.history.figures import Content, unit_of
 from armsight.columns import DH_ROW, POSE6, POSITION
 from armsight.kinematics import Arm, JointType
 from armsight.records import NamedCovariance
-from armsight.store.history.entry import Quantity, StoredPose, deviation, number, stored_pose
+from armsight_lab.history.entry import Quantity, StoredPose, deviation, number, stored_pose
+from armsight_lab.history.figures import Content, unit_of
 
 CAMERA = ("fx_px", "fy_px", "cx_px", "cy_px")
 

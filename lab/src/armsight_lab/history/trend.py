@@ -8,9 +8,22 @@ from typing import Annotated
 
 import numpy as np
 
-from armsight.app.history.looking import known_cell, known_command
-from armsight.app.history.moments import day_of, optional_moment
-from armsight.app.history.series import (
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fields import Doc
+from armsight.records.output import Output, figure, output
+from armsight.records.verdict import MEANING, Verdict
+from armsight.report.html import page_unit
+from armsight.store.atomic import write_json, write_text
+from armsight.units import displayed, displayed_name
+from armsight_lab.history.database import reading
+from armsight_lab.history.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
+from armsight_lab.history.looking import known_cell, known_command
+from armsight_lab.history.moments import day_of, optional_moment
+from armsight_lab.history.place import place_of
+from armsight_lab.history.queries import Filter
+from armsight_lab.history.report import Charted, TrendPage, trend_report
+from armsight_lab.history.request import TrendJob
+from armsight_lab.history.series import (
     Course,
     Found,
     changed_inputs,
@@ -20,19 +33,6 @@ from armsight.app.history.series import (
     never_measured,
     require_one_arm,
 )
-from armsight.app.requests.history import TrendJob
-from armsight.calibrate.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
-from armsight.errors import Inconsistent, NotEnoughData
-from armsight.fields import Doc
-from armsight.records.output import Output, figure, output
-from armsight.records.verdict import MEANING, Verdict
-from armsight.report.history_report import Charted, TrendPage, trend_report
-from armsight.report.html import page_unit
-from armsight.store.atomic import write_json, write_text
-from armsight.store.history.database import reading
-from armsight.store.history.place import place_of
-from armsight.store.history.queries import Filter
-from armsight.units import displayed, displayed_name
 
 SUMMARY, REPORT = "trend.json", "report.html"
 YEAR_DAYS = 365.25

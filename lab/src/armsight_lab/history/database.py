@@ -14,8 +14,8 @@ from sqlalchemy.pool import NullPool
 
 from armsight._files import real_path
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
-from armsight.store.history.place import Place, require_packages
-from armsight.store.history.tables import HEAD, VERSION_TABLE
+from armsight_lab.history.place import Place, require_packages
+from armsight_lab.history.tables import HEAD, VERSION_TABLE
 
 BUSY_S = 30.0
 """How long a writer waits for others: each holds the database for some milliseconds."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from armsight.app import requests
-from armsight.cli.command import command, history
+from armsight.cli.command import declared
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
 from armsight.units import DISPLAY, displayed
+from armsight_lab.history.request import AddJob, CompareRunsJob, ExportRunsJob, ListJob, ShowJob, TrendJob
 
 if TYPE_CHECKING:
-    from armsight.app.history.looking import RunDifference
-    from armsight.app.history.trend import TrendFigure
-    from armsight.store.history.entry import Quantity
+    from armsight_lab.history.entry import Quantity
+    from armsight_lab.history.looking import RunDifference
+    from armsight_lab.history.trend import TrendFigure
 
 MOST_FIGURES = 200
 """Numbers of a run that are printed; --json gives all."""
@@ -35,10 +35,10 @@ def _shown(unit: str, *values: float | None, digits: int = 3) -> list[str]:
     return [figure(None if value is None else value / size, digits) for value in values]
 
 
-@command(history)
-def add(face: CommandUI, job: requests.history.AddJob) -> None:
+@declared()
+def add(face: CommandUI, job: AddJob) -> None:
     """File the result of an earlier run, or of one that could not be filed."""
-    from armsight.app.history.adding import add as run
+    from armsight_lab.history.adding import add as run
 
     done = run(job)
     said = "Filed as" if done.new else "It is"
@@ -51,10 +51,10 @@ def add(face: CommandUI, job: requests.history.AddJob) -> None:
     face.result(done)
 
 
-@command(history, "list")
-def list_(face: CommandUI, job: requests.history.ListJob) -> None:
+@declared()
+def list_(face: CommandUI, job: ListJob) -> None:
     """List runs, the newest first."""
-    from armsight.app.history.looking import list_runs
+    from armsight_lab.history.looking import list_runs
 
     done = list_runs(job)
     rows = [
@@ -68,10 +68,10 @@ def list_(face: CommandUI, job: requests.history.ListJob) -> None:
     face.result(done)
 
 
-@command(history)
-def show(face: CommandUI, job: requests.history.ShowJob) -> None:
+@declared()
+def show(face: CommandUI, job: ShowJob) -> None:
     """Show a run: what it was given, what it found, every number with its deviation."""
-    from armsight.app.history.looking import show_run
+    from armsight_lab.history.looking import show_run
 
     done = show_run(job)
     run = done.run
@@ -93,10 +93,10 @@ def show(face: CommandUI, job: requests.history.ShowJob) -> None:
     face.result(done)
 
 
-@command(history)
-def compare(face: CommandUI, job: requests.history.CompareRunsJob) -> None:
+@declared()
+def compare(face: CommandUI, job: CompareRunsJob) -> None:
     """Hold two runs side by side: every number, its difference and deviation, and whether it exceeds that."""
-    from armsight.app.history.looking import compare_runs
+    from armsight_lab.history.looking import compare_runs
 
     done = compare_runs(job)
     rows = [
@@ -121,10 +121,10 @@ def compare(face: CommandUI, job: requests.history.CompareRunsJob) -> None:
     face.result(done)
 
 
-@command(history)
-def export(face: CommandUI, job: requests.history.ExportRunsJob) -> None:
+@declared()
+def export(face: CommandUI, job: ExportRunsJob) -> None:
     """Write every number of every run as a table: CSV, Parquet, or JSON line by line."""
-    from armsight.app.history.looking import export_runs
+    from armsight_lab.history.looking import export_runs
 
     done = export_runs(job)
     face.say(f"{done.n_rows} numbers of {done.n_runs} runs: {done.file}")
@@ -133,13 +133,13 @@ def export(face: CommandUI, job: requests.history.ExportRunsJob) -> None:
     face.result(done)
 
 
-@command(history, keeps=REPORTS, own="trend.json", judged=True)
-def trend(face: CommandUI, job: requests.history.TrendJob) -> None:
+@declared(keeps=REPORTS, own="trend.json", judged=True)
+def trend(face: CommandUI, job: TrendJob) -> None:
     """Say whether a joint zero, hand-eye, baseline or tool tip has drifted: what, since when, by how much.
 
     Writes trend.json and report.html.
     """
-    from armsight.app.history.trend import trend as run
+    from armsight_lab.history.trend import trend as run
 
     done = run(job)
     for command_ in dict.fromkeys(one.command for one in done.figures):

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from armsight.app.requests.shared import OUT
+from armsight.app.requests.shared import HISTORY_PLACE, OUT
 from armsight.fields import Bounds, Doc, Flag
 
-PLACE = "File (SQLite) or postgresql:// URL of the history. [default: $ARMSIGHT_HISTORY, or in the user's data folder]"
 ONCE_IN_YEARS = 100.0
 """Cell-years in which one false alarm is accepted, unless another rate is given."""
 
-APlace: TypeAlias = Annotated[str | None, Doc(PLACE), Flag("--history", metavar="FILE_OR_URL")]
+APlace: TypeAlias = Annotated[str | None, Doc(HISTORY_PLACE), Flag("--history", metavar="FILE_OR_URL")]
 Since: TypeAlias = Annotated[
     str | None, Doc("Runs from this day or moment on (2026-11-26, 2026-11-26T14:00)."), Flag(metavar="WHEN")
 ]

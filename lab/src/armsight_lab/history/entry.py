@@ -1,6 +1,6 @@
 """A run as the history holds it, and as a file where it could not be filed. Needs no package of the extra.
 
-Poses and numbers of a run are told by names that are the same whatever found them: armsight.app.history.parameters.
+Poses and numbers of a run are told by names that are the same whatever found them: armsight_lab.history.parameters.
 """
 
 from __future__ import annotations
