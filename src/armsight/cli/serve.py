@@ -76,7 +76,7 @@ def serve(
     """Serve a robot: this program alone talks to its controller and guards it; others watch, stop and drive it."""
     face.until_stopped = True
     from armsight.app.robot.recorder import default_log
-    from armsight.drivers import registry
+    from armsight.registry import PLANT, extension
     from armsight.server.serving import Terminal, serve_robot
     from armsight.server.web_server import ServeOptions
 
@@ -84,7 +84,7 @@ def serve(
         _add_token(face, tokens, add_token)
         return
     if make_certificate is not None:
-        pair = registry.extension(registry.PLANT, "make-pair", "plant")(make_certificate)
+        pair = extension(PLANT, "make-pair", "plant")(make_certificate)
         face.say(f"{' and '.join(map(str, pair))}: the certificate goes to clients")
         return
     if robot is None:

@@ -81,7 +81,7 @@ class PlantFlags:
         """
         if self == PlantFlags():
             return None
-        from armsight.drivers import registry
+        from armsight.registry import PLANT, extension
 
-        made: Callable[..., Publishing] = registry.extension(registry.PLANT, "publishing", "plant")
+        made: Callable[..., Publishing] = extension(PLANT, "publishing", "plant")
         return made(self, notify, users)
