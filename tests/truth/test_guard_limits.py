@@ -12,7 +12,7 @@ from armsight.control.guard.space import Breach
 from armsight.kinematics import preset
 from armsight.records import JointReading
 
-HISTORIES = 60
+HISTORIES = 40
 ARM = preset("ur10")
 HOME = np.radians([10.0, -60.0, 90.0, -30.0, 80.0, 20.0])
 FREE = JointLimit(lower=-6.0, upper=6.0)
@@ -49,7 +49,9 @@ def test_one_violation_that_excuses_others_is_seen(monkeypatch: pytest.MonkeyPat
     found = Found()
     for seed in range(HISTORIES):
         history(seed, found)
-    assert found.grown
+        if found.grown:
+            return
+    pytest.fail("nothing grew")
 
 
 def beyond_joint_1() -> Guard:

@@ -60,11 +60,11 @@ def inside(mount: Mount, speed: float, seed: int) -> tuple[np.ndarray, np.ndarra
 
 @pytest.mark.parametrize("speed", [0.0, 0.1, 0.5])
 def test_a_hands_tremor_and_reversals_are_inside_what_smoothed_poses_claim(speed: float) -> None:
-    """Six runs of 5 s; poses share views, the share inside has a standard deviation of some 2 %.
+    """Three runs of 5 s; poses share views, the share inside has a standard deviation of some 3 %.
 
     With the strength of the motion from the views before each one alone the first two fail (44 % and 61 % of longer
     runs; 85 % of those at 0.5 m/s).
     """
-    runs = [inside(mount, speed, seed) for mount in MOUNTS.values() for seed in range(2)]
+    runs = [inside(mount, speed, 0) for mount in MOUNTS.values()]
     assert np.mean(np.concatenate([found for found, _ in runs])) > 0.90
     assert np.sqrt(np.mean(np.concatenate([mm for _, mm in runs]) ** 2)) < 0.15  # no wider either: it was 0.09

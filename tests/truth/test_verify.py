@@ -84,8 +84,7 @@ def cause_of(result: Verification) -> str:
     return result.cause.cause
 
 
-@pytest.mark.parametrize("joint", [1, 2, 3, 4])
-@pytest.mark.parametrize("turned", [True, False])
+@pytest.mark.parametrize(("joint", "turned"), [(1, True), (2, False), (3, True), (4, False)])
 def test_one_wrong_zero_is_named_with_its_value(joint: int, turned: bool) -> None:
     q, rng = poses(joint)
     measured = seen(changed(joint, 3, np.deg2rad(0.4)), q, rng)
@@ -150,7 +149,7 @@ def test_first_and_last_joint_are_judged_where_base_and_tool_are_known(joint: in
     assert cause_of(result) == f"joint {joint + 1}"
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_good_arm_is_not_blamed(seed: int) -> None:
     q, rng = poses(20 + seed)
     result = verify(arm(), Reported(q=q), seen(TABLE, q, rng), Align.BOTH)
@@ -159,7 +158,7 @@ def test_a_good_arm_is_not_blamed(seed: int) -> None:
     assert result.deciding is None and not result.rejected
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_wrong_geometry_with_right_zeros_is_the_models(seed: int) -> None:
     q, rng = poses(30 + seed)
     table = TABLE + rng.normal(0.0, [5e-4, 9e-4, 5e-4, 0.0], (6, 4))

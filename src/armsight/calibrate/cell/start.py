@@ -285,13 +285,12 @@ class _Pieces:
             return np.zeros((3, 4)), np.inf
         size = float(np.sqrt((X**2).mean())) + 1e-12
         H = np.concatenate([X / size, np.ones((len(X), 1))], axis=1)
-        HH = H[:, :, None] * H[:, None, :]
-        x, y = self.xy.T
+        x, y = self.xy.T[:, :, None]
         A = np.zeros((3, 4, 3, 4))
-        A[0, :, 0] = A[1, :, 1] = HH.sum(axis=0)
-        A[0, :, 2] = A[2, :, 0] = -np.tensordot(x, HH, axes=1)
-        A[1, :, 2] = A[2, :, 1] = -np.tensordot(y, HH, axes=1)
-        A[2, :, 2] = np.tensordot(x**2 + y**2, HH, axes=1)
+        A[0, :, 0] = A[1, :, 1] = H.T @ H
+        A[0, :, 2] = A[2, :, 0] = -(H.T @ (x * H))
+        A[1, :, 2] = A[2, :, 1] = -(H.T @ (y * H))
+        A[2, :, 2] = H.T @ ((x**2 + y**2) * H)
         P = np.linalg.eigh(A.reshape(12, 12))[1][:, 0].reshape(3, 4)
         seen = H @ P.T
         rms = float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - self.xy) ** 2).sum(axis=1))))
