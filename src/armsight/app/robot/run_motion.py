@@ -131,8 +131,7 @@ def _followed(
         sink = stack.enter_context(run.recorded(job.out / RECORDING))
         begun(source)
         show = lambda _: progress.update(source.at_s, source.length_s, source.stage)  # noqa: E731
-        alive = lambda: enabled() and not progress.cancelled()  # noqa: E731
-        timing = run.follow(source, sink, over, show, enabled=alive)
+        timing = run.follow(source, sink, over, show, enabled=lambda: enabled() and not progress.cancelled())
     if cameras is not None and cameras.failed is not None and not unseen:
         raise cameras.failed  # after the end, while the rest was written
     finished = source.stage == "finished"
