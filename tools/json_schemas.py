@@ -38,7 +38,7 @@ from armsight.app.record.record import RecordOutput
 from armsight.app.robot.jog import JogOutput
 from armsight.app.robot.link_test import RobotTestOutput
 from armsight.app.robot.run_motion import RunMotionOutput
-from armsight.app.servo.session import ServoOutput
+from armsight.app.servo.run_servo import ServoOutput
 from armsight.app.simulate.reproduced import ReproduceOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput

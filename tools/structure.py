@@ -62,7 +62,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "app/robot/hosting.py": DRIVERS,
         "app/robot/opening.py": DRIVERS,
         "app/robot/recorder.py": "a log of orders of every kind, each with its own values",
-        "app/servo/session.py": "a recording of set points of every kind, each with its own values",
+        "app/robot/robot_run.py": "a recording of set points of every kind, each with its own values",
         "app/operator/session_robot.py": "what a remote robot's description holds of its arm",
         "app/simulate/cells.py": SCENES,
         "app/simulate/run.py": SCENES,

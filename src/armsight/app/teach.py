@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -16,9 +17,8 @@ from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
 from armsight.app.robot.robot_run import Confirm
-from armsight.app.servo.run_servo import run_servo
+from armsight.app.servo.run_servo import ServoOutput, Show, run_servo
 from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.session import ServoOutput, Show
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock
 from armsight.control.events import QueueSink
@@ -139,14 +139,20 @@ def teach_standing(
     if not job.wait:
         recorder.start()
     begun(recorder)
+    with _kept(job, recorder), pairs:
+        stopped_by = _taught(recorder, setup, pairs, seen_by.seconds_s, progress, seen)
+    return saved(job, recorder, stopped_by)
+
+
+@contextmanager
+def _kept(job: TeachJob, recorder: PathRecorder) -> Iterator[None]:
+    """Write what was taught before a failure."""
     try:
-        with pairs:
-            stopped_by = _taught(recorder, setup, pairs, seen_by.seconds_s, progress, seen)
+        yield
     except BaseException:
         if len(recorder) > 1:
             save(job, recorder)
         raise
-    return saved(job, recorder, stopped_by)
 
 
 def teach_poses(job: TeachJob, poses: Path, *, world: Path | None = None) -> TeachOutput:
@@ -208,33 +214,21 @@ def _taught(
     return "end"
 
 
-class _RigPoseOnceKnown:
-    """Where the rig is, once the servo knows."""
-
-    def __init__(self) -> None:
-        self.known: RigPose | None = None
-
-    def __call__(self, t_s: float) -> RigidTransform:
-        if self.known is None:
-            raise StaleData("the servo has not begun", consequence="Where the cameras are is not known")
-        return self.known(t_s)
-
-
 class TaughtBeside:
     """A recorder beside a servo: is told of each frame, and tells its events to the recording."""
 
     def __init__(self, job: TeachJob) -> None:
-        self._rig_pose = _RigPoseOnceKnown()
+        self._rig_pose: RigPose | None = None
         self._clock: Clock | None = None
         self._sink: QueueSink | None = None
         T_target_tip = job.T_target_tip()
-        self.recorder = PathRecorder(self._rig_pose, T_target_tip, every=job.every, mean=job.mean, notify=self._note)
+        self.recorder = PathRecorder(self._placed, T_target_tip, every=job.every, mean=job.mean, notify=self._note)
 
     def begin(self, source: ServoSource, arm: Arm, clock: Clock, sink: QueueSink) -> None:
         """Take the readings that the servo gathers, and what takes events."""
         settings = source.settings
         self._clock, self._sink = clock, sink
-        self._rig_pose.known = (
+        self._rig_pose = (
             CarriedRig(arm=arm, history=source.history, T_flange_rig=settings.T_parent_camera)
             if settings.mount is Mount.EYE_IN_HAND
             else StandingRig(T_world_rig=arm.T_world_base * settings.T_parent_camera)
@@ -243,6 +237,12 @@ class TaughtBeside:
     def observe(self, pose: TargetPose, exposed_s: float) -> None:
         """Take what a frame shows."""
         self.recorder.observe(pose, exposed_s)
+
+    def _placed(self, t_s: float) -> RigidTransform:
+        """Return where the rig is, once the servo knows."""
+        if self._rig_pose is None:
+            raise StaleData("the servo has not begun", consequence="Where the cameras are is not known")
+        return self._rig_pose(t_s)
 
     def _note(self, text: str) -> None:
         if self._sink is not None and self._clock is not None:
@@ -268,10 +268,6 @@ def teach_following(
     if not job.wait:
         beside.recorder.start()
     begun(beside.recorder)
-    try:
+    with _kept(job, beside.recorder):
         done = run_servo(servo, confirm, show, progress, devices=devices, beside=beside)
-    except BaseException:
-        if len(beside.recorder) > 1:
-            save(job, beside.recorder)
-        raise
     return saved(job, beside.recorder, done.stopped_by, done)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from armsight.app.play.play_path import PlayOutput
-    from armsight.app.servo.session import ServoOutput
+    from armsight.app.servo.run_servo import ServoOutput
     from armsight.app.teach import TeachOutput
     from armsight.control.play import PathSource, PlayProgress, WatchFigures
     from armsight.control.status import RobotStatus

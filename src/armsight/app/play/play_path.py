@@ -24,7 +24,7 @@ from armsight.app.robot.robot_run import (
     RobotRun,
     ToolRunOutput,
     check_arm,
-    run_figures,
+    run_output,
 )
 from armsight.app.servo.run_servo import LAG_CYCLES
 from armsight.app.servo.servo_job import ServoDevices
@@ -38,7 +38,7 @@ from armsight.control.status import RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.fields import Doc
 from armsight.records import PoseStatus, Progress, Silent, TaughtPath
-from armsight.records.output import Output, output
+from armsight.records.output import Output, extended, output
 from armsight.store.atomic import write_json
 from armsight.store.path_file import read_path
 from armsight.units import DEG, MM
@@ -128,8 +128,9 @@ def play_output(
     """Return the figures of a path that ended."""
     plan, finished = source.plan, source.progress.stage == "finished"
     exceeded = "" if watch is None else watch.exceeded
-    return PlayOutput(
-        **run_figures(tally, timing, exceeded or tally.stopped_by(finished=finished), recording),
+    return extended(
+        run_output(tally, timing, exceeded or tally.stopped_by(finished=finished), recording),
+        PlayOutput,
         state=tally.state,
         wrong_premise=None if watch is None or watch.wrong is None else watch.wrong.cause.value,
         outside=outside,

@@ -254,16 +254,16 @@ class RobotRun:
         return timing
 
 
-def run_figures(tally: CycleTally, timing: Timing, stopped_by: str, recording: Path) -> dict[str, Any]:
-    """Return the fields of RunOutput."""
-    return {
-        "n_cycles": timing.n_cycles,
-        "late": timing.late,
-        "missed": timing.missed,
-        "stopped_by": stopped_by,
-        "holds": tally.holds,
-        "recording": str(recording),
-    }
+def run_output(tally: CycleTally, timing: Timing, stopped_by: str, recording: Path) -> RunOutput:
+    """Return what the loop came to."""
+    return RunOutput(
+        n_cycles=timing.n_cycles,
+        late=timing.late,
+        missed=timing.missed,
+        stopped_by=stopped_by,
+        holds=tally.holds,
+        recording=str(recording),
+    )
 
 
 def check_arm(robot: Robot, arm: Arm) -> None:

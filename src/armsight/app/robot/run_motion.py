@@ -15,7 +15,7 @@ from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.guarding import standing
 from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import require_new
-from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_figures
+from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_output
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
@@ -25,7 +25,7 @@ from armsight.drivers import AUTOMATIC, Robot
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.records import Motion, Progress, Silent
-from armsight.records.output import output
+from armsight.records.output import extended, output
 from armsight.store.atomic import write_json
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints, write_joints
@@ -101,21 +101,6 @@ def _cameras(job: RunMotionJob) -> FreeJob | None:
     return FreeJob(left=job.left, right=job.right, out=job.out / FRAMES, settings=job.camera_settings)
 
 
-class _Tally(CycleTally):
-    """Ends a motion also where a camera beside it is lost, as moving on gains nothing."""
-
-    def __init__(self, cancelled: Callable[[], bool], cameras: FreeCameras | None) -> None:
-        super().__init__(cancelled)
-        self._cameras = cameras
-        self.unseen = ""
-
-    def __call__(self, status: RobotStatus) -> bool:
-        failed = None if self._cameras is None else self._cameras.failed
-        if failed is not None and not self.unseen:
-            self.unseen = f"the cameras are no longer recorded: {failed.cause}"
-        return super().__call__(status) or bool(self.unseen)
-
-
 def _followed(
     run: RobotRun,
     job: RunMotionJob,
@@ -130,25 +115,29 @@ def _followed(
     """
     progress = run.progress
     cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
-    tally = _Tally(progress.cancelled, cameras)
+    tally = CycleTally(progress.cancelled)
+    unseen: list[str] = []
+
+    def over(status: RobotStatus) -> bool:
+        failed = None if cameras is None else cameras.failed
+        if failed is not None and not unseen:  # moving on gains nothing
+            unseen.append(f"the cameras are no longer recorded: {failed.cause}")
+        return tally(status) or bool(unseen)
+
     with ExitStack() as stack:
         if cameras is not None:
             progress.update(0.0, source.length_s, "waiting for the cameras")
             stack.enter_context(cameras)
         sink = stack.enter_context(run.recorded(job.out / RECORDING))
         begun(source)
-        timing = run.follow(
-            source,
-            sink,
-            tally,
-            lambda _: progress.update(source.at_s, source.length_s, source.stage),
-            enabled=lambda: enabled() and not progress.cancelled(),
-        )
-    if cameras is not None and cameras.failed is not None and not tally.unseen:
+        show = lambda _: progress.update(source.at_s, source.length_s, source.stage)  # noqa: E731
+        timing = run.follow(source, sink, over, show, enabled=lambda: enabled() and not progress.cancelled())
+    if cameras is not None and cameras.failed is not None and not unseen:
         raise cameras.failed  # after the end, while the rest was written
     finished = source.stage == "finished"
-    return RunMotionOutput(
-        **run_figures(tally, timing, tally.unseen or tally.stopped_by(finished=finished), job.out / RECORDING),
+    return extended(
+        run_output(tally, timing, (*unseen, tally.stopped_by(finished=finished))[0], job.out / RECORDING),
+        RunMotionOutput,
         finished=finished,
         share=source.at_s / source.length_s,
         took_s=tally.took_s,
