@@ -1,4 +1,4 @@
-"""Factors between what people read (mm, degrees) and what the program computes in (m, rad, s)."""
+"""What people read (mm, degrees, so many digits) and what the program computes in (m, rad, s)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ DISPLAY: Mapping[str, tuple[str, float]] = {
     "1": ("", 1.0),
 }
 """The unit in which people read what is computed in an SI unit, and what one of it is in SI."""
+NAMED = ("m", "rad")
+"""Units of DISPLAY that a name may end in."""
 
 WRITTEN = {"m": 1.0, "mm": MM, "rad": 1.0, "deg": DEG, "m/s": 1.0, "mm/s": MM}
 """Units that people may write behind a number, in SI."""
@@ -72,7 +74,40 @@ def displayed(unit: str) -> tuple[str, float]:
 def displayed_name(name: str) -> tuple[str, str, float]:
     """Return a quantity's name without its unit, the unit in which people read it, and what one of it is in SI.
 
-    'j2.d_m' is ('j2.d', 'mm', 1e-3); a name without a unit of DISPLAY is as it is.
+    'j2.d_m' is ('j2.d', 'mm', 1e-3); a name without a unit of NAMED is as it is, also one that is numbered: 'light_1'.
     """
     stem, _, unit = name.rpartition("_")
-    return (stem, *DISPLAY[unit]) if stem and unit in DISPLAY else (name, "", 1.0)
+    return (stem, *DISPLAY[unit]) if stem and unit in NAMED else (name, "", 1.0)
+
+
+def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
+    """Return a number for people with so many significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if abs(value) < NOTHING:
+        shown = "0"
+    elif 1e-4 <= abs(value) < 1e7:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        shown = f"{value:.{decimals}f}"
+    else:
+        shown = f"{value:.{digits - 1}e}"
+    return f"{shown}{unit}" if unit == "°" else f"{shown} {unit}".strip()
+
+
+MOST_DECIMALS = 7
+"""A figure with more is not read: 0.00000000 ms."""
+
+
+def with_deviation(value: float, std: float | None) -> tuple[str, str]:
+    """Return a value and its standard deviation, both to the standard deviation's second digit."""
+    if std is None or not math.isfinite(std) or std <= 0.0:
+        return figure_of(value, digits=7), "–"
+    decimals = max(0, 1 - math.floor(math.log10(std)))
+    if decimals > MOST_DECIMALS:
+        return figure_of(value, digits=4), figure_of(std, digits=2)
+    return f"{value:.{decimals}f}", f"{std:.{decimals}f}"
+
+
+def pair_of(value: float | None, std: float | None) -> tuple[str, str]:
+    """Return a value and its standard deviation to the same digit, or as they are where one is missing or zero."""
+    return (figure_of(value), figure_of(std)) if value is None or not std else with_deviation(value, std)

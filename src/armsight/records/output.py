@@ -138,6 +138,11 @@ def keys(kind: type) -> tuple[Key, ...]:
     return _keys(of)
 
 
+def field_keys(kind: type) -> tuple[Key, ...]:
+    """Return the keys that a class of results is given: those of its fields."""
+    return tuple(key for key in keys(kind) if not isinstance(getattr(kind, key.attribute), Figure))
+
+
 def _of_python(value: Any) -> Any:
     """Return numpy's numbers, also those in a list or dictionary, as Python's: they print as such."""
     if isinstance(value, np.generic):

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
-from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, with_deviation
-from armsight.units import MM, displayed_name
+from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.units import MM, displayed_name, figure_of, with_deviation
 
 Array = NDArray[np.float64]
 

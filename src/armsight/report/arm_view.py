@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, spread
-from armsight.report.html import Card, Page, figure_of, page_unit, table, text
-from armsight.units import DEG, MM, displayed
+from armsight.report.html import Card, Page, page_unit, table, text
+from armsight.units import DEG, MM, displayed, figure_of
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, INK, Figure, layout, short_names
-from armsight.report.html import Page, figure_of, text
+from armsight.report.html import Page, text
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.scene import line, pyramid, scene_axes
-from armsight.units import MM
+from armsight.units import MM, figure_of
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from armsight.calibrate.cameras.preconditions import image_share
 from armsight.report.boards import add_boards
 from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
-from armsight.report.html import Card, Page, bullets, figure_of, table, text, with_deviation
+from armsight.report.html import Card, Page, bullets, table, text
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
 from armsight.report.run import CalibrationRun, CameraFit
-from armsight.units import MM
+from armsight.units import MM, figure_of, with_deviation
 
 LONG_TABLE = 12
 """Rows above which a table is set in two columns."""

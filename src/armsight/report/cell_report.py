@@ -27,9 +27,9 @@ from armsight.report.figures import (
     points_in_space,
     subplot,
 )
-from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, text, with_deviation
+from armsight.report.html import Card, Page, bullets, page_unit, table, text
 from armsight.report.scene import camera_line, line, scene_axes
-from armsight.units import DEG, MM, displayed_name
+from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,10 @@ from armsight.records import PoseStatus
 from armsight.records.result_parts import Difference
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named_ticks, short_names
-from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, bullets, table
 from armsight.report.series import SCALE, Series
 from armsight.report.track import deviation_figure
+from armsight.units import figure_of, with_deviation
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from armsight.records.design import DesignChange, DesignOutput
 from armsight.report.figures import GREY, INK, Figure, Plot, axis, layout
-from armsight.report.html import Card, Page, bullets, figure_of, table
-from armsight.units import DEG, MM
+from armsight.report.html import Card, Page, bullets, table
+from armsight.units import DEG, MM, figure_of
 
 Array = NDArray[np.float64]
 

@@ -28,9 +28,9 @@ from armsight.report.figures import (
     short_names,
     subplot,
 )
-from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, with_deviation
+from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.report.run import BoardViews
-from armsight.units import DEG, MM, displayed_name
+from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 Array = NDArray[np.float64]
 

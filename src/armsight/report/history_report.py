@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from armsight.calibrate.drift import SMALLEST_STEP, Chart, Limits
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
-from armsight.report.html import Card, Page, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.html import Card, Page, bullets, in_degrees, table
+from armsight.units import figure_of, with_deviation
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,6 @@ import base64
 import functools
 import gzip
 import html
-import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -18,7 +17,6 @@ from armsight._version import __version__
 from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, Plot, json_text
 from armsight.report.space import fitted_scene
-from armsight.units import NOTHING
 
 PANEL_PX = 300
 """Width of a panel beside others from which on its numbers stand clear of each other."""
@@ -253,36 +251,3 @@ def in_degrees(sentence: str) -> str:
 def page_unit(unit: str) -> str:
     """Return the unit as pages write it: with the degree sign."""
     return "°" if unit == "deg" else unit
-
-
-def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
-    """Return a number for people with so many significant digits; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if abs(value) < NOTHING:
-        shown = "0"
-    elif 1e-4 <= abs(value) < 1e7:
-        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        shown = f"{value:.{decimals}f}"
-    else:
-        shown = f"{value:.{digits - 1}e}"
-    return f"{shown}{unit}" if unit == "°" else f"{shown} {unit}".strip()
-
-
-MOST_DECIMALS = 7
-"""A figure with more is not read: 0.00000000 ms."""
-
-
-def with_deviation(value: float, std: float | None) -> tuple[str, str]:
-    """Return a value and its standard deviation, both to the standard deviation's second digit."""
-    if std is None or not math.isfinite(std) or std <= 0.0:
-        return figure_of(value, digits=7), "–"
-    decimals = max(0, 1 - math.floor(math.log10(std)))
-    if decimals > MOST_DECIMALS:
-        return figure_of(value, digits=4), figure_of(std, digits=2)
-    return f"{value:.{decimals}f}", f"{std:.{decimals}f}"
-
-
-def pair_of(value: float | None, std: float | None) -> tuple[str, str]:
-    """Return a value and its standard deviation to the same digit, or as they are where one is missing or zero."""
-    return (figure_of(value), figure_of(std)) if value is None or not std else with_deviation(value, std)

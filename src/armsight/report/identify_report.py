@@ -26,8 +26,8 @@ from armsight.report.figures import (
     layout,
     points_in_space,
 )
-from armsight.report.html import Card, Page, bullets, figure_of, table, with_deviation
-from armsight.units import DEG, MM
+from armsight.report.html import Card, Page, bullets, table
+from armsight.units import DEG, MM, figure_of, with_deviation
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from armsight.report.html import figure_of, with_deviation
 from armsight.units import DEG, MM
-from armsight.verify.results import IsoFigure
 
 FIGURES: Mapping[str, str] = {
     "AP": "accuracy of a pose: the mean of the visits less what was commanded",
@@ -28,13 +26,6 @@ FIGURES: Mapping[str, str] = {
     "E": "exchangeability of robots",
 }
 """What the norm's symbols mean."""
-
-
-def value_of(item: IsoFigure, factor: float) -> str:
-    """Return a figure ± its standard deviation, where it has one, both to the same digit; a dash where withheld."""
-    if item.value is None or not item.std:
-        return figure_of(None if item.value is None else item.value / factor)
-    return " ± ".join(with_deviation(item.value / factor, item.std / factor))
 
 
 def symbol_of(name: str) -> tuple[str, str, float]:

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
-from armsight.report.html import Card, Page, add_recordings, bullets, figure_of, table
-from armsight.report.verdicts import live_verdict
-from armsight.units import DEG, MM
+from armsight.report.html import Card, Page, add_recordings, bullets, table
+from armsight.units import DEG, MM, figure_of
 from armsight.verify.results import VerifyLiveOutput
 
 Array = NDArray[np.float64]
@@ -54,7 +53,7 @@ def live_report(
     page = Page(
         title="Supervision of a running arm",
         subtitle=f"{summary.n} pairs of frames, {summary.n_compared} compared",
-        verdict=live_verdict(summary),
+        verdict=summary.verdict_,
         cards=_cards(summary),
     )
     if summary.alarms:

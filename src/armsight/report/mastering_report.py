@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import datetime
 
-from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table, with_deviation
-from armsight.report.verdicts import mastering_verdict
-from armsight.units import MM, displayed
+from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.units import MM, displayed, figure_of, with_deviation
 from armsight.verify.results import MasteringOutput
 
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
@@ -21,7 +20,7 @@ def mastering_report(
     page = Page(
         title=f"After a crash: {name}",
         subtitle=f"{summary.n} poses compared, {len(summary.rejected)} left out",
-        verdict=mastering_verdict(summary),
+        verdict=summary.verdict_,
         cards=[
             Card(name="error of place", value=figure_of(summary.rms_before_m / MM, "mm"), note="RMS, as measured"),
             Card(name="without the cause", value=figure_of(summary.rms_after_m / MM, "mm"), note="RMS"),

@@ -14,14 +14,14 @@ from armsight.records import PoseStatus, Target
 from armsight.records.verdict import Verdict
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.frames import sample_figure
-from armsight.report.html import Card, Page, add_recordings, bullets, figure_of, table
+from armsight.report.html import Card, Page, add_recordings, bullets, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
 from armsight.report.series import NEIGHBOURS, Errors, Series, errors_of, losses_of, ranges, scatter_of, series_of
 from armsight.report.to_do import MEASURE, after_measuring
 from armsight.report.track import deviation_figure, time_figure, track_figure
-from armsight.units import MM
+from armsight.units import MM, figure_of
 
 Array = NDArray[np.float64]
 

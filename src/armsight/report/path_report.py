@@ -19,8 +19,8 @@ from armsight.records import TaughtPath
 from armsight.records.verdict import Verdict
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, thinned
-from armsight.report.html import Card, Page, figure_of, table, text
-from armsight.units import MM
+from armsight.report.html import Card, Page, table, text
+from armsight.units import MM, figure_of
 
 Array = NDArray[np.float64]
 

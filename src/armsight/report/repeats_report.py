@@ -8,12 +8,10 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout
-from armsight.report.html import Card, Page, bullets, figure_of, table, text
-from armsight.report.iso_symbols import value_of
+from armsight.report.html import Card, Page, bullets, table, text
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
-from armsight.units import MM
+from armsight.units import MM, figure_of
 from armsight.verify import Measured, Repeats
 from armsight.verify.results import IsoFigure, VerifyOutput
 
@@ -25,27 +23,7 @@ CARD_NAMES: Mapping[str, str] = {
     "vAP_m": "vAP, variation between approaches",
     "RT_m": "RT, repeatability of a path",
 }
-HOLD = "Hold it against the arm's data sheet; for accuracy as well, give --commanded or --arm with --joints."
-MORE = 'Measure again with what is asked for under "Withheld" below.'
-WARM_UP = "Let the arm run until it is warm, and measure again; how far it goes in a shift, dAP and dRP tell."
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
-
-
-def repeats_verdict(summary: VerifyOutput) -> Verdict:
-    """Return what the page says first."""
-    iso = summary.iso9283
-    given = any(item.value is not None for item in iso.values())
-    worst = iso.get("RP_m")
-    if worst is not None and worst.value is not None and worst.std is None:
-        return Verdict(
-            level="care", headline="The visits drift", reasons=[_headline(iso, summary.verdict)], next=[WARM_UP]
-        )
-    return Verdict(
-        level="good" if given else "care",
-        headline="Repeatability" if given else "No figure can be given",
-        reasons=[_headline(iso, summary.verdict)],
-        next=[HOLD if given else MORE],
-    )
 
 
 def repeats_report(
@@ -62,7 +40,7 @@ def repeats_report(
     page = Page(
         title="Repeatability",
         subtitle=f"{summary.n} rows, {len(summary.rejected)} left out",
-        verdict=repeats_verdict(summary),
+        verdict=summary.verdict_,
         cards=_cards(iso),
     )
     page.add("ISO 9283", ISO_TOLD, iso_table(iso))
@@ -83,19 +61,6 @@ def repeats_report(
     return page.html(created=created or datetime.now())
 
 
-def _headline(iso: Mapping[str, IsoFigure], verdict: str) -> str:
-    """Return the verdict, after what the repeatability of the worst pose means."""
-    worst = iso.get("RP_m")
-    if worst is None or worst.value is None:
-        return verdict
-    poses = sum(name.startswith("RP_m ") for name in iso)
-    among = f", the worst of {poses} poses" if poses > 1 else ""
-    return (
-        f"The tool comes back to within {value_of(worst, MM)} mm of where it comes back on average (RP{among}). "
-        f"{verdict}"
-    )
-
-
 def _compared(iso: Mapping[str, IsoFigure], other: Mapping[str, IsoFigure]) -> str:
     """Return the figures that both or one of two runs give, side by side; those of the worst place."""
     rows = []
@@ -113,7 +78,7 @@ def _cards(iso: Mapping[str, IsoFigure]) -> list[Card]:
         item = iso.get(name)
         if item is not None and item.value is not None:
             note = f"{item.n} of {item.wanted} repeats"
-            cards.append(Card(name=CARD_NAMES[name], value=f"{value_of(item, MM)} mm", note=note))
+            cards.append(Card(name=CARD_NAMES[name], value=f"{item.shown(MM)} mm", note=note))
     return cards
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, subplot
-from armsight.report.html import Card, Page, bullets, figure_of, page_unit, table
-from armsight.units import displayed
+from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.units import displayed, figure_of
 
 Array = NDArray[np.float64]
 

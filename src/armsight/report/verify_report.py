@@ -13,20 +13,9 @@ from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis, bars, layout, spread, subplot, thinned
-from armsight.report.html import (
-    Card,
-    Page,
-    bullets,
-    figure_of,
-    page_unit,
-    pair_of,
-    table,
-    text,
-    with_deviation,
-)
-from armsight.report.iso_symbols import FIGURES, symbol_of, value_of
-from armsight.report.verdicts import verify_verdict
-from armsight.units import DEG, MM, MS, displayed_name
+from armsight.report.html import Card, Page, bullets, page_unit, table, text
+from armsight.report.iso_symbols import FIGURES, symbol_of
+from armsight.units import DEG, MM, MS, displayed_name, figure_of, pair_of, with_deviation
 from armsight.verify import Verification
 from armsight.verify.pairing import bare_arm
 from armsight.verify.results import IsoFigure, VerifyOutput
@@ -75,7 +64,7 @@ def verify_report(
     page = Page(
         title="Verification" if arm is None else f"Verification of {arm.name}",
         subtitle=f"{summary.n} rows compared, {len(summary.rejected)} left out",
-        verdict=verify_verdict(summary),
+        verdict=summary.verdict_,
         cards=_cards(summary),
     )
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
@@ -190,7 +179,7 @@ def iso_table(figures: Mapping[str, IsoFigure]) -> str:
             why.setdefault(item.withheld or "", []).append(symbol)
             continue
         line = lines.setdefault(f"{family}, {unit}", {"repeats": _repeats(item)})
-        line[part] = value_of(item, factor)
+        line[part] = item.shown(factor)
         if item.note and not part:
             notes.setdefault(item.note, family)
     header = ["figure", "value", "x, or about x", "y, or about y", "z, or about z", "repeats"]

@@ -22,7 +22,7 @@ from armsight.fields import Bounds
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import NamedCovariance
 from armsight.records.fields import Shape
-from armsight.records.output import Output, is_output, keys
+from armsight.records.output import Output, field_keys, is_output, keys
 from armsight.store.atomic import plain
 
 Kind = TypeVar("Kind", bound=Output)
@@ -164,7 +164,7 @@ def _rows(shape: Shape) -> Any:
 
 
 def read_output(kind: type[Kind], content: Mapping[str, Any], where: str) -> Kind:
-    """Return the result that a JSON object holds; BadFile that names each wrong key."""
+    """Return the result that a JSON object holds; BadFile that names each wrong key. Figures are worked out anew."""
     found: Kind = _result(kind, validated(output_model(kind), content, where))
     return found
 
@@ -175,7 +175,7 @@ def _result(hint: Any, value: Any) -> Any:
         return pose_from_quat(value.xyz_m, value.quat_xyzw)
     if isinstance(value, BaseModel):
         kind = next(one for one in outputs_in(hint) if output_model(one) is type(value))
-        return kind(**{key.attribute: _result(key.hint, getattr(value, key.name)) for key in keys(kind)})
+        return kind(**{key.attribute: _result(key.hint, getattr(value, key.name)) for key in field_keys(kind)})
     if isinstance(value, list | tuple):
         return type(value)(_result(hint, one) for one in value)
     return {name: _result(hint, one) for name, one in value.items()} if isinstance(value, dict) else value

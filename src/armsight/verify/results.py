@@ -7,11 +7,13 @@ from typing import Annotated
 from scipy.spatial.transform import RigidTransform
 
 from armsight.fields import Doc
-from armsight.records.output import Output, output
+from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import RejectedRow
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
+from armsight.units import figure_of, with_deviation
 from armsight.verify.records import Figures
 from armsight.verify.supervision import Limits
+from armsight.verify.verdicts import live_verdict, mastering_verdict, verify_verdict
 from armsight.verify.verification import Configurations
 
 
@@ -67,7 +69,10 @@ class VerifyLiveOutput(Output):
     recording: Annotated[str | None, Doc("The recording; null where none was made.")]
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+
+    @figure(MEANING, optional=True)
+    def verdict_(self) -> Verdict:
+        return live_verdict(self)
 
 
 @output
@@ -120,7 +125,10 @@ class MasteringOutput(Output):
     rejected: Annotated[list[RejectedRow], Doc("Rows left out, and why.")]
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+
+    @figure(MEANING, optional=True)
+    def verdict_(self) -> Verdict:
+        return mastering_verdict(self)
 
 
 @output
@@ -216,6 +224,12 @@ class IsoFigure(Output):
     corrected_std: Annotated[float | None, Doc("Its standard deviation.")]
     note: Annotated[str, Doc("What else to know of it; empty where nothing.")]
 
+    def shown(self, factor: float) -> str:
+        """Return it ± its standard deviation, where it has one, both to the same digit; a dash where withheld."""
+        if self.value is None or not self.std:
+            return figure_of(None if self.value is None else self.value / factor)
+        return " ± ".join(with_deviation(self.value / factor, self.std / factor))
+
 
 @output
 class ComparedRun(Output):
@@ -254,4 +268,7 @@ class VerifyOutput(Output):
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
     compared: Annotated[ComparedRun | None, Doc("The other run; with --compare.")] = None
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+
+    @figure(MEANING, optional=True)
+    def verdict_(self) -> Verdict:
+        return verify_verdict(self)

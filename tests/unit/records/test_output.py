@@ -88,11 +88,28 @@ def test_numbers_of_any_kind_poses_and_arrays_become_what_json_knows_and_a_metho
     assert repr(extended(found, Found, rms_m=np.float64(0.5), rows=(np.int64(3),)).rows) == "(3,)"
 
 
+@output
+class Doubled(Output):
+    """A number and its double."""
+
+    rms_m: Annotated[float, Doc("Residual, m.")]
+
+    @figure("Twice that, m.")
+    def double_m(self) -> float:
+        return 2.0 * self.rms_m
+
+
 def test_a_result_that_was_written_is_read_again() -> None:
     known = RejectedPair(row=3, name="row 3", why="it repeats row 1")
     assert read_output(RejectedPair, json.loads(known.to_json()), "a file") == known
     with refuses(BadFile, "rwo"):
         read_output(RejectedPair, {"rwo": 1, "name": "a", "why": "b"}, "a file")
+
+
+def test_figures_are_not_read_but_worked_out_anew() -> None:
+    known = Doubled(rms_m=2.0)
+    assert read_output(Doubled, {"rms_m": 2.0, "double_m": 5.0}, "a file") == known
+    assert read_output(Doubled, known.to_dict(), "a file").double_m == 4.0
 
 
 def test_withheld_figures_are_counted_and_bury_nothing() -> None:

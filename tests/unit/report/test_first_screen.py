@@ -15,10 +15,10 @@ from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance
 from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, axis, layout
-from armsight.report.html import STYLE, Page, table, with_deviation
+from armsight.report.html import STYLE, Page, table
 from armsight.report.identify_report import LEANS, _lean
-from armsight.report.to_do import after_mastering, after_measuring, after_verify, after_watching
-from armsight.verify.effects import Kind
+from armsight.report.to_do import after_measuring
+from armsight.units import with_deviation
 from refusals import names_it
 
 
@@ -31,41 +31,7 @@ def test_the_verdict_says_what_to_do():
     assert "<b>What to do</b> Go &lt;on&gt;." in page().html(created=datetime(2026, 1, 1))
 
 
-@pytest.mark.parametrize(
-    ("cause", "kind", "said"),
-    [
-        ("none", None, "Nothing"),
-        ("measurement", None, "Correct nothing in the arm"),
-        ("several joints", None, "armsight calibrate arm"),
-        ("model", None, "armsight calibrate arm"),
-        ("undecided", None, "Measure more poses"),
-        ("joint 2", Kind.ZERO.value, "Correct the zero of joint 2"),
-        ("joint 3", Kind.BACKLASH.value, "does not mend backlash"),
-    ],
-)
-def test_what_to_do_after_a_verification(cause, kind, said):
-    seen = SimpleNamespace(
-        cause=cause, kind=kind, alignment=SimpleNamespace(hidden_m=None), after=None, n=9, rejected=[]
-    )
-    assert said in after_verify(seen, with_arm=True)
-    assert "give --arm" in after_verify(seen, with_arm=False)
-
-
-def test_errors_that_base_and_tool_may_hide_are_not_called_nothing():
-    seen = SimpleNamespace(cause="measurement", kind=None, after=SimpleNamespace(rms_m=1e-4), n=9, rejected=[])
-    for hidden_m, said in ((2e-3, "verify with --world"), (5e-5, "Correct nothing in the arm")):
-        seen.alignment = SimpleNamespace(hidden_m=hidden_m)
-        assert said in after_verify(seen, with_arm=True)
-
-
-def test_what_to_do_where_not_all_was_seen():
-    """A good verdict on a part says so."""
-    assert after_watching("good", levels_set=True, gaps=False).startswith("Nothing")
-    assert "nobody watched" in after_watching("good", levels_set=True, gaps=True)
-    assert "--warn-mm" in after_watching("good", levels_set=False, gaps=False)
-    assert "stopped" in after_watching("stop", levels_set=True, gaps=False)
-    assert "not proved" in after_mastering("none", all_judged=False)
-    assert after_mastering("none", all_judged=True) == "Nothing to correct."
+def test_what_to_do_after_measuring():
     assert "known length" in after_measuring("Complete", unchecked=True)
     assert after_measuring("Inconsistent", advice="Fasten it.") == "Fasten it."
 

@@ -12,9 +12,10 @@ from armsight.records import PoseStatus, TargetPose
 from armsight.records.verdict import Verdict
 from armsight.report.boards import chosen_views
 from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
-from armsight.report.html import Page, figure_of, with_deviation
+from armsight.report.html import Page
 from armsight.report.series import NEIGHBOURS, PARABOLA, Series, scatter_of, series_of
 from armsight.report.space import fitted_scene
+from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
 
@@ -177,3 +178,8 @@ def test_what_is_wider_than_the_page_says_so_and_plus_or_minus_has_its_sign():
     shown = page.html(created=datetime(2026, 1, 1))
     assert "2 ± 0.1 mm" in shown and "+-" not in shown.split("</main>")[0]
     assert "scroll sideways" in shown and "toggle('more'" in shown
+
+
+def test_a_name_loses_its_unit_and_keeps_its_number() -> None:
+    assert displayed_name("j2.d_m") == ("j2.d", "mm", MM) and displayed_name("rx_rad") == ("rx", "deg", DEG)
+    assert [displayed_name(name) for name in ("light_1", "m", "k1")] == [(n, "", 1.0) for n in ("light_1", "m", "k1")]

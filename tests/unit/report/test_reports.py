@@ -35,9 +35,10 @@ from armsight.report.arm_view import arm_report
 from armsight.report.boards import add_boards
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
-from armsight.report.html import Page, figure_of
+from armsight.report.html import Page
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.series import errors_of, losses_of, ranges
+from armsight.units import figure_of
 from refusals import names_it, refuses
 
 PLOTLY = resources.files("armsight.report").joinpath("plotlyjs", "plotly-gl3d.min.js.gz").read_bytes()

@@ -13,9 +13,9 @@ from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records import NamedCovariance
 from armsight.report import CalibrationRun, CameraFit, Parameter, calibration_report
-from armsight.report.html import with_deviation
 from armsight.report.run import BoardViews
 from armsight.store import write_text
+from armsight.units import with_deviation
 
 Array = NDArray[np.float64]
 

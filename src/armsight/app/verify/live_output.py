@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.columns import POSE6
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.html import figure_of
 from armsight.report.live_report import LiveSeries
-from armsight.report.verdicts import live_verdict
 from armsight.store.tables import cells, number, word
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, figure_of
 from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, VerifyLiveOutput
 from armsight.verify.supervision import Alarm, Compared, Level, Limits
 
@@ -102,7 +100,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
     n, span_s = len(log.rows), log.duration_s
     ms = np.array([row.ms for row in log.rows])
     limits = log.limits
-    done = VerifyLiveOutput(
+    return VerifyLiveOutput(
         n=n,
         n_compared=int(known.sum()),
         n_lost=sum(not row.seen for row in log.rows),
@@ -124,7 +122,6 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
         doubts=list(doubts),
         verdict=_verdict(log, series, known, grave),
     )
-    return replace(done, verdict_=live_verdict(done))
 
 
 def _errors(series: LiveSeries, known: NDArray[np.bool_]) -> LiveErrors:

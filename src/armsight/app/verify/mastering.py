@@ -19,7 +19,6 @@ from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow
 from armsight.report.mastering_report import mastering_report
-from armsight.report.verdicts import mastering_verdict
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.atomic import write_json
 from armsight.store.tables import cells, word
@@ -81,7 +80,6 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
     paired = pair(arm, _reported(job, file, arm), file.measured, nominal, how)
     result = check_mastering(arm, cast(Array, paired.q), paired.measured, how)  # of joints: _reported refuses others
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
-    done = replace(done, verdict_=mastering_verdict(done))
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / REPORT, mastering_report(done, arm.name, slides=_slides(arm)))
     return done

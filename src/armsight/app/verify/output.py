@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from armsight.columns import POSE6
 from armsight.kinematics import Arm
 from armsight.records.result_parts import RejectedRow
-from armsight.report.html import figure_of
 from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, figure_of
 from armsight.verify import Cause, Figures, JointVerdict, Verification
 from armsight.verify.iso9283.drift import DRIFTING
 from armsight.verify.results import (

@@ -16,8 +16,7 @@ from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm
-from armsight.report.repeats_report import repeats_report, repeats_verdict
-from armsight.report.verdicts import verify_verdict
+from armsight.report.repeats_report import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes, write_json
@@ -124,7 +123,6 @@ def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
 
 
 def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
-    done = replace(done, verdict_=(repeats_verdict if done.after is None else verify_verdict)(done))
     write_json(job.out / SUMMARY, done.to_dict())
     write_text(job.out / ERRORS, table)
     write_text(job.out / REPORT, page)
