@@ -22,11 +22,10 @@ from armsight.fields import Doc
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.results import MeasureOutput
+from armsight.measure.series import INSIDE_95, SCALE, errors_of
 from armsight.measure.settings import SpotSettings
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, extended, output
-from armsight.report.measure import INSIDE_95
-from armsight.report.series import SCALE, errors_of
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.atomic import write_json
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 from armsight.fields import Doc
-from armsight.records.output import Output, output
+from armsight.measure.verdict import Grounds, measure_verdict
+from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothCounts, BothSeconds, PoseStd, Skew
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
 
 
 @output
@@ -123,7 +124,10 @@ class MadeWith(Output):
 
 @output
 class MeasureOutput(Output):
-    """armsight measure; also OUT/measure.json."""
+    """armsight measure; also OUT/measure.json.
+
+    grounds: what the verdict rests on beside the figures.
+    """
 
     n_frames: Annotated[int, Doc("Pairs of frames.")]
     n_ok: Annotated[int, Doc("Pairs that gave a pose.")]
@@ -147,4 +151,8 @@ class MeasureOutput(Output):
     ] = None
     zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
     made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+    grounds: Grounds
+
+    @figure(MEANING, optional=True)
+    def verdict_(self) -> Verdict:
+        return measure_verdict(self)

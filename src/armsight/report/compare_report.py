@@ -9,12 +9,12 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.measure.series import SCALE, Series
 from armsight.records import PoseStatus
 from armsight.records.result_parts import Difference
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, bullets, table
-from armsight.report.series import SCALE, Series
 from armsight.report.track import deviation_figure
 from armsight.units import figure_of, with_deviation
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Identification, Sweeps
 from armsight.kinematics import Arm
-from armsight.optics import SIDES, Rig, triangulate
-from armsight.records.verdict import Verdict
+from armsight.optics import Rig, triangulate
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -33,8 +32,6 @@ Array = NDArray[np.float64]
 
 ENTRIES = (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG), ("beta_rad", DEG))
 TITLES = ("a, mm", "alpha, °", "d, mm", "theta, °", "beta, °")
-LEANS = 2.0
-"""Deviation along the viewing direction over that across it, from which on two thirds of the variance lie along it."""
 CLOUD = 600
 """Joint positions at which the beacon's uncertainty is drawn."""
 COLOURS = (BLUE, ORANGE, GREEN, "#7b4fa3", "#2a8fa0", "#8a6d3b")
@@ -83,62 +80,15 @@ def identify_report(
     return page.html(created=created or datetime.now())
 
 
-def identify_verdict(result: Identification, sweeps: Sweeps, rig: Rig | None) -> Verdict:
-    """Return what the page of an identified arm says first."""
-    sure = all(joint.decided for joint in result.joints)
-    return Verdict(
-        level="good" if sure else "care",
-        headline="Types decided" if sure else "A type is not decided",
-        reasons=[_sentence(result, None if rig is None else _lean(rig, sweeps))],
-        next=[_to_do(result)],
-    )
-
-
 def _head(result: Identification, sweeps: Sweeps, rig: Rig | None) -> Page:
     """Return the page with its title, verdict and figures, as yet without sections."""
     kinds = "".join("R" if joint.axis.revolute else "P" for joint in result.joints)
     return Page(
         title=f"Identified arm: {kinds}",
         subtitle=f"{len(sweeps)} readings, method {result.method}",
-        verdict=identify_verdict(result, sweeps, rig),
+        verdict=result.verdict_,
         cards=_cards(result, rig),
     )
-
-
-def _lean(rig: Rig, sweeps: Sweeps) -> float | None:
-    """Return the readings' deviation along the viewing direction (from between the cameras) over that across it, from
-    their covariances at one px of noise; None of readings that are not from images."""
-    if sweeps.uv_px is None:
-        return None
-    noise = np.eye(2)
-    seen = triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise)
-    view = seen.xyz_m - np.mean([rig.T_rig_camera(side).translation for side in SIDES], axis=0)
-    view /= np.linalg.norm(view, axis=1)[:, None]
-    along = np.einsum("mi,mij,mj->m", view, seen.covariance_m2, view)
-    across = 0.5 * (np.einsum("mii->m", seen.covariance_m2) - along)
-    return float(np.sqrt(np.nansum(along) / np.nansum(across)))
-
-
-def _to_do(result: Identification) -> str:
-    if result.useless:
-        return "Do not use this arm: it misses its own readings by far. See what to know below, and sweep again."
-    open_ = [str(number) for number, joint in enumerate(result.joints, 1) if not joint.decided]
-    if open_:
-        return f"Sweep joint {' and joint '.join(open_)} over a longer way, and identify again."
-    return "Use the arm, after `armsight verify` on poses that were not swept."
-
-
-def _sentence(result: Identification, lean: float | None) -> str:
-    worst = max(joint.residual_rms_m for joint in result.joints)
-    lost = sum(len(joint.discarded) for joint in result.joints)
-    text = f"One reading is off the arm found by {worst / MM:.3g} mm RMS on the worst joint"
-    if lean is not None:
-        deep = f", {lean:.2g} times as much along the viewing direction as across it" if lean > LEANS else ""
-        text += f" ({result.sigma:.2g} px in the images{deep})"
-    text += "; the table is of all readings, and closer"
-    text += f"; {lost} reading{'s were' if lost > 1 else ' was'} discarded." if lost else "."
-    open_ = [str(number) for number, joint in enumerate(result.joints, 1) if not joint.decided]
-    return text + (f" Whether joint {' and joint '.join(open_)} turns or slides is not sure." if open_ else "")
 
 
 def _cards(result: Identification, rig: Rig | None) -> list[Card]:

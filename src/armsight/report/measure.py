@@ -2,45 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtr
 
 from armsight.measure.results import ConsistencyOutput, OtherCause
+from armsight.measure.series import Errors, Series, errors_of, losses_of, median_columns, series_of
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
-from armsight.records.verdict import Verdict
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, add_recordings, bullets, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
-from armsight.report.series import NEIGHBOURS, Errors, Series, errors_of, losses_of, ranges, scatter_of, series_of
-from armsight.report.to_do import MEASURE, after_measuring
-from armsight.report.track import deviation_figure, time_figure, track_figure
+from armsight.report.track import NEIGHBOURS, deviation_figure, scatter_of, time_figure, track_figure
 from armsight.units import MM, figure_of
 
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
-INSIDE_95 = 12.591587243743977
-"""95 % point of chi-square with six degrees of freedom: the squared size of a pose's 95 % ellipsoid."""
-
-GOOD_SHARE = 0.95
-"""Share of full poses from which a run is called complete."""
-
 MAX_LOSSES = 25
 MAX_SAMPLES = 6
-
-VERDICTS = {"doubtful": ("care", "Doubtful"), "inconsistent": ("bad", "Inconsistent")}
-"""How the verdict on the residuals shows."""
-
-TRUE_CLAIM = 0.999
-"""The claim is doubted where the share inside falls out of this central range of what chance alone would give."""
 
 
 def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
@@ -50,7 +36,7 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     page = Page(
         title=run.title,
         subtitle=run.subtitle or _subtitle(run, series),
-        verdict=measure_verdict(run),
+        verdict=run.verdict,
         cards=_cards(run, series, errors),
     )
     _add_scene(page, run)
@@ -73,60 +59,10 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
     return f"{n:,} pairs of frames{over}"
 
 
-def measure_verdict(run: MeasureRun) -> Verdict:
-    """Return what the page of a measurement says first."""
-    series = series_of(run.poses, timed=run.timed, apart=run.stills)
-    n, ok = len(run.poses), int(series.whole.sum())
-    if ok == 0:
-        losses = losses_of(run.poses)
-        why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
-        sentence = f"None of {n:,} frames gave a full pose.{why} {run.error}"
-        return Verdict(level="bad", headline="No pose", reasons=[sentence], next=[MEASURE["No pose"]])
-    middle = _median_columns(series.std[series.whole])
-    sentence = (
-        f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, half of them known to "
-        f"{figure_of(float(np.max(middle[:3])), 'mm', digits=2)} and "
-        f"{figure_of(float(np.max(middle[3:])), '°', digits=2)} or better in their worst direction (one standard "
-        "deviation)."
-    )
-    level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("care", "With gaps")
-    if run.truth is not None:
-        inside, low, high = _inside(errors := errors_of(run.poses, run.truth))
-        position = figure_of(float(np.sqrt(np.nanmean((errors.values[:, :3] ** 2).sum(axis=1)))), "mm", digits=2)
-        sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
-        if not low <= inside <= high:
-            level, word = "care", "Claim doubted"
-    found = run.consistency
-    if found is not None and found.verdict in VERDICTS:
-        level, word = VERDICTS[found.verdict]
-        sentence = f"{found.sentence} By what they claim: {sentence}"
-    if run.error:
-        level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
-    unchecked, advice = (False, "") if found is None else (found.verdict == "unchecked", found.advice)
-    return Verdict(level=level, headline=word, reasons=[sentence], next=[after_measuring(word, unchecked, advice)])
-
-
 def _rms_columns(values: Array) -> Array:
     """Return the root mean square of each column, NaN aside; NaN for a column without numbers."""
     known = [column[np.isfinite(column)] for column in values.T]
     return np.array([np.sqrt(np.mean(column**2)) if len(column) else np.nan for column in known])
-
-
-def _median_columns(values: Array) -> Array:
-    """Return the median of each column, NaN aside; NaN for a column without numbers."""
-    known = [column[np.isfinite(column)] for column in values.T]
-    return np.array([np.median(column) if len(column) else np.nan for column in known])
-
-
-def _inside(errors: Errors) -> tuple[float, float, float]:
-    """Return the share of errors inside their 95 % ellipsoid, and the range in which chance alone would leave it."""
-    distance2 = errors.distance2[np.isfinite(errors.distance2)]
-    n = len(distance2)
-    if n == 0:
-        return float("nan"), 0.0, 1.0
-    chance = bdtr(np.arange(n + 1), n, 0.95)  # binomial: this many or fewer inside
-    low, high = np.searchsorted(chance, [0.5 - 0.5 * TRUE_CLAIM, 0.5 + 0.5 * TRUE_CLAIM])
-    return float(np.mean(distance2 <= INSIDE_95)), float(low) / n, float(min(high, n)) / n
 
 
 def _judged(inside: float, low: float, high: float) -> str:
@@ -138,7 +74,7 @@ def _judged(inside: float, low: float, high: float) -> str:
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
     n = len(run.poses)
     count = {status: int(series.where(status).sum()) for status in PoseStatus}
-    middle = _median_columns(series.std[series.whole])
+    middle = median_columns(series.std[series.whole])
     spots = sum(len(rows) for rows in run.residuals.values())
     cards = [
         Card(
@@ -192,7 +128,7 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
         ]
         for i, axis in enumerate(AXES)
     ]
-    inside, low, high = _inside(errors)
+    inside, low, high = errors.inside()
     page.add(
         "Errors against the truth",
         f"Measured minus true over {len(values):,} full poses; rotations as a vector in the parent's axes. "
@@ -385,6 +321,18 @@ def _add_inputs(page: Page, run: MeasureRun) -> None:
     assumed = [f"<p>Assumed:</p>{bullets(list(run.assumptions))}"] if run.assumptions else []
     add_recordings(page, run.recordings)
     page.add("What went in", "", table(["", ""], rows), *assumed)
+
+
+def ranges(frames: Sequence[int], limit: int = 8) -> str:
+    """Return frames as '3, 7–12, 40' with at most limit pieces."""
+    pieces: list[list[int]] = []
+    for frame in frames:
+        if pieces and frame == pieces[-1][1] + 1:
+            pieces[-1][1] = frame
+        else:
+            pieces.append([frame, frame])
+    shown = [f"{a}" if a == b else f"{a}–{b}" for a, b in pieces[:limit]]
+    return ", ".join(shown) + (f" and {len(pieces) - limit} more stretches" if len(pieces) > limit else "")
 
 
 def _camera_text(camera: Camera) -> str:

@@ -41,15 +41,15 @@ class MeasureRun:
 
     poses: one per pair of frames, in order, in the frame parent. residuals: per side (m, 3): frame, and measured
     minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
-    facts: more lines for the table of inputs. error: why the run ended early. consistency: what the check of the
-    residuals says; None where there was none. timed: whether the times of the frames are known and not assumed. stills:
-    whether they are single shots, with no track. T_parent_rig: where the cameras are in the parent frame. recordings:
-    files that the frames are in, as given.
+    facts: more lines for the table of inputs. consistency: what the check of the residuals says; None where there was
+    none. timed: whether the times of the frames are known and not assumed. stills: whether they are single shots, with
+    no track. T_parent_rig: where the cameras are in the parent frame. recordings: files that the frames are in.
     """
 
     poses: Sequence[TargetPose]
     rig: Rig
     target: Target
+    verdict: Verdict
     residuals: Mapping[str, Array] = field(default_factory=dict)
     samples: Sequence[Sample] = ()
     truth: Sequence[RigidTransform] | None = None
@@ -60,7 +60,6 @@ class MeasureRun:
     subtitle: str = ""
     facts: Sequence[tuple[str, str]] = ()
     assumptions: Sequence[str] = ()
-    error: str = ""
     consistency: ConsistencyOutput | None = None
     T_parent_rig: RigidTransform | None = None
     timed: bool = True

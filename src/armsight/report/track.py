@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
 
+from armsight.measure.series import Series
 from armsight.optics import SIDES
 from armsight.records import PoseStatus
 from armsight.report.figures import (
@@ -27,7 +30,6 @@ from armsight.report.figures import (
 )
 from armsight.report.run import MeasureRun
 from armsight.report.scene import camera_line, line, scene_axes
-from armsight.report.series import Series
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -210,3 +212,46 @@ def _six(titles: Any, time_label: str) -> Plot:
             "anchor": own["xaxis"],
         }
     return out
+
+
+NEIGHBOURS = 11
+"""Frames in a row through which the smooth track goes: a third of a second of ordinary cameras."""
+
+PARABOLA = np.linalg.pinv(np.vander(np.arange(NEIGHBOURS) - NEIGHBOURS // 2, 3))[2]
+"""Weights of the frames in the middle value of the parabola through them."""
+
+AT_REST = 6.0
+"""Range of the smoothed values over the claimed standard deviation, up to which nothing moved."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scatter:
+    """How the poses lie about themselves where no truth is known: (n, 6) in mm and degrees, NaN where nothing can be
+    said. resting: about the mean of a target at rest; else about the smooth track."""
+
+    values: Array
+    resting: bool
+
+
+def scatter_of(series: Series) -> Scatter | None:
+    """Return each full pose less the mean at rest, or less the parabola through its NEIGHBOURS in a track.
+
+    What a parabola takes along of white noise is put back: its residuals have the share 1 - c of the noise's variance,
+    c the weight of the middle frame (Savitzky and Golay 1964). Frames near a gap have no full neighbourhood: NaN.
+    None where too few frames stand in a row.
+    """
+    full, std = series.full()
+    smooth = np.full_like(full, np.nan)
+    half = NEIGHBOURS // 2
+    for start, stop in runs(np.asarray(np.isfinite(full).all(axis=1))):
+        if stop - start >= NEIGHBOURS:
+            inside = scipy.ndimage.correlate1d(full[start:stop], PARABOLA, axis=0)
+            smooth[start + half : stop - half] = inside[half:-half]
+    known = np.isfinite(smooth[:, 0])
+    if not known.any():
+        return None
+    typical = np.nanmedian(std[known], axis=0)
+    if (np.ptp(smooth[known], axis=0) <= AT_REST * typical).all():
+        return Scatter(values=full - np.nanmean(full, axis=0), resting=True)
+    weight = float(PARABOLA[half])
+    return Scatter(values=(full - smooth) / np.sqrt(1.0 - weight), resting=False)

@@ -10,14 +10,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.verify.output import _verdict
 from armsight.calibrate.cameras.board_shape import BoardShape
 from armsight.calibrate.identify import Sweeps
+from armsight.calibrate.identify.result import LEANS
+from armsight.calibrate.identify.sweeps import leaning
 from armsight.cli.tables import figure
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance
 from armsight.records.verdict import Verdict
 from armsight.report.figures import Figure, axis, layout
 from armsight.report.html import STYLE, Page, table
-from armsight.report.identify_report import LEANS, _lean
-from armsight.report.to_do import after_measuring
 from armsight.units import with_deviation
 from refusals import names_it
 
@@ -29,11 +29,6 @@ def page():
 
 def test_the_verdict_says_what_to_do():
     assert "<b>What to do</b> Go &lt;on&gt;." in page().html(created=datetime(2026, 1, 1))
-
-
-def test_what_to_do_after_measuring():
-    assert "known length" in after_measuring("Complete", unchecked=True)
-    assert after_measuring("Inconsistent", advice="Fasten it.") == "Fasten it."
 
 
 def test_rounding_is_no_figure():
@@ -69,9 +64,9 @@ def test_depth_is_told_where_the_rig_is_weak_in_it(apart_m, turn_deg, deep):
     rig = Rig(kind=RigKind.STEREO, left=camera, right=camera, T_rig_left=RigidTransform.identity(), T_rig_right=place)
     points = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.02], [-0.03, 0.04, 0.97]])
     uv = np.stack(rig.project(points), axis=1)
-    lean = _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
+    lean = leaning(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
     assert (lean > LEANS) == deep
-    assert _lean(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
+    assert leaning(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
 
 
 def test_a_board_of_which_nothing_is_found_asks_for_nothing():

@@ -8,13 +8,14 @@ import pytest
 from scipy.signal import savgol_coeffs
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.measure.series import Series, series_of
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.verdict import Verdict
 from armsight.report.boards import chosen_views
 from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
 from armsight.report.html import Page
-from armsight.report.series import NEIGHBOURS, PARABOLA, Series, scatter_of, series_of
 from armsight.report.space import fitted_scene
+from armsight.report.track import NEIGHBOURS, PARABOLA, scatter_of
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])

@@ -9,6 +9,7 @@ from datetime import datetime
 from html.parser import HTMLParser
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
+from armsight.measure.series import errors_of, losses_of
+from armsight.measure.verdict import grounds_of, measure_verdict
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference
@@ -36,8 +39,8 @@ from armsight.report.boards import add_boards
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page
+from armsight.report.measure import ranges
 from armsight.report.run import BoardPicture, BoardViews
-from armsight.report.series import errors_of, losses_of, ranges
 from armsight.units import figure_of
 from refusals import names_it, refuses
 
@@ -144,6 +147,14 @@ def sample(names=("A",), colour=False):
     return Sample(frame=3, side="left", image=image, names=names, spots=spots, seen=spots, source=HOSTILE, why=HOSTILE)
 
 
+def judged(poses, truth=None, *, error=None, consistency=None):
+    """What a run of these poses comes to."""
+    whole = sum(pose.status.size == 6 for pose in poses)
+    counts = {"n_frames": len(poses), "n_ok": whole, "n_doubtful": 0}
+    rest = {"timing": None, "error": error, "consistency": consistency, "grounds": grounds_of(poses, truth)}
+    return measure_verdict(SimpleNamespace(**counts, **rest))
+
+
 def full_run(**more):
     poses, truth = poses_and_truth(lost=(7, 8, 20), position=(11,))
     residuals = {side: np.column_stack([np.arange(100.0), *np.full((2, 100), 0.1)]) for side in ("left", "right")}
@@ -160,7 +171,10 @@ def full_run(**more):
         "facts": [(HOSTILE, HOSTILE)],
         "assumptions": [HOSTILE],
     }
-    return MeasureRun(**(given | more))
+    given |= more
+    if "verdict" not in given:
+        given["verdict"] = judged(given["poses"], given["truth"])
+    return MeasureRun(**given)
 
 
 def full_calibration(**more):
@@ -260,22 +274,31 @@ def test_claims_that_the_truth_does_not_bear_out_are_not_called_true(scale, said
 
 
 VERDICTS = {
-    "Complete": lambda: {"poses": poses_and_truth(40, lost=(3,))[0], "truth": None},
-    "With gaps": lambda: {"poses": poses_and_truth(40, lost=range(10))[0], "truth": None},
-    "No pose": lambda: {"poses": poses_and_truth(40, lost=range(40))[0], "truth": None},
-    "Broken off": lambda: {"error": "left: the camera is gone"},
+    "Complete": lambda: {"poses": poses_and_truth(40, lost=(3,))[0]},
+    "With gaps": lambda: {"poses": poses_and_truth(40, lost=range(10))[0]},
+    "No pose": lambda: {"poses": poses_and_truth(40, lost=range(40))[0]},
+    "Broken off": lambda: {"poses": poses_and_truth(40)[0], "error": "left: the camera is gone"},
     "Claim doubted": lambda: dict(zip(("poses", "truth"), poses_and_truth(400, scale=2.0), strict=True)),
+    "Inconsistent": lambda: {"poses": poses_and_truth(40)[0], "consistency": found("inconsistent", "Fasten it.")},
 }
+
+
+def found(verdict, advice=""):
+    return SimpleNamespace(verdict=verdict, sentence="The rig moved.", advice=advice)
 
 
 @pytest.mark.parametrize("word", VERDICTS)
 def test_the_verdict_says_what_happened(word):
-    page = Tags(measure_report(full_run(**VERDICTS[word](), title="run")))
-    assert [name for name in VERDICTS if name in page.text.split("full poses")[0]] == [word]
+    verdict = judged(**VERDICTS[word]())
+    assert verdict.headline == word
     if word == "No pose":
-        assert names_it(page.text, "Most often", "left frame", "0 px")
+        assert names_it(verdict.reasons[0], "left frame", "0 px")
     if word == "Broken off":
-        assert names_it(page.text, "camera is gone", "Until then")
+        assert names_it(verdict.reasons[0], "camera is gone", "40 of 40")
+    if word == "Inconsistent":
+        assert verdict.next == ["Fasten it."]
+    unchecked = judged(**VERDICTS["Complete"](), consistency=found("unchecked"))
+    assert unchecked.headline == "Complete" and unchecked.next != judged(**VERDICTS["Complete"]()).next
 
 
 NOTHING = {
@@ -338,7 +361,7 @@ def test_errors_are_those_of_the_geometry():
 
 def test_a_truth_of_another_length_is_refused():
     with refuses(Inconsistent, "3 true poses", "40"):
-        full_run(truth=poses_and_truth(3)[1])
+        full_run(truth=poses_and_truth(3)[1], verdict=judged(()))
     with refuses(Inconsistent, "left, right"):
         full_run(residuals={"middle": np.zeros((1, 3))})
 

@@ -17,6 +17,7 @@ from armsight.app.verify.run import read_run
 from armsight.columns import POSE6
 from armsight.errors import BadFile, NotEnoughData
 from armsight.measure.results import MadeWith
+from armsight.measure.series import INSIDE_95
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.result_parts import Difference
 from armsight.store import read_poses
@@ -88,9 +89,6 @@ def _made_with(path: Path) -> MadeWith | None:
 
 
 Array = NDArray[np.float64]
-
-INSIDE_95 = 12.591587243743977
-"""95 % point of chi-square with six degrees of freedom."""
 
 TOO_FEW_INSIDE = 0.005
 """Two measurements disagree where chance leaves so few differences inside their ellipsoid less often than this."""

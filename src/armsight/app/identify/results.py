@@ -7,7 +7,7 @@ from typing import Annotated
 from armsight.fields import Doc
 from armsight.records.output import Output, output
 from armsight.records.result_parts import RejectedRow
-from armsight.records.verdict import Verdict
+from armsight.records.verdict import MEANING, Verdict
 
 Vector = tuple[float, float, float]
 
@@ -101,7 +101,7 @@ class IdentifyOutput(Output):
     left_out: Annotated[
         list[LeftOutJoint] | None, Doc("Joints behind those of the result, held during the sweeps; --leave-out.")
     ] = None
-    verdict_: Annotated[Verdict | None, Doc("What it comes to: the words of the report.")] = None
+    verdict_: Annotated[Verdict | None, Doc(MEANING)] = None
 
 
 @output

@@ -29,7 +29,7 @@ from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
 from armsight.records.result_parts import RejectedRow
-from armsight.report.identify_report import identify_report, identify_verdict
+from armsight.report.identify_report import identify_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
@@ -128,17 +128,16 @@ def identified(
     write_text(report_path(job.out), identify_report(solved.result, sweeps, rig, nominal=solved.nominal, inputs=files))
     done = identify_output(solved.result, notes=notes, plan=plan)
     held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(solved.left_out, job.held, strict=True)]
-    return replace(done, left_out=held or None, verdict_=identify_verdict(solved.result, sweeps, rig))
+    return replace(done, left_out=held or None)
 
 
 def _check_paper(result: Identification) -> None:
     """Raise Inconsistent where the paper's means miss the readings that they were made from by far."""
     if result.method != "paper" or not result.useless:
         return
-    worst_m = max(joint.residual_rms_m for joint in result.joints)
     raise Inconsistent(
         f"the paper's method gives an arm that misses its own readings by {result.misfit:.0f} standard deviations of "
-        f"their noise, {worst_m * 1e3:.3g} mm RMS on the worst joint",
+        f"their noise, {result.worst_m * 1e3:.3g} mm RMS on the worst joint",
         consequence="The arm is useless and is not written",
         cure="Use --method ml: the same readings, fitted at once",
     )
@@ -217,6 +216,7 @@ def identify_output(
         noise=result.sigma,
         misfit=result.misfit,
         plan=plan,
+        verdict_=result.verdict_,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from armsight.report import (
     Sample,
     measure_report,
 )
-from armsight.report.measure import measure_verdict
 from armsight.store import write_text
 
 Array = NDArray[np.float64]
@@ -73,8 +72,12 @@ class Collector:
             self._keep_residuals(number, pose)
         self._keep_sample(number, (left, right), measured, pose)
 
-    def write(self, path: Path, summary: MeasureOutput, about: About) -> MeasureOutput:
-        """Write the report of the pairs so far; return the figures with its verdict."""
+    def truth(self, about: About) -> Sequence[RigidTransform] | None:
+        """Return the true poses of the pairs so far, where they are known."""
+        return None if about.truth is None else about.truth[: len(self._poses)]
+
+    def write(self, path: Path, summary: MeasureOutput, about: About) -> None:
+        """Write the report of the pairs so far."""
         run = MeasureRun(
             poses=self._poses,
             rig=self._setup.rig,
@@ -83,7 +86,7 @@ class Collector:
             samples=[sample for pair in self._samples.values() for sample in pair],
             timed=about.assumed_fps is None and not about.stills,
             stills=about.stills,
-            truth=None if about.truth is None else about.truth[: len(self._poses)],
+            truth=self.truth(about),
             median_ms=summary.ms_per_frame.median,
             p99_ms=summary.ms_per_frame.p99,
             parent=self._parent,
@@ -92,11 +95,10 @@ class Collector:
             facts=about.facts,
             recordings=about.recordings,
             assumptions=about.assumptions,
-            error=summary.error or "",
             consistency=summary.consistency,
+            verdict=summary.verdict_,
         )
         write_text(path, measure_report(run))
-        return replace(summary, verdict_=measure_verdict(run))
 
     def _keep_residuals(self, number: int, pose: TargetPose) -> None:
         vectors = pose.residual_px.reshape(-1, len(SIDES), 2)  # (n, side, u v), model minus measured

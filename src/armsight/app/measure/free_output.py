@@ -33,11 +33,11 @@ from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
-from armsight.measure.results import ConsistencyOutput, FrameTime, MeasureOutput
+from armsight.measure.results import FrameTime, MeasureOutput
+from armsight.measure.verdict import believed, grounds_of
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report
-from armsight.report.measure import measure_verdict
 from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, write_text
 from armsight.store.atomic import RowFile, write_json
 from armsight.units import MM, MS
@@ -73,9 +73,7 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
     summary = _summary(done, [one.pose for one in moved], ms)
     summary = replace(summary, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
-    shown = _report(job, setup, world, done, moved, summary)
-    write_text(job.out / REPORT, measure_report(shown))
-    summary = replace(summary, verdict_=measure_verdict(shown))
+    write_text(job.out / REPORT, measure_report(_report(job, setup, world, done, moved, summary)))
     write_json(job.out / SUMMARY, summary.to_dict())
     return summary
 
@@ -145,6 +143,7 @@ def _summary(done: FreeRun, poses: Sequence[TargetPose], ms: float) -> MeasureOu
         reasons={kind.value: n for kind, n in Counter(KINDS[pose.why] for pose in poses if pose.why).most_common()},
         consistency=consistency_output(done.consistency),
         timing=done.figures,
+        grounds=grounds_of(poses),
     )
 
 
@@ -183,13 +182,6 @@ def _report(
         f"{figures.n_views.left} left and {figures.n_views.right} right views, each at its own time",
         facts=facts,
         recordings=recordings_in(job.left, job.right),
-        consistency=_doubts(figures.note, summary),
+        consistency=believed(summary),
+        verdict=summary.verdict_,
     )
-
-
-def _doubts(note: str | None, summary: MeasureOutput) -> ConsistencyOutput | None:
-    """Return what the report says of the run: the check's cause where it has one, else what the views say."""
-    found = summary.consistency
-    if found is not None and note and not found.sentence:
-        found = replace(found, verdict="doubtful", sentence=f"{note[0].upper()}{note[1:]}.", advice="")
-    return replace(found, verdict="inconsistent") if found is not None and summary.n_doubtful else found

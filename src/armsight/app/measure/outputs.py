@@ -32,6 +32,7 @@ from armsight.measure.results import (
     OtherCause,
     PoseDeviations,
 )
+from armsight.measure.verdict import Grounds
 from armsight.optics import SIDES, Rig
 from armsight.records import PoseStatus, Target, TargetPose
 from armsight.records.result_parts import PoseStd, Skew
@@ -145,7 +146,7 @@ class Outputs:
         self._kinds[Unseen.INCONSISTENT] += changed if inconsistent else -changed
 
     def summary(
-        self, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None
+        self, grounds: Grounds, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None
     ) -> MeasureOutput:
         """Return the figures so far. The reprojection RMS is of the 2-D residual per point, pooled over all frames."""
         ms = np.array(self._ms)
@@ -166,6 +167,7 @@ class Outputs:
             consistency=None if consistency is None else consistency_output(consistency),
             skew=skew,
             error=error or None,
+            grounds=grounds,
         )
 
 

@@ -41,6 +41,7 @@ from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
 from armsight.measure.results import MeasureOutput
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
+from armsight.measure.verdict import grounds_of
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
 from armsight.store import World, parse_board, read_target, read_world
@@ -138,10 +139,11 @@ def run(
     consistency = check.finish()
     outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
     failure, about = failure or _nothing_seen(outputs, consistency, setup), about or About()
-    summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
+    grounds, broken = grounds_of(report.poses, report.truth(about)), str(failure) if failure else ""
+    summary = outputs.summary(grounds, skew=pairs.skew, error=broken, consistency=consistency)
     summary = replace(summary, assumed_fps=about.assumed_fps, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
-    summary = report.write(out / REPORT, summary, about)
+    report.write(out / REPORT, summary, about)
     write_json(out / SUMMARY, summary.to_dict())
     if failure is not None:
         raise _with_path(failure, outputs, out)

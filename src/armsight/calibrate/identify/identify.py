@@ -35,6 +35,7 @@ from armsight.calibrate.identify.sweeps import (
     SweepResiduals,
     Sweeps,
     check_sweeps,
+    leaning,
     one_home,
     placed,
     position_residuals,
@@ -91,10 +92,12 @@ def identify(
     notes = _far(sweeps)
     frame = np.eye(4) if base is None else np.asarray(base, float)
     if method == "paper":
-        return _from_paper(seen, found, frame, notes, name)
-    if increments == "order":
-        return _joint_by_joint(seen, found, frame, notes, name)
-    return _at_once(seen, found, frame, notes, name, sigma, rig)
+        done = _from_paper(seen, found, frame, notes, name)
+    elif increments == "order":
+        done = _joint_by_joint(seen, found, frame, notes, name)
+    else:
+        done = _at_once(seen, found, frame, notes, name, sigma, rig)
+    return done if rig is None else replace(done, lean=leaning(rig, sweeps))
 
 
 def _far(sweeps: Sweeps) -> list[str]:

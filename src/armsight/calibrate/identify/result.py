@@ -13,6 +13,8 @@ from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, Joint, JointType, link_to_line
 from armsight.records import NamedCovariance
+from armsight.records.verdict import Verdict
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 
@@ -44,6 +46,8 @@ USELESS = 5.0
 """Misfit in standard deviations of the noise from which an arm does not explain its readings."""
 USELESS_SHARE = 2e-3
 """And its share of how far the beacon moved: below, readings almost without noise would be refused for nothing."""
+LEANS = 2.0
+"""Deviation along the viewing direction over that across it, from which on two thirds of the variance lie along it."""
 NOTHING = 1e-11
 """Eigenvalues of the scaled information below this mean that the readings say nothing of a combination."""
 FELT = 1e-4
@@ -81,7 +85,8 @@ class Identification:
     sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
     result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. uncertainty: of the beacon's
     position anywhere, where the whole arm was fitted at once. misfit: RMS of the kept readings' distances from the arm,
-    in standard deviations of the noise: about 1 of an arm that explains them.
+    in standard deviations of the noise: about 1 of an arm that explains them. lean: the readings' deviation along the
+    viewing direction over that across it; None of readings that are not from images.
     """
 
     arm: Arm
@@ -93,13 +98,38 @@ class Identification:
     beacon_m: Array
     misfit: float
     uncertainty: ParameterUncertainty | None = None
+    lean: float | None = None
+
+    @property
+    def verdict_(self) -> Verdict:
+        """What it comes to, in the words of terminal, page and report."""
+        open_ = " and joint ".join(str(number) for number, joint in enumerate(self.joints, 1) if not joint.decided)
+        worst_m, lost = self.worst_m, sum(len(joint.discarded) for joint in self.joints)
+        said = f"One reading is off the arm found by {worst_m / MM:.3g} mm RMS on the worst joint"
+        if self.lean is not None:
+            deep = f", {self.lean:.2g} times as much along the viewing direction as across it"
+            said += f" ({self.sigma:.2g} px in the images{deep if self.lean > LEANS else ''})"
+        said += "; the table is of all readings, and closer"
+        said += f"; {lost} reading{'s were' if lost > 1 else ' was'} discarded." if lost else "."
+        todo = "Use the arm, after `armsight verify` on poses that were not swept."
+        if open_:
+            said += f" Whether joint {open_} turns or slides is not sure."
+            todo = f"Sweep joint {open_} over a longer way, and identify again."
+        if self.useless:
+            todo = "Do not use this arm: it misses its own readings by far. See what to know below, and sweep again."
+        level, headline = ("care", "A type is not decided") if open_ else ("good", "Types decided")
+        return Verdict(level=level, headline=headline, reasons=[said], next=[todo])
+
+    @property
+    def worst_m(self) -> float:
+        """What the readings of the worst joint are off the arm, RMS."""
+        return max(joint.residual_rms_m for joint in self.joints)
 
     @property
     def useless(self) -> bool:
         """Whether the arm misses its own readings by far."""
         reach_m = float(np.linalg.norm(np.ptp(self.predicted_m, axis=0)))
-        worst_m = max(joint.residual_rms_m for joint in self.joints)
-        return self.misfit > USELESS and worst_m > USELESS_SHARE * reach_m
+        return self.misfit > USELESS and self.worst_m > USELESS_SHARE * reach_m
 
 
 # From axes to a Denavit-Hartenberg table (MATH 4.5), with standard deviations, and what of it means nothing.

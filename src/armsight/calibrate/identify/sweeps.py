@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.identify.kernels import see_many
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.optics import PackedRig, Rig, triangulate
+from armsight.optics import SIDES, PackedRig, Rig, triangulate
 from armsight.optics.parallelism import moved_rig
 from armsight.records import frozen_array
 
@@ -299,3 +299,17 @@ def background_shifts(kept: SweepResiduals) -> Array:
     for axis in (0, 1):
         shifts[rows, :, axis, np.arange(len(rows)), axis] = beyond[rows, None]
     return shifts.reshape(4 * m, -1)
+
+
+def leaning(rig: Rig, sweeps: Sweeps) -> float | None:
+    """Return the readings' deviation along the viewing direction (from between the cameras) over that across it, from
+    their covariances at one px of noise; None of readings that are not from images."""
+    if sweeps.uv_px is None:
+        return None
+    noise = np.eye(2)
+    seen = triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise)
+    view = seen.xyz_m - np.mean([rig.T_rig_camera(side).translation for side in SIDES], axis=0)
+    view /= np.linalg.norm(view, axis=1)[:, None]
+    along = np.einsum("mi,mij,mj->m", view, seen.covariance_m2, view)
+    across = 0.5 * (np.einsum("mii->m", seen.covariance_m2) - along)
+    return float(np.sqrt(np.nansum(along) / np.nansum(across)))

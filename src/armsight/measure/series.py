@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import bdtr
 
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.figures import runs
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -23,6 +22,10 @@ SCALE = np.array([MM] * 3 + [DEG] * 3)
 
 GIMBAL = 1e-3
 """cos(ry) below which rx and rz cannot be told apart, and a band around either would say nothing."""
+INSIDE_95 = 12.591587243743977
+"""95 % point of chi-square with six degrees of freedom: the squared size of a pose's 95 % ellipsoid."""
+TRUE_CLAIM = 0.999
+"""The claim is doubted where the share inside falls out of this central range of what chance alone would give."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,6 +132,16 @@ class Errors:
     std: Array
     distance2: Array
 
+    def inside(self) -> tuple[float, float, float]:
+        """Return the share of errors inside their 95 % ellipsoid, and the range in which chance would leave it."""
+        distance2 = self.distance2[np.isfinite(self.distance2)]
+        n = len(distance2)
+        if n == 0:
+            return float("nan"), 0.0, 1.0
+        chance = bdtr(np.arange(n + 1), n, 0.95)  # binomial: this many or fewer inside
+        low, high = np.searchsorted(chance, [0.5 - 0.5 * TRUE_CLAIM, 0.5 + 0.5 * TRUE_CLAIM])
+        return float(np.mean(distance2 <= INSIDE_95)), float(low) / n, float(min(high, n)) / n
+
 
 def errors_of(poses: Sequence[TargetPose], truth: Sequence[RigidTransform]) -> Errors:
     """Return the errors of the poses of status ok against the true ones, in step."""
@@ -169,56 +182,7 @@ def losses_of(poses: Sequence[TargetPose]) -> list[Loss]:
     return sorted(out, key=lambda loss: -len(loss.frames))
 
 
-def ranges(frames: Sequence[int], limit: int = 8) -> str:
-    """Return frames as '3, 7–12, 40' with at most limit pieces."""
-    pieces: list[list[int]] = []
-    for frame in frames:
-        if pieces and frame == pieces[-1][1] + 1:
-            pieces[-1][1] = frame
-        else:
-            pieces.append([frame, frame])
-    shown = [f"{a}" if a == b else f"{a}–{b}" for a, b in pieces[:limit]]
-    return ", ".join(shown) + (f" and {len(pieces) - limit} more stretches" if len(pieces) > limit else "")
-
-
-NEIGHBOURS = 11
-"""Frames in a row through which the smooth track goes: a third of a second of ordinary cameras."""
-
-PARABOLA = np.linalg.pinv(np.vander(np.arange(NEIGHBOURS) - NEIGHBOURS // 2, 3))[2]
-"""Weights of the frames in the middle value of the parabola through them."""
-
-AT_REST = 6.0
-"""Range of the smoothed values over the claimed standard deviation, up to which nothing moved."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scatter:
-    """How the poses lie about themselves where no truth is known: (n, 6) in mm and degrees, NaN where nothing can be
-    said. resting: about the mean of a target at rest; else about the smooth track."""
-
-    values: Array
-    resting: bool
-
-
-def scatter_of(series: Series) -> Scatter | None:
-    """Return each full pose less the mean at rest, or less the parabola through its NEIGHBOURS in a track.
-
-    What a parabola takes along of white noise is put back: its residuals have the share 1 - c of the noise's variance,
-    c the weight of the middle frame (Savitzky and Golay 1964). Frames near a gap have no full neighbourhood: NaN.
-    None where too few frames stand in a row.
-    """
-    full, std = series.full()
-    smooth = np.full_like(full, np.nan)
-    half = NEIGHBOURS // 2
-    for start, stop in runs(np.asarray(np.isfinite(full).all(axis=1))):
-        if stop - start >= NEIGHBOURS:
-            inside = scipy.ndimage.correlate1d(full[start:stop], PARABOLA, axis=0)
-            smooth[start + half : stop - half] = inside[half:-half]
-    known = np.isfinite(smooth[:, 0])
-    if not known.any():
-        return None
-    typical = np.nanmedian(std[known], axis=0)
-    if (np.ptp(smooth[known], axis=0) <= AT_REST * typical).all():
-        return Scatter(values=full - np.nanmean(full, axis=0), resting=True)
-    weight = float(PARABOLA[half])
-    return Scatter(values=(full - smooth) / np.sqrt(1.0 - weight), resting=False)
+def median_columns(values: Array) -> Array:
+    """Return the median of each column, NaN aside; NaN for a column without numbers."""
+    known = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in known])
