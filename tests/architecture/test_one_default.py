@@ -28,7 +28,6 @@ from armsight.app.operator.path_editor import PlayRequest
 from armsight.app.requests import motion
 from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M
 from armsight.cli.command import Command
 from armsight.cli.commands import app
 from armsight.cli.flags import OneFlag, Parts
@@ -37,6 +36,7 @@ from armsight.control.paths import smoothing, tools
 from armsight.control.play import PlaySettings
 from armsight.control.servo import ServoSettings
 from armsight.control.session.operator_session import FIRST_OVERRIDE
+from armsight.defaults import GOOD_ENOUGH_M
 from armsight.fields import Bounds
 from armsight.measure.correspondence import PatchSettings
 from armsight.optics import Plate

@@ -27,7 +27,6 @@ from armsight.app.compare.run import CompareOutput
 from armsight.app.compare.run import compare as run_compare
 from armsight.app.join import JoinOutput
 from armsight.app.join import join as run_join
-from armsight.app.measure.outputs import POSES
 from armsight.app.measure.run import measure as run_measure
 from armsight.app.record.record import RecordOutput, mend
 from armsight.app.record.record import record as run_record
@@ -35,9 +34,10 @@ from armsight.app.requests.files import CompareJob, JoinJob
 from armsight.app.requests.measure import MeasureJob, RecordJob
 from armsight.app.requests.verify import PlanJob, VerifyJob
 from armsight.app.verify.plan import VerifyPlanOutput, run_plan
-from armsight.app.verify.run import ERRORS, run_verify
+from armsight.app.verify.run import run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
+from armsight.file_names import ERRORS, POSES
 from armsight.measure.results import MeasureOutput
 from armsight.records import Progress, one_of
 from armsight.records.output import extended, output

@@ -20,8 +20,9 @@ from armsight.calibrate.tooltip_places import FAR, MIN_POSES, place_numbers, pla
 from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
 from armsight.calibrate.tooltip_result import TipCalibration
 from armsight.calibrate.tooltip_stream import PivotStream, TipFit, checked_times, slopes
+from armsight.defaults import GOOD_ENOUGH_M
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
-from armsight.fitting.quantiles import f_isf, t_ppf
+from armsight.fitting.quantiles import NORMAL_95, f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
@@ -53,9 +54,6 @@ size is estimated. The likeliest alone holds 87 % inside 95 % with four poses, a
 
 WELL_TILTED_RAD = 10.0 * DEG
 """Root-mean-square turn about the second axis below which noise of the poses alone may hide the resting point."""
-
-GOOD_ENOUGH_M = 0.1 * MM
-NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.units import DEG, MM, MS, NOTHING, displayed_name
+from armsight.units import DEG, DIGITS, MM, MS, NOTHING, displayed_name
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -57,7 +57,7 @@ REASONS = {
 """What the kinds of reasons in measure.json mean; the report has each frame's own words."""
 
 
-def figure(value: float | None, digits: int = 3) -> str:
+def figure(value: float | None, digits: int = DIGITS) -> str:
     """Return a number with so many significant digits, never in powers of ten; '-' for none."""
     if value is None or not math.isfinite(value):
         return "-"

@@ -15,10 +15,10 @@ from armsight.app.requests import batch, calibrate_cameras, calibrate_robot, fil
 from armsight.app.requests.shared import Table
 from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
-from armsight.calibrate.tooltip import GOOD_ENOUGH_M
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
+from armsight.defaults import GOOD_ENOUGH_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
 from armsight.measure.correspondence import PatchSettings

@@ -26,7 +26,7 @@ from armsight.app.requests.shared import (
     point_of,
     setup_called,
 )
-from armsight.defaults import ANGLE_RAD, LENGTH_M
+from armsight.defaults import ANGLE_RAD, GOOD_ENOUGH_M, LENGTH_M
 from armsight.fields import Bounds, Doc, Flag
 from armsight.units import DEG, MM
 
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 POINT_STD_M = 0.2 * MM
 """Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
-GOOD_ENOUGH_M = 0.1 * MM
-"""A tip known so well is good enough, unless another goal is given."""
 
 PointStd: TypeAlias = Annotated[
     float,

@@ -19,8 +19,10 @@ from armsight.app.robot.plant_source import monotonic_s
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
+from armsight.defaults import BLIND_S
 from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
+from armsight.file_names import LIVE
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker
 from armsight.publish.state import PlantState, RobotSeen, Seen
@@ -29,9 +31,6 @@ from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
 from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Watch
 
-RECORDING = "live.mcap"
-BLIND_S = 0.5
-"""Nothing compared for so long is told as such."""
 SOURCE, PLANT = "armsight verify --live", "plant"
 WARNINGS_PER_S = 20.0
 NOTES = 100
@@ -95,7 +94,7 @@ class Supervision:
 
     def open(self, stack: ExitStack) -> None:
         """Begin the recording and to read the joints; all ends with the stack."""
-        writer = RecordingWriter(self.job.out / RECORDING, overwrite=True)
+        writer = RecordingWriter(self.job.out / LIVE, overwrite=True)
         stack.enter_context(writer)
         writer.attach("rig.yaml", self.job.rig.read_bytes())
         if self.job.target.exists():
