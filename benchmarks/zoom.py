@@ -79,7 +79,7 @@ def truth(made: SimZoomLens, zoom: float) -> Camera:
 def trial(seed: int, lens: int, settings: int) -> tuple[list[np.ndarray], list[tuple[float, float, float]], list]:
     """Errors over claimed deviations (asked, 10) of one lens; fx error, claim, image distance; the same left out."""
     rng = np.random.default_rng([seed, lens])
-    made = random_zoom_lens(rng)
+    made = random_zoom_lens(rng, 1280, 720)
     zooms = np.linspace(*made.zoom, settings)
     found = calibrated(made, zooms, rng)
     ratios, sizes, left = [], [], []

@@ -3,6 +3,8 @@
 Nothing but numbers: help is shown without loading what uses them.
 """
 
+import math
+
 PATH_SPEED_M_S = 0.01
 """Along a path that says none: the pace of a welder's hand."""
 BLEND_M = 0.003
@@ -45,3 +47,20 @@ TIP_POINT_STD_M = 2e-4
 """Standard deviation believed of a point that a tip rests on: a dot measured by two cameras at 0.6 m."""
 TIP_GOAL_M = 1e-4
 """A tip known so well is good enough."""
+
+STALE_CYCLES = 3.5
+"""The same in cycles, where those are longer: two frames in a row may be lost, a third is a fault."""
+TOOL_SPEED_M_S = 0.1
+"""At which a tool or flange is led at most, where nothing else is said."""
+TOOL_SPEED_RAD_S = math.pi / 3.0
+
+LOOK_S = 0.005
+"""Between two looks for a newer picture: a robot that tells 125 times a second is heard each time."""
+LOST_LOOKS = 10
+"""Looks in a row without what is looked for, from which on it is lost: lights hide behind the arm, and while the
+screen's pictures come single ones are skipped."""
+BLIND_S = 0.5
+"""Nothing compared for so long is told."""
+
+FOLDS = 5
+"""Of the error on boards that were left out."""

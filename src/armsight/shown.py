@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from armsight.units import DEG, MM, NOTHING
+from armsight.units import DEG, DIGITS, MM, NOTHING
 
 REJECTED_SHOWN = 8
 """Lines of what was left out; the report and JSON have all."""
@@ -34,7 +34,7 @@ Shown = Table | str
 """What a result shows of itself: tables, and lines between them."""
 
 
-def digits(value: float | None, digits: int = 3) -> str:
+def digits(value: float | None, digits: int = DIGITS) -> str:
     """Return a number with so many significant digits, never in powers of ten; '-' for none."""
     if value is None or not math.isfinite(value):
         return "-"

@@ -27,6 +27,8 @@ DISPLAY: Mapping[str, tuple[str, float]] = {
 """The unit in which people read what is computed in an SI unit, and what one of it is in SI."""
 NAMED = ("m", "rad")
 """Units of DISPLAY that a name may end in."""
+DIGITS = 3
+"""Significant digits of a number that people read, where nothing else is said."""
 
 WRITTEN = {"m": 1.0, "mm": MM, "rad": 1.0, "deg": DEG, "m/s": 1.0, "mm/s": MM}
 """Units that people may write behind a number, in SI."""
@@ -80,7 +82,7 @@ def displayed_name(name: str) -> tuple[str, str, float]:
     return (stem, *DISPLAY[unit]) if stem and unit in NAMED else (name, "", 1.0)
 
 
-def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
+def figure_of(value: float | None, unit: str = "", *, digits: int = DIGITS) -> str:
     """Return a number for people with so many significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):
         return "–"

@@ -62,7 +62,7 @@ def focal_errors() -> np.ndarray:
     errors = []
     for number in range(N_LENSES):
         rng = np.random.default_rng([5, number])
-        made = random_zoom_lens(rng)
+        made = random_zoom_lens(rng, 1280, 720)
         found = ZoomLens(settings=tuple(setting(made, zoom, rng) for zoom in SETTINGS))
         zoom = float(rng.uniform(*made.zoom))
         state = found.at(zoom)

@@ -193,7 +193,7 @@ class ZoomLens:
         )
 
 
-def random_zoom_lens(rng: np.random.Generator, width: int = 1280, height: int = 720) -> ZoomLens:
+def random_zoom_lens(rng: np.random.Generator, width: int, height: int) -> ZoomLens:
     """Return a zoom lens as another maker would build it: groups, ratio, cam, focus, centring and distortion drawn.
 
     Of the groups those are kept that have room between them at the long end.

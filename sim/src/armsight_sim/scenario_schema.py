@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from armsight_sim.lens import ZoomLens
 from armsight_sim.scenario_keys import (
     EventKeys,
     Finite,
@@ -26,6 +27,7 @@ from armsight_sim.scenario_keys import (
     Vector2,
     Vector3,
 )
+from armsight_sim.sensor import Sensor
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -81,20 +83,24 @@ class ArmKeys(Keys):
     max_speed_deg_s: Positive | None = None
 
 
+ZOOM, SENSOR = ZoomLens(width=1280, height=720), Sensor()
+"""What a lens and a sensor are where a scenario says nothing else."""
+
+
 class ZoomKeys(Keys):
     """A zoom lens of two thin groups (sim.lens): its setting, the ends of its range, lengths in mm; see there."""
 
-    at: Finite = 100.0
-    range: Annotated[list[Finite], Field(min_length=2, max_length=2)] = Field(default=[100.0, 500.0])
-    wide_mm: Positive = 3.0
-    ratio: Annotated[float, Field(gt=1.0, le=30.0)] = 3.0
-    front_mm: Annotated[float, Field(lt=0.0)] = -8.0
-    rear_mm: Positive = 6.0
+    at: Finite = ZOOM.zoom[0]
+    range: Annotated[list[Finite], Field(min_length=2, max_length=2)] = Field(default=list(ZOOM.zoom))
+    wide_mm: Positive = ZOOM.wide_mm
+    ratio: Annotated[float, Field(gt=1.0, le=30.0)] = ZOOM.ratio
+    front_mm: Annotated[float, Field(lt=0.0)] = ZOOM.front_mm
+    rear_mm: Positive = ZOOM.rear_mm
     cam: Literal["distance", "focal", "log_focal"] = "log_focal"
-    bend: Vector2 = Field(default=[0.15, -0.08])
-    focus_mm: Positive = 900.0
-    barrel: Finite = -0.08
-    cushion: Finite = 0.025
+    bend: Vector2 = Field(default=list(ZOOM.bend))
+    focus_mm: Positive = ZOOM.focus_mm
+    barrel: Finite = ZOOM.barrel
+    cushion: Finite = ZOOM.cushion
 
 
 class LensKeys(Keys):
@@ -143,8 +149,8 @@ class MirrorKeys(Keys):
 class SensorKeys(Keys):
     """Noise: electrons per grey level, read noise in grey levels; ambient light and unevenness in grey levels."""
 
-    electrons_per_level: Positive = 24.0
-    read_noise_level: NotNegative = 1.5
+    electrons_per_level: Positive = SENSOR.electrons_per_level
+    read_noise_level: NotNegative = SENSOR.read_noise_level
     ambient_level: NotNegative = 9.0
     hot_pixels: Annotated[int, Field(ge=0, le=10_000)] = 0
 

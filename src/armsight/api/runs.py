@@ -15,7 +15,6 @@ from armsight.app.compare.run import CompareOutput
 from armsight.app.compare.run import compare as run_compare
 from armsight.app.join import JoinOutput
 from armsight.app.join import join as run_join
-from armsight.app.measure.outputs import POSES
 from armsight.app.measure.run import measure as run_measure
 from armsight.app.record.record import RecordOutput, mend
 from armsight.app.record.record import record as run_record
@@ -23,9 +22,10 @@ from armsight.app.requests.files import CompareJob, JoinJob
 from armsight.app.requests.measure import MeasureJob, RecordJob
 from armsight.app.requests.verify import PlanJob, VerifyJob
 from armsight.app.verify.plan import VerifyPlanOutput, run_plan
-from armsight.app.verify.run import ERRORS, run_verify
+from armsight.app.verify.run import run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
+from armsight.file_names import ERRORS, POSES
 from armsight.measure.results import MeasureOutput
 from armsight.ops.arrays import Array, as_path
 from armsight.ops.checks import speaks_python

@@ -19,6 +19,7 @@ from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.columns import POSE6
 from armsight.fields import Doc
+from armsight.file_names import DEMO, RIG
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.results import MeasureOutput
@@ -54,7 +55,7 @@ def measure_pictures(out: Path, progress: Progress) -> PicturesOutput:
     """
     with as_file(files("armsight.app") / "pictures" / PICTURES) as folder:
         left, right = str(folder / "left*.jpg"), str(folder / "right*.jpg")
-        rig = out / "rig.yaml"
+        rig = out / RIG
         calibrated = calibrate_stereo(StereoJob(board=BOARD, out=rig, left=left, right=right), progress)
         job = MeasureJob(rig=rig, target=Path(BOARD), out=out, left=left, right=right, stills=True)
         measured = measure(job, progress)
@@ -147,7 +148,7 @@ def demo(
         assumptions=list(made.assumptions),
         pictures=measure_pictures(out / FOLDER, progress) if pictures else None,
     )
-    write_json(out / "demo.json", result.to_dict())
+    write_json(out / DEMO, result.to_dict())
     return result
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from armsight.fitting.quantiles import chi2_sf, t_ppf
+from armsight.fitting.quantiles import NORMAL_95, chi2_sf, t_ppf
 
 Array = NDArray[np.float64]
 
@@ -247,7 +247,6 @@ FEWEST_ROWS = 24
 RARE = 0.01
 """Probability by chance of the scatter of answers without a region, from which on it is what is believed: of a Panda's
 nominal arm 0.005, 2e-9 and 1e-12; of independent rows one recording in ten is believed less than it could be."""
-NORMAL_95 = 1.959964
 
 
 def regions(values: Array) -> NDArray[np.intp]:

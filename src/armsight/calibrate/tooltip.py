@@ -22,7 +22,7 @@ from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.calibrate.tooltip_stream import PivotStream, TipFit, checked_times, slopes
 from armsight.defaults import TIP_GOAL_M
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
-from armsight.fitting.quantiles import f_isf, t_ppf
+from armsight.fitting.quantiles import NORMAL_95, f_isf, t_ppf
 from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
@@ -54,8 +54,6 @@ size is estimated. The likeliest alone holds 87 % inside 95 % with four poses, a
 
 WELL_TILTED_RAD = 10.0 * DEG
 """Root-mean-square turn about the second axis below which noise of the poses alone may hide the resting point."""
-
-NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,15 +17,13 @@ from armsight.records.by_value import Saveable
 from armsight.records.fields import Shape
 from armsight.records.output import Output, Row, figure, output, with_std
 from armsight.records.result_parts import PointStd, RejectedRow
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
 from armsight.shown import Bars, Shown, Table, digits, point_rows
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 Vector = Annotated[Array, Shape((3,))]
 
-MANY_REJECTED = 0.1
-"""Share of the poses left out beyond which those that agree are only a part of what happened."""
 TURNED_RAD = 20.0 * DEG
 """Turn of the tool about its second axis, RMS, from which nothing is asked for any more."""
 

@@ -9,15 +9,14 @@ from armsight.app import requests
 from armsight.cli.command import calibrate, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure, parameter, pose_rows
+from armsight.file_names import CELL, CELL_CALIBRATED
 from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.calibrate.cell import CellCalibration
 
-WRITTEN = ("rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html")
 
-
-@command(calibrate, keeps=WRITTEN, own="cell.json", filed="calibrate cell", judged=True)
+@command(calibrate, keeps=CELL_CALIBRATED, own=CELL, filed="calibrate cell", judged=True)
 def cell(face: CommandUI, job: requests.calibrate_cell.CellJob) -> None:
     """Calibrate cameras, clocks, base, target and arm at once, from one recording of the moving arm.
 

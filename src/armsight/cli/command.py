@@ -21,20 +21,19 @@ from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags, taken_by
 from armsight.cli.lazy import Group, LazyCommand
 from armsight.errors import ArmsightError, Cancelled, UsageError
+from armsight.file_names import ARM, HANDEYE, POINTS, POSES, RIG, TARGET, WORLD
 from armsight.registry import COMMANDS, FILING, extension
 
 if TYPE_CHECKING:
     from armsight.records.output import Output
 
-MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
 VIEWS = ("left", "right", "image")
-WORLD = ("scenario.yaml", "rig.yaml", "target.yaml", "truth.csv", "times.csv")
-ARM = ("arm.yaml", "arm_true.yaml", "truth_world.csv", "joints.csv", "sweep_joints.csv", "handeye.yaml", "world.yaml")
-SET_TABLES = ("robot_poses.csv", "pairs.csv", "robot.csv", "flange.csv", "points.csv", "holdout.csv", "observed.csv")
+SIMULATED = ("scenario.yaml", RIG, TARGET, "truth.csv", "times.csv")
+WITH_ARM = (ARM, "arm_true.yaml", "truth_world.csv", "joints.csv", "sweep_joints.csv", HANDEYE, WORLD)
+SET_TABLES = ("robot_poses.csv", "pairs.csv", "robot.csv", "flange.csv", POINTS, "holdout.csv", "observed.csv")
 SET_FILES = ("photos", "complex", "lights", "camera.yaml", "rig_true.yaml", "arm_tool.yaml", "places_true.yaml")
 CELL_SET = ("left.csv", "right.csv", "cell_true.yaml")
-SETS = (*SET_TABLES, *CELL_SET, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
-VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.csv")
+SETS = (*SET_TABLES, *CELL_SET, *SET_FILES, POSES, "handeye_true.yaml", "tip_true.yaml")
 
 WRITTEN = {"out", "record", "log"}
 """Options that name what a command writes."""

@@ -26,11 +26,12 @@ from armsight.cli import (
     serve,
     verify,
 )
-from armsight.cli.command import ARM, MEASURED, SETS, VIEWS, WORLD, app, calibrate, command, elsewhere, history
+from armsight.cli.command import SETS, SIMULATED, VIEWS, WITH_ARM, app, calibrate, command, elsewhere, history
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
 from armsight.cli.tables import demo_tables, doctor_tables
 from armsight.fields import Bounds, Doc
+from armsight.file_names import DEMO, MEASURED
 
 __all__ = [
     "app",
@@ -67,7 +68,7 @@ def root(
     """See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty."""
 
 
-@command(app, keeps=(*MEASURED, *WORLD, *VIEWS, "demo.json", "pictures"), own="demo.json")
+@command(app, keeps=(*MEASURED, *SIMULATED, *VIEWS, DEMO, "pictures"), own=DEMO)
 def demo(
     face: CommandUI,
     out: OutFolder = Path("demo"),
@@ -98,7 +99,7 @@ def demo(
     demo_tables(face, result, out)  # last stands what to do next
 
 
-@command(app, keeps=(*WORLD, *ARM, *VIEWS, *SETS))
+@command(app, keeps=(*SIMULATED, *WITH_ARM, *VIEWS, *SETS))
 def simulate(face: CommandUI, job: requests.simulate.SimulateJob) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder; or a set for one calibration."""
     from armsight.app.simulate.run import simulate as run

@@ -11,6 +11,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.file_names import COMPARED
 from armsight.shown import REJECTED_SHOWN
 from armsight.units import MS, displayed
 
@@ -84,7 +85,7 @@ def report(
     face.say(f"Printed: {print_report(report, out)}")
 
 
-@command(app, keeps=("compare.json", "report.html"), judged=True)
+@command(app, keeps=COMPARED, judged=True)
 def compare(face: CommandUI, job: requests.files.CompareJob) -> None:
     """Tell whether two results of one kind agree within their uncertainty, and what the difference comes to."""
     from armsight.app.compare.run import compare as run

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
 from armsight.app.requests.shared import OUT
-from armsight.cli.command import MEASURED, ResultsDoubted, app, command, convert
+from armsight.cli.command import ResultsDoubted, app, command, convert
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
 from armsight.cli.tables import measure_tables
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.file_names import MEASURED
 
 if TYPE_CHECKING:
     from armsight.drivers import PairSettings

@@ -18,12 +18,13 @@ from armsight.app.requests.shared import (
     Tip,
     TwoTableFlags,
 )
-from armsight.cli.command import VERIFIED, app, command
+from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.cli.flags import Asked
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.file_names import VERIFIED
 from armsight.shown import REJECTED_SHOWN
 from armsight.units import DEG, MM, MS, displayed_name
 
@@ -178,7 +179,7 @@ def _joints_and_frames(face: CommandUI, done: VerifyOutput) -> None:
 
 def _iso_table(face: CommandUI, done: VerifyOutput) -> None:
     """Print the figures of ISO 9283 that are given, and why others are not."""
-    from armsight.report.iso_symbols import symbol_of
+    from armsight.report.verify_report import symbol_of
 
     given = {name: item for name, item in done.iso9283.items() if " " not in name and item.n}
     rows = []

@@ -21,6 +21,7 @@ from armsight.app.live.views import complex_view
 from armsight.console import texts
 from armsight.console.state import Console
 from armsight.console.visitors import person_of
+from armsight.defaults import LOOK_S
 from armsight.errors import ArmsightError
 from armsight.store.atomic import write_bytes
 
@@ -123,8 +124,6 @@ def reports(folder: Path) -> list[Path]:
     return [name for name in names if REPORT.fullmatch(name.as_posix())]
 
 
-LOOK_S = 0.005
-"""Time between two looks for a newer picture."""
 SIDES = ("left", "right", COMPLEX)
 WIDEST_PX = 8192
 """What a page that does not say its width gets at most: every camera's picture as it is."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
-from armsight.defaults import STALE_S
+from armsight.defaults import STALE_S, TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
 from armsight.drivers.goals import JointLimits
 from armsight.errors import UsageError
 
@@ -85,8 +85,8 @@ class UdpSettings(LinkSettings):
     stale_s: Positive = STALE_S
     controller: str = ""
     bind: str = ""
-    speed_m_s: Positive = 0.1
-    speed_rad_s: Positive = math.pi / 3
+    speed_m_s: Positive = TOOL_SPEED_M_S
+    speed_rad_s: Positive = TOOL_SPEED_RAD_S
 
 
 def _each(values: list[float] | None, otherwise: float, n: int) -> NDArray[np.float64]:

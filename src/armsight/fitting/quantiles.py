@@ -66,3 +66,9 @@ def chauvenet(values: Array) -> NDArray[np.bool_]:
     spread = rows.std(axis=0, ddof=1)
     away = np.abs(rows - rows.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
     return np.asarray((len(values) * erfc(away / np.sqrt(2.0)) >= 0.5).all(axis=1))
+
+
+MEDIAN_3 = float(chi2_ppf(0.5, 3))
+"""Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
+NORMAL_95 = 1.959964
+"""Half-width of a Gaussian's 95 % interval in standard deviations."""

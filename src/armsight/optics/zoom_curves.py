@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from armsight.fitting.quantiles import NORMAL_95
+
 Array = NDArray[np.float64]
 
 BEND_LENGTHS = np.geomspace(0.45, 4.0, 12)
@@ -26,8 +28,6 @@ AMPLITUDES = np.geomspace(0.02, 30.0, 40)
 NUGGET = 1e-11
 """Relative variance that keeps long bend lengths solvable; its square root is far below any calibration's noise."""
 
-NORMAL_95 = 1.959964
-"""Half-width of a Gaussian's 95 % interval in standard deviations."""
 
 BISECTIONS = 24
 """Of a half-width: to 1e-7 of the widest that is possible."""

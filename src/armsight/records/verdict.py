@@ -9,6 +9,8 @@ from armsight.records.output import Output, output
 
 MEANING = "What it comes to: the words of the report."
 """Of the key `verdict_` of a result; results of versions before it lack it."""
+MANY_REJECTED = 0.1
+"""Share of the rows left out beyond which those that agree are only a part of what happened."""
 
 
 @output

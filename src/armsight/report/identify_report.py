@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Identification, Sweeps
+from armsight.columns import DH_ROW
 from armsight.kinematics import Arm
 from armsight.optics import Rig, triangulate
 from armsight.report.figures import (
@@ -26,11 +27,11 @@ from armsight.report.figures import (
     points_in_space,
 )
 from armsight.report.html import Card, Page, bullets, table
-from armsight.units import DEG, MM, figure_of, with_deviation
+from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 Array = NDArray[np.float64]
 
-ENTRIES = (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG), ("beta_rad", DEG))
+ENTRIES = tuple((name, displayed_name(name)[2]) for name in DH_ROW)
 TITLES = ("a, mm", "alpha, °", "d, mm", "theta, °", "beta, °")
 CLOUD = 600
 """Joint positions at which the beacon's uncertainty is drawn."""

@@ -14,9 +14,9 @@ from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis, bars, layout, spread, subplot, thinned
 from armsight.report.html import Card, Page, bullets, page_unit, table, text
-from armsight.report.iso_symbols import FIGURES, symbol_of
-from armsight.units import DEG, MM, MS, displayed_name, figure_of, pair_of, with_deviation
+from armsight.units import DEG, MM, MS, displayed, displayed_name, figure_of, pair_of, with_deviation
 from armsight.verify import Verification
+from armsight.verify.iso9283.figure import unit_of
 from armsight.verify.pairing import bare_arm
 from armsight.verify.results import IsoFigure, VerifyOutput
 
@@ -31,6 +31,26 @@ ARROWS_TOLD = "Arrows point from where the tool should be to where it was measur
 JOINTWISE = "A gear's fault repeats with its joint."
 COMPONENTS = (("", ""), ("x", "a"), ("y", "b"), ("z", "c"))
 """A figure's parts as columns: its own, then along and about each axis."""
+FIGURES: Mapping[str, str] = {
+    "AP": "accuracy of a pose: the mean of the visits less what was commanded",
+    "RP": "repeatability of a pose: distance from the mean, mean and three standard deviations",
+    "vAP": "variation of accuracy between directions of approach",
+    "dAP": "drift of accuracy, from the first visits of a pose to the last",
+    "dRP": "drift of repeatability, from the first visits of a pose to the last",
+    "AD": "accuracy of a distance",
+    "RD": "repeatability of a distance",
+    "AT": "accuracy of a path",
+    "RT": "repeatability of a path",
+    "CR": "rounding of a corner",
+    "CO": "overshoot at a corner",
+    "AV": "accuracy of the speed",
+    "RV": "repeatability of the speed",
+    "FV": "fluctuation of the speed",
+    "t": "time to come to rest",
+    "OV": "overshoot at a pose",
+    "E": "exchangeability of robots",
+}
+"""What the norm's symbols mean."""
 ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
 BY_PLACE = "Robot alone: without the measurement's scatter, and with what few repeats leave out."
 BASE = "base, in the measurements' axes"
@@ -163,6 +183,12 @@ def _joint_table(summary: VerifyOutput) -> str:
 
 def _degrees(value: float | None) -> str:
     return figure_of(None if value is None else value / DEG)
+
+
+def symbol_of(name: str) -> tuple[str, str, float]:
+    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
+    symbol, unit = unit_of(name)
+    return (symbol, "%", 0.01) if unit == "1" else (symbol, page_unit(displayed(unit)[0]), displayed(unit)[1])
 
 
 def iso_table(figures: Mapping[str, IsoFigure]) -> str:

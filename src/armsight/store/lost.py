@@ -139,7 +139,10 @@ def lost_words(lost: Mapping[int, str], table: Table) -> str:
     )
 
 
-def _ranges(lines: Sequence[int], most: int = 12) -> str:
+MOST_SPANS = 12
+
+
+def _ranges(lines: Sequence[int]) -> str:
     """Return lines such as '32-34, 79', at most some of them."""
     spans: list[list[int]] = []
     for line in lines:
@@ -147,8 +150,8 @@ def _ranges(lines: Sequence[int], most: int = 12) -> str:
             spans[-1][1] = line
         else:
             spans.append([line, line])
-    words = [f"{a}-{b}" if b > a else f"{a}" for a, b in spans[:most]]
-    return ", ".join(words) + (f" and {len(spans) - most} more places" if len(spans) > most else "")
+    words = [f"{a}-{b}" if b > a else f"{a}" for a, b in spans[:MOST_SPANS]]
+    return ", ".join(words) + (f" and {len(spans) - MOST_SPANS} more places" if len(spans) > MOST_SPANS else "")
 
 
 def _pose_columns(table: Table, lead: str) -> tuple[tuple[str, ...], tuple[str, ...]] | None:

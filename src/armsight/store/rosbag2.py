@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armsight.errors import NotEnoughData, UsageError
+from armsight.file_names import RIG
 from armsight.geometry import xyz_quat
 from armsight.optics import Camera, Rig
 from armsight.records import Frame, PoseStatus
@@ -27,7 +28,6 @@ from armsight.store.recording.reader import Recording
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.yamls import parse_yaml
 
-RIG_NAME = "rig.yaml"
 ENCODINGS = {2: "mono8", 3: "bgr8"}
 """By the number of an image's dimensions."""
 VERSION: Literal[9] = 9
@@ -148,10 +148,10 @@ def _add_frame(bag: _Bag, side: str, frame: Frame) -> None:
 
 def _camera_infos(recording: Recording) -> dict[str, tuple[Camera, np.ndarray, np.ndarray]]:
     """Return each camera with its rectifying rotation (3, 3) and projection (3, 4); none without a rig of pinholes."""
-    if RIG_NAME not in recording.attachments:
+    if RIG not in recording.attachments:
         return {}
-    where = f"{recording.path}, {RIG_NAME}"
-    rig: Rig = rig_from_mapping(parse_yaml(recording.attachment(RIG_NAME), where), where)
+    where = f"{recording.path}, {RIG}"
+    rig: Rig = rig_from_mapping(parse_yaml(recording.attachment(RIG), where), where)
     sizes = {(camera.width, camera.height) for camera in (rig.left, rig.right)}
     if rig.left.plate is not None or len(sizes) > 1:
         return {}

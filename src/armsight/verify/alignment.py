@@ -12,8 +12,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.arm.fit import is_tool_turn
 from armsight.calibrate.arm.initial_guess import mounts_by_turns, placed
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM
-from armsight.verify.model import MEDIAN_3, Model, ModelFit, Mounts, fit_model, mount_names, nothing_more
+from armsight.verify.model import Model, ModelFit, Mounts, fit_model, mount_names, nothing_more
 from armsight.verify.records import Measured, Rejected
 
 Array = NDArray[np.float64]

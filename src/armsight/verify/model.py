@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.columns import POSE6
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
-from armsight.fitting.quantiles import chi2_ppf
+from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.geometry.poses import skew
 from armsight.verify.records import Measured
 
@@ -20,8 +20,6 @@ Expected = Callable[[Array], tuple[Array, Array]]
 """More parameters (k,) -> F (m, 4, 4), base to flange, and its derivative (m, 6, k): (dt, dw) of the flange in base
 axes."""
 
-MEDIAN_3 = float(chi2_ppf(0.5, 3))
-"""Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 LEAST_SIGMA = 1e-9
 """Noise (m, rad) of data without any; a test's, never a measurement's."""
 ROUNDING = 2e-9

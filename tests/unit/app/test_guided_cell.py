@@ -14,13 +14,14 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.guided.cell import CellStep, used_files
-from armsight.app.guided.cell_recorder import FRAMES, LOG, LOST_LOOKS, CellRecorder, CellWatch
+from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch
 from armsight.app.guided.step import Next
 from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.live.recording import RecordingState
 from armsight.app.live.views import SideView
 from armsight.clock import SystemClock
 from armsight.console.state import Console
+from armsight.defaults import LOST_LOOKS
 from armsight.errors import DeviceFailed, DeviceLost, NotEnoughData, UsageError
 from armsight.records import Frame, JointReading, Motion, Silent, Spots
 from armsight.store import read_rig, read_world

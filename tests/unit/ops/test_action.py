@@ -1,4 +1,4 @@
-"""An action's signature is what the command line asks for and what Python checks; files and objects come to the same."""
+"""An action's signature is what the command line asks for and Python checks; files and objects come to the same."""
 
 from __future__ import annotations
 

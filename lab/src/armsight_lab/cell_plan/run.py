@@ -12,7 +12,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
-from armsight.app.calibrate.cell import ARM, RIG, TARGET, WORLD
 from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.kinematics import reading_values
 from armsight.app.measure.run import target_of
@@ -21,6 +20,7 @@ from armsight.calibrate.cell.model import CellModel, start_vector
 from armsight.control.guard import Limits, joint_bounds
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
+from armsight.file_names import ARM, RIG, TARGET, WORLD
 from armsight.geometry import pose_from_euler
 from armsight.kinematics import Arm, fk
 from armsight.optics import SIDES, LensKind, Rig, RigKind

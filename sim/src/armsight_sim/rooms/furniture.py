@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight_sim.rooms import textures as tx
-from armsight_sim.rooms.scene import Panel, Texture
+from armsight_sim.rooms.scene import EXPONENT, Panel, Texture
 from armsight_sim.scene import Light
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Furnisher:
         yaw_deg: float = 0.0,
         front: Texture | None = None,
         gloss: float = 0.0,
-        exponent: float = 30.0,
+        exponent: float = EXPONENT,
         tile_m: float | None = None,
     ) -> None:
         """Add a box (all but its bottom) by its middle and its width, height and depth, turned about the vertical."""

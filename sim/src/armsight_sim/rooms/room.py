@@ -21,7 +21,7 @@ from armsight_sim.rigs import MirrorLens
 from armsight_sim.rooms import textures as tx
 from armsight_sim.rooms.furniture import AHEAD, DOWN, LEFT, RIGHT, Furnisher
 from armsight_sim.rooms.kernels import meet_scene
-from armsight_sim.rooms.scene import Panel, Scene, Texture, View
+from armsight_sim.rooms.scene import RAYS, Panel, Scene, Texture, View
 from armsight_sim.scene import Light
 
 Rng = np.random.Generator
@@ -270,7 +270,7 @@ class Room:
         meet_scene(self.scene.arrays, np.ascontiguousarray(eye_m, dtype=np.float64), ends, met)
         return tuple(light for light, k in zip(self.indicators, met, strict=True) if k < 0)
 
-    def light(self, view: View, T_room_camera: RigidTransform, channels: int, samples: int = 4) -> LightImage:
+    def light(self, view: View, T_room_camera: RigidTransform, channels: int, samples: int = RAYS) -> LightImage:
         """Return the light (h, w, channels) of all but the indicators; a grey camera gets the mean of the colours."""
         seen = view.cast(self.scene, T_room_camera, samples=samples)[:, :, :3]
         grey = seen if channels == 3 else seen.mean(axis=2, keepdims=True)

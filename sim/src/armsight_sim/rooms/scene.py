@@ -40,6 +40,12 @@ AMBIENT = 0.25
 """Light from all sides, before the room's mean is made 1. Chosen: shadows keep a third of the light."""
 
 
+EXPONENT = 30.0
+"""Sharpness of the lamps' highlights."""
+RAYS = 4
+"""Rays to a pixel."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Texture:
     """A picture (h, w, 4) uint8: square roots of the reflectance of blue, green and red (255: white), and coverage.
@@ -88,7 +94,7 @@ class Panel:
     tile_m: tuple[float, float] | None = None
     glow: float = 0.0
     gloss: float = 0.0
-    exponent: float = 30.0
+    exponent: float = EXPONENT
     lamp: bool = False
 
     def __post_init__(self) -> None:
@@ -301,7 +307,7 @@ class View:
         scene: Scene,
         T_scene_camera: RigidTransform,
         *,
-        samples: int = 4,
+        samples: int = RAYS,
         region: tuple[int, int, int, int] | None = None,
     ) -> Covered:
         """Return what a camera at a pose sees; region: rows and columns, first and past the last of each."""

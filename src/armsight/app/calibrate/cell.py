@@ -18,6 +18,7 @@ from armsight.app.sources.frames import is_recording, recording_path
 from armsight.calibrate.cell import ArmTolerance, CellCalibration, CellOptions, calibrate_cell
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
+from armsight.file_names import ARM, CELL, CELL_CALIBRATED, REPORT, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Frame, Motion, Progress, Silent, SpotTrack
@@ -34,16 +35,6 @@ Size = tuple[int, int]
 
 OFF_CENTRE = 0.1
 """Of the image's size: webcams' lenses are within 0.05 of its middle; 1280x720 taken for 1920x1080 is 0.16 off."""
-
-RIG, WORLD, TARGET, ARM, SUMMARY, REPORT = (
-    "rig.yaml",
-    "world.yaml",
-    "target.yaml",
-    "arm.yaml",
-    "cell.json",
-    "report.html",
-)
-WRITTEN = (RIG, WORLD, TARGET, ARM, SUMMARY, REPORT)
 
 
 def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCalibration:
@@ -108,7 +99,7 @@ def _write(job: CellJob, done: CellCalibration) -> None:
     write_target(out / TARGET, parts.target, inputs=inputs)
     write_arm(out / ARM, parts.arm, inputs=inputs)
     write_text(out / REPORT, page)
-    write_json(out / SUMMARY, done.to_dict())
+    write_json(out / CELL, done.to_dict())
 
 
 def _check(job: CellJob) -> None:
@@ -134,7 +125,7 @@ def _check(job: CellJob) -> None:
     tip = Path(job.tool) if _is_file(job.tool) else None
     given = (arm_file(job.model), job.target, job.robot_log, *tables, *(job.prior or ()), tip)
     read = {real_path(path) for path in given if path is not None}
-    for name in WRITTEN:
+    for name in CELL_CALIBRATED:
         if real_path(job.out / name) in read:
             raise UsageError(
                 f"{job.out / name} is to be read, and would be written over",

@@ -20,6 +20,7 @@ from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, co
 from armsight.app.requests.files import CompareJob
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
+from armsight.file_names import ARM, COMPARE, HANDEYE, POSES, REPORT, RIG, VERIFY
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import Difference
 from armsight.records.verdict import MEANING, Verdict
@@ -44,7 +45,6 @@ LEVELS = {
     None: ("care", "Cannot be told", "Do not take them for alike: give results that hold their standard deviations."),
 }
 """By whether they agree: level, word, and what to do."""
-SUMMARY, REPORT = "compare.json", "report.html"
 
 FORMATS: Mapping[str, str] = {
     CAMERA_FORMAT: "camera",
@@ -52,9 +52,9 @@ FORMATS: Mapping[str, str] = {
     HANDEYE_FORMAT: "handeye",
     ARM_FORMAT: "arm",
 }
-FOLDERS: Mapping[str, str] = {"verify.json": "verify", "poses.csv": "measure"}
+FOLDERS: Mapping[str, str] = {VERIFY: "verify", POSES: "measure"}
 """What a folder holds by the file that tells it."""
-CALIBRATIONS = ("rig.yaml", "camera.yaml", "handeye.yaml", "arm.yaml")
+CALIBRATIONS = (RIG, "camera.yaml", HANDEYE, ARM)
 
 
 @output
@@ -121,7 +121,7 @@ def compare(job: CompareJob) -> CompareOutput:
     )
     if job.out is not None:
         job.out.mkdir(parents=True, exist_ok=True)
-        write_json(job.out / SUMMARY, done.to_dict())
+        write_json(job.out / COMPARE, done.to_dict())
         write_text(job.out / REPORT, compare_report(_run(done, tracks)))
     return done
 

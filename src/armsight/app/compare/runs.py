@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
 from armsight.app.compare.calibrations import Compared, Effect
-from armsight.app.measure.outputs import SUMMARY
-from armsight.app.verify.run import read_run
+from armsight.app.verify.run import MAX_SUMMARY_BYTES, read_run
 from armsight.columns import POSE6
 from armsight.errors import BadFile, NotEnoughData
+from armsight.file_names import MEASURE
 from armsight.measure.results import MadeWith
 from armsight.measure.series import INSIDE_95
 from armsight.records import PoseStatus, TargetPose
@@ -23,8 +23,7 @@ from armsight.records.result_parts import Difference
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import read_output
-
-MAX_SUMMARY_BYTES = 100_000_000
+from armsight.verify.iso9283.figure import unit_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +64,7 @@ class Shared:
 
 def shared(a: Path, b: Path) -> Shared:
     """Tell of two poses.csv what their measurements share. Raises BadFile for a measure.json that is none."""
-    first, second = _made_with(a.with_name(SUMMARY)), _made_with(b.with_name(SUMMARY))
+    first, second = _made_with(a.with_name(MEASURE)), _made_with(b.with_name(MEASURE))
     if first is None or second is None:
         return Shared(None, None)
     return Shared(first.rig == second.rig, first.target == second.target)
@@ -253,7 +252,5 @@ def compare_verifications(a: Path, b: Path) -> Compared:
 
 
 def _of(name: str, a: float, b: float, std: float | None) -> Difference:
-    tails = {"_m_s": "m/s", "_rad": "rad", "_ratio": "1", "_s": "s", "_m": "m"}
-    head = name if name.startswith("joint") else name.partition(" ")[0]
-    unit = next((unit for tail, unit in tails.items() if head.endswith(tail)), "1")
+    _, unit = unit_of(name if name.startswith("joint") else name.partition(" ")[0])
     return Difference(name=name, unit=unit, a=a, b=b, difference=b - a, std=std)

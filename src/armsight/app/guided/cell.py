@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.cell import ARM, REPORT, RIG, TARGET, WORLD, run_calibrate_cell
+from armsight.app.calibrate.cell import run_calibrate_cell
 from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch, ReadJoints
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import DetectionSettings
@@ -26,6 +26,7 @@ from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import Setup
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.file_names import ARM, HANDEYE, REPORT, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Progress
@@ -40,7 +41,6 @@ LEAST_S, WANTED_S = 20.0, 60.0
 """Seconds of motion without which nothing is calibrated, and from which most of a cell is told."""
 TURN, SLIDE = 20.0 * DEG, 0.05
 """Over how much every joint should move."""
-HANDEYE = "handeye.yaml"
 FILES = {"target": "the target, target.yaml", "arm": "the arm, arm.yaml"}
 AT_ORIGIN = 1e-9
 """By which entries of a base's place may differ from the origin's."""

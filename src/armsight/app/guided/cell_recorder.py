@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armsight.app.live.station import Shown, Station
 from armsight.clock import Clock
+from armsight.defaults import LOOK_S, LOST_LOOKS
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.optics import SIDES
 from armsight.records import JointReading, Motion
@@ -23,15 +24,11 @@ ReadJoints = Callable[[], JointReading]
 """Returns the robot's newest joints in rad or m. Raises DeviceFailed."""
 
 FRAMES, LOG = "frames.mcap", "joints.csv"
-LOOK_S = 0.005
-"""Time between two looks: a robot that tells 125 times a second is heard each time."""
 BEGIN_S, END_S = 5.0, 30.0
 """Time in which the measuring process must have begun to write, and have closed the file."""
 CELLS = 3
 STILL_PX = 1.5
 """A spot this near to one of the last picture stands: a lamp, or a target at rest, which was counted as it came."""
-LOST_LOOKS = 10
-"""Pictures in a row with too few spots, after which the lights are told as lost: single ones hide behind the arm."""
 SILENT_S = 1.0
 
 

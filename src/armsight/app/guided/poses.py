@@ -22,6 +22,7 @@ from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip_result import TURNED_RAD
 from armsight.clock import Clock, SystemClock
 from armsight.columns import POSE7
+from armsight.defaults import LOOK_S
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.ops.calibrate_robot import calibrate_tool_tip
@@ -39,7 +40,7 @@ ReadJoints = Callable[[], JointReading]
 """A rotation's RMS about an axis from which a lever is told well: sin 20 degrees is a third of the lever's length."""
 STILL = 2e-4
 """Joints (rad or m) that moved less while a pose was taken stood still: at 1 m it is 0.2 mm."""
-LATE_S, LOOK_S = 2.0, 0.005
+LATE_S = 2.0
 """How much later than a picture its joints may come, and the time between two looks for them."""
 AXES = ("x", "y", "z")
 

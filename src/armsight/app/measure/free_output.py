@@ -14,23 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measure_free_running
-from armsight.app.measure.outputs import (
-    POINTS,
-    POSES,
-    REPORT,
-    SPOTS,
-    SUMMARY,
-    TUM,
-    consistency_output,
-    made_with,
-    moved_pose,
-)
+from armsight.app.measure.outputs import consistency_output, made_with, moved_pose
 from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.sources.bags import read_motion
 from armsight.app.sources.frames import recordings_in
 from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
+from armsight.file_names import MEASURE, POINTS, POSES, REPORT, SPOTS, TUM
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import FrameTime, MeasureOutput
@@ -74,7 +65,7 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
     summary = replace(summary, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
     write_text(job.out / REPORT, measure_report(_report(job, setup, world, done, moved, summary)))
-    write_json(job.out / SUMMARY, summary.to_dict())
+    write_json(job.out / MEASURE, summary.to_dict())
     return summary
 
 

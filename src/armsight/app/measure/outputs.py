@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.columns import POSE6
 from armsight.errors import Unseen
+from armsight.file_names import POINTS, POSES, SPOTS, TUM
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import advice, sentence, settled
 from armsight.measure.consistency.diagnosis import Consistency, Finding
@@ -40,10 +41,6 @@ from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_point
 from armsight.store.atomic import RowFile
 
 Array = NDArray[np.float64]
-
-POSES, POINTS, SPOTS, TUM = "poses.csv", "points.csv", "spots.csv", "poses.tum"
-SUMMARY, REPORT = "measure.json", "report.html"
-FILES = (POSES, POINTS, SPOTS, TUM, SUMMARY, REPORT)
 
 REASONS_KEPT = 20
 """Different reasons for lost frames that are counted apart; the rest is summed."""

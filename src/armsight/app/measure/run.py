@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from armsight.app.measure.collector import About, Collector
 from armsight.app.measure.free_output import measure_free
-from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs, made_with
+from armsight.app.measure.outputs import Outputs, made_with
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
@@ -33,6 +33,7 @@ from armsight.drivers import (
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.file_names import MEASURE, REPORT
 from armsight.geometry.lengths import wide_rig
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
@@ -144,7 +145,7 @@ def run(
     summary = replace(summary, assumed_fps=about.assumed_fps, made_with=made_with(setup.rig, setup.target))
     progress.update(0, 0, "writing the report")
     report.write(out / REPORT, summary, about)
-    write_json(out / SUMMARY, summary.to_dict())
+    write_json(out / MEASURE, summary.to_dict())
     if failure is not None:
         raise _with_path(failure, outputs, out)
     return summary, report.poses

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from armsight.app.measure.outputs import SUMMARY
+from armsight.file_names import MEASURE
 from armsight.measure.results import MeasureOutput, ZoomAt
 from armsight.optics import SIDES, Rig, ZoomState, at_zoom
 from armsight.store import read_zoom_rig
@@ -50,5 +50,5 @@ def with_zoom(summary: MeasureOutput, zoomed: Zoomed, out: Path) -> MeasureOutpu
         for side, state in zoomed.items()
     }
     extended = replace(summary, zoom=cameras)
-    write_json(out / SUMMARY, extended.to_dict())
+    write_json(out / MEASURE, extended.to_dict())
     return extended

@@ -23,6 +23,7 @@ from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import run_verify
 from armsight.clock import Clock, SystemClock
 from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
+from armsight.defaults import LOOK_S, TOOL_SPEED_M_S
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, DataRefused, DeviceFailed, NotEnoughData, UsageError
 from armsight.fields import Bounds
@@ -49,7 +50,7 @@ JOINT_SPEED = 0.5
 """Fastest joint on the way (rad or m a second), at full override."""
 FEWEST_VISITS = 3
 """Of each pose, before anything is judged."""
-LOOK_S, WAIT_S = 0.005, 10.0
+WAIT_S = 10.0
 """Between two looks for a newer moment; without one for so long the station is taken for lost."""
 FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
 """What a page shows, each with its poses."""
@@ -64,7 +65,7 @@ class IsoRequest:
     cell: CellFile
     side_m: Annotated[float | None, Bounds(least=0.01, most=1.0)] = None
     cycles: Annotated[int, Bounds(least=FEWEST_VISITS, most=100)] = 10
-    speed_m_s: Annotated[float, Bounds(least=0.001, most=1.0)] = 0.1
+    speed_m_s: Annotated[float, Bounds(least=0.001, most=1.0)] = TOOL_SPEED_M_S
     frames: int = 5
 
 

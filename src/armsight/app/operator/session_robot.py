@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.clock import Clock
 from armsight.control.session.authority import EnableLost
 from armsight.control.session.operator_session import OperatorSession
+from armsight.defaults import STALE_CYCLES
 from armsight.drivers import RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData, UsageError
 from armsight.records import JointReading
@@ -21,8 +22,6 @@ from armsight.store.arm_file import arm_mapping
 Array = NDArray[np.float64]
 
 STALE_S = 0.1
-STALE_CYCLES = 3.5
-"""A reading older than both is stale."""
 
 LED_AWAY = 0.06
 """A robot further (rad or m) from where it was told to go was led elsewhere meanwhile; held on a sweep at 10 degrees a

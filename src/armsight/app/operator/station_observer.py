@@ -9,16 +9,14 @@ from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import SideView
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
+from armsight.defaults import LOOK_S, LOST_LOOKS
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.optics import Rig, triangulate
 
 Array = NDArray[np.float64]
 
-LOOK_S = 0.005
 WAIT_S = 10.0
 """A station that shows nothing new for so long is taken for lost."""
-LOST_LOOKS = 10
-"""Looks in a row without the beacon that mean it is lost; while the screen's pictures come single ones are skipped."""
 FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
 """How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
 SPARE = 1.25

@@ -15,11 +15,12 @@ from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.teach_controller import LEAST_CYCLE_S
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
-from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.control.session.operator_session import Person
+from armsight.defaults import BLIND_S
 from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
+from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
@@ -35,8 +36,6 @@ KEPT = 90_000
 """Moments kept for the files: the newest hour at 25 a second."""
 SHOWN = 600
 """Moments kept for the curves of a page."""
-BLIND_S = 0.5
-"""Nothing compared for so long is told."""
 NO_LEVEL_BELOW_0 = Bounds(least=0.0)
 SUPERVISION = Person(who="supervision")
 DOUBTS = (
@@ -111,7 +110,7 @@ class StationSupervisor:
         if not self._log.rows:
             raise NotEnoughData("the cameras showed nothing", consequence="Nothing was supervised")
         done = live_output(self._log, recording="", doubts=DOUBTS)
-        write_json(self.out / SUMMARY, done.to_dict())
+        write_json(self.out / VERIFY, done.to_dict())
         write_text(self.out / ERRORS, self._log.csv())
         write_text(self.out / REPORT, live_report(self._log.series(), done, inputs=[]))
         return done

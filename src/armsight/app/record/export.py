@@ -8,11 +8,11 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
-from armsight.app.record.record import RIG_NAME, TARGET_NAME
 from armsight.app.simulate.cells import write_png
 from armsight.drivers import ordered_map
 from armsight.errors import BadFile, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
+from armsight.file_names import RIG, TARGET
 from armsight.records import Frame, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
@@ -85,7 +85,7 @@ def _rosbag2(source: Path, out: Path, progress: Progress) -> ExportOutput:
 
 def _folder(recording: Recording, out: Path, progress: Progress) -> dict[str, int]:
     done: dict[str, int] = {}
-    for name in (RIG_NAME, TARGET_NAME):
+    for name in (RIG, TARGET):
         if name in recording.attachments:
             write_bytes(out / name, recording.attachment(name))
             done[name] = 1

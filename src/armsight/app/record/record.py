@@ -21,6 +21,7 @@ from armsight.drivers import PairSource, Skew, is_live
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.fields import Doc
+from armsight.file_names import RIG, TARGET
 from armsight.measure.poses.pipeline import check_sizes
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent
@@ -28,9 +29,6 @@ from armsight.records.output import Output, output
 from armsight.store import read_rig, read_target
 from armsight.store.atomic import disk_errors
 from armsight.store.recording import RecordingWriter, Repaired, repair
-
-RIG_NAME = "rig.yaml"
-TARGET_NAME = "target.yaml"
 
 CELL_FRAMES = 300
 """Pairs of a simulated cell where no limit is given: five seconds at 60 a second."""
@@ -136,7 +134,7 @@ class Tally:
     missed: int = 0
     first_s: float = 0.0
     last_s: float = 0.0
-    last_number: int = -1
+    last_number: int = 0
 
     def add(self, left: Frame) -> None:
         """Count a pair by its left frame."""
@@ -206,9 +204,9 @@ def _files(job: RecordJob) -> Iterator[tuple[dict[str, Path], Rig | None]]:
         rig_path, target_path = job.rig, job.target
         if job.cell is not None:
             write_cell_files(load_cell(job.cell, seed=job.seed, frames=1), Path(folder), seed=job.seed, frames=1)
-            rig_path = rig_path or Path(folder) / RIG_NAME
-            target_path = target_path or Path(folder) / TARGET_NAME
-        files = {name: path for name, path in ((RIG_NAME, rig_path), (TARGET_NAME, target_path)) if path is not None}
+            rig_path = rig_path or Path(folder) / RIG
+            target_path = target_path or Path(folder) / TARGET
+        files = {name: path for name, path in ((RIG, rig_path), (TARGET, target_path)) if path is not None}
         if target_path is not None:
             read_target(target_path)
         yield files, read_rig(rig_path) if rig_path is not None else None

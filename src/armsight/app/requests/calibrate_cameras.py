@@ -19,7 +19,7 @@ from armsight.app.requests.shared import (
     Workers,
     automatic,
 )
-from armsight.defaults import GLASS, MIRROR_GAP_M, PLATE_NEAR_M
+from armsight.defaults import FOLDS, GLASS, MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.units import MM
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from armsight.calibrate.cameras import BoardOptions
     from armsight.drivers import CameraSettings, ImageReading
 
-FOLDS = 5
-"""Of the error on boards that were left out."""
 
 Detector: TypeAlias = Annotated[
     str, Doc("How checkerboards are looked for: auto, quick, classic, sectors, xcorner."), Flag(metavar="NAME")

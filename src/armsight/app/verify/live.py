@@ -16,10 +16,11 @@ from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.app.verify.live_output import LiveLog, live_output
-from armsight.app.verify.supervising import RECORDING, Show, Supervised, Supervision
+from armsight.app.verify.supervising import Show, Supervised, Supervision
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import is_live
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
+from armsight.file_names import ERRORS, LIVE, REPORT, VERIFY
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
@@ -31,8 +32,6 @@ from armsight.store.worlds import World
 from armsight.units import DEG
 from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Expectation
-
-SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"
 
 
 def run_verify_live(
@@ -72,8 +71,8 @@ def run_verify_live(
     if failure is not None and not log.rows:
         raise failure
     failure = failure or _nothing_compared(log)
-    done = live_output(log, recording=str(job.out / RECORDING), doubts=_doubts(job, arm, world, devices, failure))
-    write_json(job.out / SUMMARY, done.to_dict())
+    done = live_output(log, recording=str(job.out / LIVE), doubts=_doubts(job, arm, world, devices, failure))
+    write_json(job.out / VERIFY, done.to_dict())
     write_text(job.out / ERRORS, log.csv())
     write_text(job.out / REPORT, live_report(log.series(), done, inputs=_inputs(job)))
     if failure is not None:

@@ -45,7 +45,7 @@ class LiveLog:
     alarms: list[Alarm] = field(default_factory=list)
     missed: int = 0
     stopped: bool = False
-    last_number: int = -1
+    last_number: int = 0
 
     @property
     def duration_s(self) -> float:

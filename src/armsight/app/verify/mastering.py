@@ -14,6 +14,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.requests.verify import MasteringJob
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.file_names import MASTERING, REPORT, VERIFY
 from armsight.kinematics import Arm, JointType, fk
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
@@ -33,7 +34,6 @@ from armsight.verify.results import MasteringJoint, MasteringOutput, MasteringPl
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-POSES, SUMMARY, REPORT = "mastering.csv", "verify.json", "report.html"
 DRAWN, SEED = 40_000, 7
 """Joint positions drawn about the middle one, candidates are those in view; the same call proposes the same."""
 TOOLS = ("fixed", "free")
@@ -54,7 +54,7 @@ def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
     else:
         notes.append("without --rig, --target and --world nobody knows whether the cameras see the target there")
     found = propose(arm, q[:CANDIDATES], how, NOISE)
-    file = job.out / POSES
+    file = job.out / MASTERING
     write_text(file, _poses_csv(arm, found))
     names = [joint.name for joint in arm.joints]
     return MasteringPlanOutput(
@@ -80,7 +80,7 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
     paired = pair(arm, _reported(job, file, arm), file.measured, nominal, how)
     result = check_mastering(arm, cast(Array, paired.q), paired.measured, how)  # of joints: _reported refuses others
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
-    write_json(job.out / SUMMARY, done.to_dict())
+    write_json(job.out / VERIFY, done.to_dict())
     write_text(job.out / REPORT, mastering_report(done, arm.name, slides=_slides(arm)))
     return done
 
@@ -109,7 +109,7 @@ def _reported(job: MasteringJob, file: MeasuredFile, arm: Arm) -> Reported:
     if found is None or found.q is None:
         raise UsageError(
             f"{job.measured} has no columns q1 .. qn, and no --joints were given",
-            cure=f"Give --joints with q1,...,qn row by row: {POSES} where each of its poses was measured, in order",
+            cure=f"Give --joints with q1,...,qn row by row: {MASTERING} where each of its poses was measured, in order",
         )
     if found.q.shape[1] != arm.n:
         raise Inconsistent(

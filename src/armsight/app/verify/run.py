@@ -15,6 +15,7 @@ from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.kinematics import Arm
 from armsight.report.repeats_report import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
@@ -31,7 +32,6 @@ Array = NDArray[np.float64]
 Other = VerifyOutput | None
 
 MAX_SUMMARY_BYTES = 100_000_000
-SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,7 +123,7 @@ def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
 
 
 def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
-    write_json(job.out / SUMMARY, done.to_dict())
+    write_json(job.out / VERIFY, done.to_dict())
     write_text(job.out / ERRORS, table)
     write_text(job.out / REPORT, page)
     return done
@@ -196,7 +196,7 @@ def shared_in_world(repeats: Repeats, world: World) -> Repeats:
 
 def read_run(folder: Path) -> VerifyOutput:
     """Return what an earlier run found. Raises BadFile where the folder holds none."""
-    path = folder / SUMMARY
+    path = folder / VERIFY
     held = read_bytes(path, limit=MAX_SUMMARY_BYTES)
     try:
         return read_output(VerifyOutput, json.loads(held), path.name)

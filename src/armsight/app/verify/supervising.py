@@ -18,8 +18,10 @@ from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
+from armsight.defaults import BLIND_S
 from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
+from armsight.file_names import LIVE
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.tracker import TargetTracker
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
@@ -27,9 +29,6 @@ from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
 from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Seen, Watch
 
-RECORDING = "live.mcap"
-BLIND_S = 0.5
-"""Nothing compared for so long is told as such."""
 PLANT = "plant"
 WARNINGS_PER_S = 20.0
 NOTES = 100
@@ -93,7 +92,7 @@ class Supervision:
 
     def open(self, stack: ExitStack) -> None:
         """Begin the recording and to read the joints; all ends with the stack."""
-        writer = RecordingWriter(self.job.out / RECORDING, overwrite=True)
+        writer = RecordingWriter(self.job.out / LIVE, overwrite=True)
         stack.enter_context(writer)
         writer.attach("rig.yaml", self.job.rig.read_bytes())
         if self.job.target.exists():

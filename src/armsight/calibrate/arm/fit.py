@@ -16,13 +16,12 @@ from armsight.columns import POSITION, ROTATION_VECTOR
 from armsight.defaults import ANGLE_RAD, LENGTH_M, SAG
 from armsight.fields import Doc
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
-from armsight.fitting.quantiles import chi2_ppf
+from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.kinematics import ToolPoint
 from armsight.records.output import Output, output
 
 Array = NDArray[np.float64]
 
-MEDIAN_3 = float(chi2_ppf(0.5, 3))
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 FIT_ROUNDS = 4
 """Fits with the noise of the one before; the ratio of the two noises settles in two or three."""

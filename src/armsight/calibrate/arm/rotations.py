@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.arm.fit import LEAST_TURN_RAD, MEDIAN_3, ArmFit
+from armsight.calibrate.arm.fit import LEAST_TURN_RAD, ArmFit
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import coupled
@@ -23,7 +23,7 @@ from armsight.calibrate.handeye.consensus import LEAST_SHARE, MUCH_BETTER, NEAR,
 from armsight.calibrate.handeye.kernels.closed_forms import MEDIAN_NORM, rotation_consensus
 from armsight.calibrate.handeye.pairs import LEAST_TURN_RAD as TURNED_RAD
 from armsight.errors import Degenerate, Inconsistent
-from armsight.fitting.quantiles import chi2_ppf
+from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.kinematics import fk
 from armsight.units import DEG, MM
 

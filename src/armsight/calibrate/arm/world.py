@@ -12,24 +12,24 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import stdtr
 
 from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
-from armsight.calibrate.arm.fit import MEDIAN_3, added_noise
+from armsight.calibrate.arm.fit import added_noise
 from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.rows import in_order, of_places
-from armsight.calibrate.correlation import NORMAL_95, Correlation, fit_averaged
+from armsight.calibrate.correlation import Correlation, fit_averaged
 from armsight.columns import POSE6
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
-from armsight.fitting.quantiles import chi2_ppf, t_ppf
+from armsight.fitting.quantiles import MEDIAN_3, NORMAL_95, chi2_ppf, t_ppf
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import PoseStd, RejectedRow
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -43,8 +43,6 @@ WORLD_FIT_SEED = 11
 """The same measurements give the same answer."""
 WEIGHING_ROUNDS = 5
 """Fits with what the one before left unexplained; two or three settle it."""
-MANY_REJECTED = 0.1
-"""Share of the rows left out beyond which those that agree are only a part of what happened."""
 LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.defaults import FOLDS
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import LensKind
 from armsight.optics.camera import INTRINSICS_OF
@@ -135,7 +136,7 @@ class BoardOptions:
     fixed: frozenset[str] = frozenset({"skew"})
     automatic_k3: bool = True
     reject: bool = True
-    folds: int = 5
+    folds: int = FOLDS
     max_iterations: int = 60
     lens: LensKind = LensKind.PINHOLE
     right_lens: LensKind | None = None

@@ -14,7 +14,7 @@ from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.known_noise import BELIEVED, Fitted, Weighing, fit_weighed, left_out
 from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
 from armsight.errors import NotConverged
-from armsight.fitting.quantiles import t_ppf
+from armsight.fitting.quantiles import NORMAL_95, t_ppf
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
 """Variances are kept above (0.01 nm)^2 and (1e-11 rad)^2, so that exact data can be fitted as well."""
@@ -28,7 +28,6 @@ TOLERANCE = 5e-3
 size."""
 
 LIMIT = 100
-NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.clock import STALL_S
 from armsight.control.guard.plausible import check_corners, check_units
+from armsight.defaults import TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm
@@ -235,8 +236,8 @@ class Limits(Saveable):
     retreat_after_s.
     """
 
-    speed_m_s: Positive = 0.1
-    turn_rad_s: Positive = 60.0 * DEG
+    speed_m_s: Positive = TOOL_SPEED_M_S
+    turn_rad_s: Positive = TOOL_SPEED_RAD_S
     acceleration_m_s2: Positive = 2.0
     turn_acceleration_rad_s2: Positive = 20.0
     jerk_m_s3: Positive = 100.0

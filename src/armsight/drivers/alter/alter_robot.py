@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
+from armsight.defaults import STALE_CYCLES
 from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, FrameSplitter, StateFrame, answer
 from armsight.drivers.alter.settings import AlterSettings
 from armsight.drivers.controller_clock import ControllerClock
@@ -30,8 +31,6 @@ from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
-STALE_CYCLES = 3.5
-"""A reading older than so many cycles is stale: two frames in a row may be lost, a third is a fault."""
 
 SILENT_CYCLES = 10.0
 """A link that was silent for so many cycles is lost, and stays so until it is opened again: the controller ends path

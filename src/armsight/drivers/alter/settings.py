@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from armsight.defaults import TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
 from armsight.drivers.alter.frames import ANSWER_BYTES, STATE_BYTES
 from armsight.drivers.link_settings import LinkSettings, Positive
 
@@ -31,8 +31,8 @@ class AlterSettings(LinkSettings):
     axes: Literal["world", "tool"] = "world"
     lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
-    speed_m_s: Positive = 0.1
-    speed_rad_s: Positive = math.pi / 3
+    speed_m_s: Positive = TOOL_SPEED_M_S
+    speed_rad_s: Positive = TOOL_SPEED_RAD_S
 
     @model_validator(mode="after")
     def _fits(self) -> AlterSettings:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
+from armsight.defaults import STALE_CYCLES
 from armsight.drivers.protocols import RobotState, Sent
 from armsight.drivers.remote import protocol as say
 from armsight.drivers.remote.link import Heart, Link
@@ -23,7 +24,6 @@ from armsight.records import JointReading
 
 Array = NDArray[np.float64]
 
-STALE_CYCLES = 3.5
 STALE_S = 0.1
 """A reading older than either is stale, its way through the network included: the larger counts."""
 

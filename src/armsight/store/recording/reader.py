@@ -16,6 +16,7 @@ from mcap.records import Channel, Schema
 
 from armsight._files import open_file
 from armsight.errors import BadFile, DataRefused, Inconsistent, NotEnoughData
+from armsight.file_names import RIG, TARGET
 from armsight.geometry import pose_from_quat
 from armsight.optics import Rig
 from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, TargetPose
@@ -152,12 +153,12 @@ class Recording:
     @property
     def rig(self) -> Rig:
         """The rig recorded with it. Raises NotEnoughData where none was."""
-        return rig_from_mapping(parse_yaml(self.attachment("rig.yaml"), f"{self.path}: rig.yaml"), str(self.path))
+        return rig_from_mapping(parse_yaml(self.attachment(RIG), f"{self.path}: {RIG}"), str(self.path))
 
     @property
     def target(self) -> Target:
         """The target recorded with it. Raises NotEnoughData where none was."""
-        content = parse_yaml(self.attachment("target.yaml"), f"{self.path}: target.yaml")
+        content = parse_yaml(self.attachment(TARGET), f"{self.path}: target.yaml")
         return target_from_mapping(content, str(self.path))
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Recorded]:

@@ -16,6 +16,14 @@ UNITS = {"m": "m", "rad": "rad", "m/s": "m_s", "s": "s", "1": "ratio"}
 """Units of figures, and how keys spell them."""
 
 
+def unit_of(name: str) -> tuple[str, str]:
+    """Return symbol and unit of a figure's or a joint error's key: ('RP', 'm') of 'RP_m'; without one the unit is 1."""
+    for unit, tail in sorted(UNITS.items(), key=lambda one: -len(one[1])):
+        if name.endswith(f"_{tail}"):
+            return name.removesuffix(f"_{tail}"), unit
+    return name, "1"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
     """A figure: symbol and unit, where it holds, how many repeats it is of, and how many the standard asks for.

@@ -1,0 +1,17 @@
+"""Names of the files that commands write and read again: a command keeps what its run writes, by the same names."""
+
+RIG, TARGET, ARM, WORLD, HANDEYE = "rig.yaml", "target.yaml", "arm.yaml", "world.yaml", "handeye.yaml"
+REPORT = "report.html"
+
+POSES, POINTS, SPOTS, TUM, MEASURE = "poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json"
+MEASURED = (POSES, POINTS, SPOTS, TUM, MEASURE, REPORT)
+DEMO = "demo.json"
+
+VERIFY, ERRORS, LIVE, MASTERING = "verify.json", "errors.csv", "live.mcap", "mastering.csv"
+VERIFIED = (VERIFY, ERRORS, REPORT, LIVE, MASTERING)
+
+COMPARE = "compare.json"
+COMPARED = (COMPARE, REPORT)
+
+CELL = "cell.json"
+CELL_CALIBRATED = (RIG, WORLD, TARGET, ARM, CELL, REPORT)
