@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.fit import is_tool_turn
-from armsight.calibrate.arm.initial_guess import mounts_by_turns, placed
+from armsight.calibrate.arm.initial_guess import ENOUGH, mounts_by_turns, placed
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM
@@ -40,8 +40,6 @@ SENSELESS = 0.1
 """Errors of a larger share of how far the tool moved are not of this arm: 2 degrees of all zeros give 0.02 to 0.04."""
 MIRRORED = 0.3
 """A reflection that leaves less than this share of the error is what happened."""
-ENOUGH = 200
-"""Rows that a start is looked for with."""
 STARTS_M = 0.25
 """Positions of an unknown tool that are tried, to either side of the flange."""
 
