@@ -669,6 +669,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "point_m": array(np.zeros(3)),
             "point_std_m": number(0.001, negative=-1.0),
             "t_s": array(np.arange(12.0)),
+            "table": TABLES,
+            "out": Arg(good=None, wrong={"a number": 3, "a list": ["a"], "nowhere": "/dev/null/file.yaml"}),
         },
     ),
     "connect": (
