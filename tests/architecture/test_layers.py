@@ -12,11 +12,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-OTHERS = {"armsight_sim": "sim/src", "armsight_plant": "plant/src"}
+OTHERS = {"armsight_sim": "sim/src", "armsight_plant": "plant/src", "armsight_lab": "lab/src"}
 PARTS = ("src", *OTHERS.values())
 
-PARTS = ("src", "sim/src", "lab/src")
-BESIDE = {"armsight_sim": "sim/src", "armsight_lab": "lab/src"}
 PLANTED = {
     "geometry sees records": ("geometry/planted.py", "import armsight.records"),
     "optics sees kinematics": ("optics/planted.py", "import armsight.kinematics"),

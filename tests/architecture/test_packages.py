@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE = {".pyc", ".nbi", ".nbc"}
-PACKAGES = [(".", "armsight"), ("sim", "armsight_sim"), ("plant", "armsight_plant")]
+PACKAGES = [(".", "armsight"), ("sim", "armsight_sim"), ("plant", "armsight_plant"), ("lab", "armsight_lab")]
 BESIDE = {"CHANGELOG.md", "LICENSE", "README.md", "PKG-INFO", ".gitignore", "pyproject.toml"}
 
 
