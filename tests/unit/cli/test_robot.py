@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from armsight.app.requests.motion import JogJob, RobotTestJob
-from armsight.app.robot.jog import jog_robot
+from armsight.app.robot.jog import _Watcher, jog_robot
 from armsight.app.robot.link_test import test_robot as read_link
 from armsight.app.robot.opening import open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
-from armsight.control.guard import Box, JointLimit, Limits
+from armsight.control.guard import Box, GuardState, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError
 from armsight.records import JointReading, Silent
 from armsight.store.limits_file import read_limits, write_limits
@@ -167,3 +168,15 @@ def test_the_commands_answer_programs_and_have_exit_codes() -> None:
     assert run(app, ["robot", "jog", "--robot", SIM, "--joint", "9", "--by", "0.1", "--yes"]).exit_code == 2
     assert run(app, ["robot", "jog", "--robot", SIM, "--joint", "3", "--by", "6", "--yes"]).exit_code == 3
     assert run(app, ["robot", "jog", "--robot", SIM, "--joint", "1", "--by", "0.1"], input="n\n").exit_code == 130
+
+
+@pytest.mark.parametrize(("step_rad", "stuck"), [(0.0, True), (1e-16, True), (1e-7, False)])
+def test_steps_that_lead_nowhere_end_a_jog(step_rad: float, stuck: bool) -> None:
+    """Held joints differ by rounding from cycle to cycle; what moves, however slowly, is not stuck."""
+    watcher = _Watcher(0.01)
+    q = np.array([0.3, -1.2, 1.1])
+    for cycle in range(150):
+        moved = q + [0.0, 0.0, step_rad * (cycle if step_rad > 1e-12 else cycle % 2)]
+        status = SimpleNamespace(limited=(), finished=False, guard=GuardState.RUNNING, at_rest=False, q_sent=moved)
+        watcher(status)  # type: ignore[arg-type]  # what it looks at of a status
+    assert watcher.stuck is stuck

@@ -42,6 +42,10 @@ class JogOutput(Output):
     state: Annotated[str, Doc("What the robot can do now: ready, moving or stopped.")]
 
 
+ROUNDING = 1e-9
+"""Rad or m by which joints that are held may differ: no robot moves by less, at any speed, for STUCK_S."""
+
+
 class _Watcher:
     """Ends the loop where the joint arrived, or cannot, and gathers what limited it.
 
@@ -60,8 +64,9 @@ class _Watcher:
         self.limited += [name for name in status.limited if name not in self.limited]
         ended = status.finished or status.guard is not GuardState.RUNNING
         self._cycles = self._cycles + 1 if status.at_rest and ended else 0
-        stands = not ended and np.array_equal(status.q_sent, self._sent)
-        self._stood, self._sent = self._stood + 1 if stands else 0, status.q_sent
+        # against where it began to stand: joints that are held differ by rounding from cycle to cycle
+        stands = not ended and len(self._sent) > 0 and float(np.abs(status.q_sent - self._sent).max()) < ROUNDING
+        self._stood, self._sent = (self._stood + 1, self._sent) if stands else (0, status.q_sent)
         self.stuck |= self._stood * self._cycle_s > STUCK_S
         longest_s = STUCK_S if status.guard is GuardState.HOLDING else SETTLE_S
         return self.stuck or self._cycles * self._cycle_s > longest_s
