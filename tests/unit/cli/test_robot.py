@@ -176,7 +176,7 @@ def test_steps_that_lead_nowhere_end_a_jog(step_rad: float, stuck: bool) -> None
     watcher = _Watcher(0.01)
     q = np.array([0.3, -1.2, 1.1])
     for cycle in range(150):
-        moved = q + [0.0, 0.0, step_rad * (cycle if step_rad > 1e-12 else cycle % 2)]
+        moved = q + np.array([0.0, 0.0, step_rad * (cycle if step_rad > 1e-12 else cycle % 2)])
         status = SimpleNamespace(limited=(), finished=False, guard=GuardState.RUNNING, at_rest=False, q_sent=moved)
         watcher(status)  # type: ignore[arg-type]  # what it looks at of a status
     assert watcher.stuck is stuck
