@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GivenPoses:
-    """Poses (n,); covariances (n, 6, 6) and times t_s (n,) in s where a file brings them, and what to know of these."""
+    """T: poses (n,), m; where a file brings them covariances (n, 6, 6), m and rad, and times (n,), s; what to know."""
 
     T: RigidTransform
     covariances: Array | None = None

@@ -20,9 +20,7 @@ from armsight.app.requests.motion import PlayJob, ServoJob, TeachJob
 from armsight.app.robot.guarding import arm_of
 from armsight.app.robot.jog_by_hand import listening
 from armsight.app.robot.opening import open_robot
-from armsight.app.servo.servo_job import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
-from armsight.app.simulate.scenarios import live_cell
 from armsight.app.teach import TaughtBeside, teach_following
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
@@ -36,6 +34,7 @@ from armsight.store.path_file import read_path, write_path
 from armsight.store.recording import Recording
 from armsight.units import MM
 from refusals import names_it, refuses
+from robot_runs import devices
 
 SIM = "sim:webcam-cell"
 
@@ -223,19 +222,6 @@ def test_files_of_another_arm_and_missing_ones_are_refused(path: Path, tmp_path:
     with refuses(Inconsistent, "run it"):
         played(job(tmp_path / "far.csv"))
     assert not (path.parent / "out").exists()
-
-
-def devices(name: str, **more) -> ServoDevices:
-    clock = SteppedClock()
-    made = live_cell(name, clock, room="dark", **more)
-    return ServoDevices(
-        robot=made.robot,
-        pairs=made.pairs,
-        clock=clock,
-        overlaid=made.one_image,
-        origin_s=lambda: float(made.origin_s),
-        stepped=clock,
-    )
 
 
 def test_cameras_that_see_the_tip_elsewhere_stop_the_arm(cell: Path, path: Path) -> None:
