@@ -13,9 +13,12 @@ VERSIONS := 3.11 3.12 3.13
 demo: $(RUNS)
 	$(BIN)/armsight demo -o demo
 
+# what failed beside other tests is run once more by itself: it fails, or the machine was too busy for it, as told
+AGAIN := --last-failed --last-failed-no-failures none
+
 test: install
-	$(BIN)/pytest -n 2 --dist worksteal -m "not alone"
-	$(BIN)/pytest -m alone
+	$(BIN)/pytest -n 2 --dist worksteal -m "not alone" || $(BIN)/pytest $(AGAIN) -m "not alone"
+	$(BIN)/pytest -m alone || $(BIN)/pytest $(AGAIN) -m alone
 
 # the same tests under every Python that armsight is for: each of them has to be on the machine
 test-all: $(VERSIONS:%=test-%)

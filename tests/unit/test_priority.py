@@ -90,7 +90,7 @@ def test_a_loop_that_does_not_sleep_goes_first_no_more_and_later_again(monkeypat
     monkeypatch.setattr(threading, "Timer", Later)
 
     def loop() -> tuple[float, bool]:
-        took_s = works(lambda: not first())
+        took_s = works(lambda: not first() and bool(later))  # the handler plans the return last
         ((wait_s, act, threads),) = later
         assert wait_s == priority.BACK_S
         act(*threads)
