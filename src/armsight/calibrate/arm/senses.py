@@ -12,11 +12,10 @@ from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.errors import ArmsightError, Inconsistent
-from armsight.kinematics import Arm, fk
+from armsight.errors import Inconsistent
+from armsight.kinematics import Arm, fk_jacobian
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -27,7 +26,11 @@ FEWEST = 12
 MOST_JOINTS = 7
 """Joints of which all choices are tried."""
 STEPS = 25
-"""Evaluations of one choice: those that fit need ten."""
+"""Of one choice: those that fit need ten."""
+FARTHEST = 10.0
+"""Of one step: a radian of a joint, or half a metre of the tool. Zeros that base or tool make have no bound."""
+SETTLED = 1e-6
+"""Share of the sum of squares by which no choice's step changes it any more."""
 FITS = 0.05
 """Share of how far the tool moved that may be left: lengths of a home-made arm, not the next best choice of senses."""
 FITS_ALIKE = 0.02
@@ -102,15 +105,12 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     rows = np.unique(np.linspace(0, len(points) - 1, ROWS).astype(np.intp))
     q, xyz_m = points.q[rows], points.xyz_m[rows]
     spread = float(np.sqrt(((xyz_m - xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    choices = [
-        np.array(signs) for signs in sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda s: s.count(-1.0))
-    ]
-    found = [_fit(arm, turning, signs, q, xyz_m) for signs in choices]
-    left = np.array([one[0] for one in found])
+    choices = np.array(sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda s: s.count(-1.0)))
+    left, found = _fit(arm, turning, choices, q, xyz_m)
     alike = np.flatnonzero(left * NEXT <= left.min())
     if left.min() > FITS * spread:
         return _exchanged(arm, turning, q, xyz_m, FITS_ALIKE * spread, left)
-    zeros = [_of_joints(arm, turning, one[1]) for one in found]
+    zeros = [_of_joints(arm, turning, one) for one in found]
     size = [float(np.abs(one).sum().round(1)) for one in zeros]
     # of those that fit alike the one of the smallest zeros that reverses fewest
     best, *others = sorted(alike, key=lambda i: (size[i], (choices[i] < 0.0).sum()))
@@ -122,17 +122,17 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     names = _reversed(arm, turning, choices[best])
     if not names and not _off(arm, zeros[best]):
         return None
-    mirrored = _fit(arm, turning, np.ones(len(turning)), q, xyz_m * [-1.0, 1.0, 1.0])[0]
-    if len(names) > 1 and mirrored * NEXT <= left[best]:
+    mirrored = _fit(arm, turning, choices[:1], q, xyz_m * [-1.0, 1.0, 1.0])[0]
+    if len(names) > 1 and mirrored[0] * NEXT <= left[best]:
         return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
     if not ambiguous:
-        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best]), found[0][0]
+        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best]), float(left[0])
     told = [best]
     for i in others:  # not those that reverse one more joint beside what is told, such as the last
         if (size[i] == size[best] or i == 0) and all(((choices[k] < 0.0) & (choices[i] > 0.0)).any() for k in told):
             told.append(i)
     same = tuple((_reversed(arm, turning, choices[i]), zeros[i]) for i in told[1:])
-    given_m = _fit(arm, turning, choices[0], q, xyz_m, steps=1)[0]
+    given_m = float(_rms(_left(arm, turning, q[None], _start(arm, turning)[None], xyz_m)[0])[0])
     return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same), given_m
 
 
@@ -148,15 +148,21 @@ def _exchanged(
     left: of all choices of senses, RMS in m.
     """
     pairs = list(combinations(range(arm.n), 2))
-    ones = np.ones(len(turning))
-    found = [_fit(arm, turning, ones, _swapped(q, pair), xyz_m) for pair in pairs]
-    order = np.argsort([one[0] for one in found])
-    best_m, zeros = found[order[0]]
-    nearest = min([left.min(), *(found[i][0] for i in order[1:2])])
+    swapped = np.stack([_swapped(q, pair) for pair in pairs])
+    found_m, zeros = _fit(arm, turning, np.ones((len(pairs), len(turning))), swapped, xyz_m)
+    order = np.argsort(found_m)
+    best_m = float(found_m[order[0]])
+    nearest = min([left.min(), *found_m[order[1:2]]])
     if best_m > min(most_m, NEXT * nearest):
         return None
     names = tuple(arm.joints[j].name for j in pairs[order[0]])
-    return Senses(joints=(), zeros_rad=_of_joints(arm, turning, zeros), left_m=best_m, exchanged=names), float(left[0])
+    return Senses(
+        joints=(), zeros_rad=_of_joints(arm, turning, zeros[order[0]]), left_m=best_m, exchanged=names
+    ), float(left[0])
+
+
+def _centred(a: Array, axis: int = -2) -> Array:
+    return a - a.mean(axis=axis, keepdims=True)
 
 
 def _swapped(q: Array, pair: tuple[int, int]) -> Array:
@@ -172,25 +178,62 @@ def _of_joints(arm: Arm, turning: NDArray[np.intp], zeros_rad: Array) -> Array:
     return out
 
 
-def _fit(
-    arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Array, steps: int = STEPS
-) -> tuple[float, Array]:
-    """Return what is left, RMS in m, and the zeros of the turning joints, base and tool free."""
-    k, around, out_of_tool = len(turning), xyz_m - xyz_m.mean(axis=0), np.linalg.inv(arm.T_flange_tool.as_matrix())
+def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Array) -> tuple[Array, Array]:
+    """Return what each choice leaves, RMS in m (c,), and its zeros of the turning joints (c, k); base and tool free.
 
-    def residuals(x: Array) -> Array:
-        read = q.copy()
-        read[:, turning] = signs * q[:, turning] + x[:k]
-        flange = fk(arm, read) @ out_of_tool
-        there = flange[:, :3, :3] @ x[k:] + flange[:, :3, 3]
-        there -= there.mean(axis=0)
-        U, _, Vt = np.linalg.svd(around.T @ there)
-        U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
-        return np.asarray((there @ (U @ Vt).T - around).ravel())
+    signs (c, k). q: readings (m, n), or (c, m, n) each choice's own. Levenberg-Marquardt of all choices at once.
+    """
+    k, scale = len(turning), np.array([0.1] * len(turning) + [0.05] * 3)
+    read = np.broadcast_to(q, (len(signs), *q.shape[-2:])).copy()
+    read[..., turning] *= signs[:, None]
+    x = np.tile(_start(arm, turning), (len(signs), 1))
+    r, J = _left(arm, turning, read, x, xyz_m)
+    damping = np.full(len(signs), 1e-3)
+    for _ in range(STEPS):
+        by_scale = J * scale
+        normal = by_scale.mT @ by_scale + damping[:, None, None] * np.eye(k + 3)
+        step = np.linalg.solve(normal, by_scale.mT @ r[..., None])[..., 0]
+        step *= np.minimum(1.0, FARTHEST / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+        trial = x - scale * step
+        r_trial, J_trial = _left(arm, turning, read, trial, xyz_m)
+        before, after = (r**2).sum(axis=1), (r_trial**2).sum(axis=1)
+        better = after < before
+        x[better], r[better], J[better] = trial[better], r_trial[better], J_trial[better]
+        damping = np.clip(damping * np.where(better, 0.1, 10.0), 1e-8, 1e8)
+        if (np.abs(before - after) <= SETTLED * before).all():
+            break
+    return _rms(r), np.remainder(x[:, :k] + np.pi, 2.0 * np.pi) - np.pi
 
-    try:
-        first = np.concatenate([np.zeros(k), arm.T_flange_tool.translation])
-        found = least_squares(residuals, first, x_scale=[0.1] * k + [0.05] * 3, max_nfev=steps, ftol=1e-6)
-    except (ArmsightError, ValueError, np.linalg.LinAlgError):
-        return np.inf, np.zeros(k)
-    return float(np.sqrt(2.0 * found.cost / len(q))), np.remainder(found.x[:k] + np.pi, 2.0 * np.pi) - np.pi
+
+def _start(arm: Arm, turning: NDArray[np.intp]) -> Array:
+    return np.concatenate([np.zeros(len(turning)), arm.T_flange_tool.translation])
+
+
+def _rms(left: Array) -> Array:
+    return np.asarray(np.sqrt(3.0 * (left**2).mean(axis=1)))
+
+
+def _left(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array, xyz_m: Array) -> tuple[Array, Array]:
+    """Return what choices x (c, k + 3) of zeros and tool leave, (c, 3 m), and its derivatives (c, 3 m, k + 3).
+
+    The base that fits best (Kabsch 1976) goes with every choice and turns along with x: sum(there x around) stays zero.
+    """
+    k, shape = len(turning), read.shape
+    values = read.copy()
+    values[..., turning] += x[:, None, :k]
+    T, J = (a.reshape(*shape[:2], *a.shape[1:]) for a in fk_jacobian(arm, values.reshape(-1, shape[-1])))
+    flange = T @ np.linalg.inv(arm.T_flange_tool.as_matrix())
+    by_tool, tool = flange[..., :3, :3], x[:, None, k:, None]
+    arm_of = by_tool @ (tool - arm.T_flange_tool.translation[:, None])  # from the origin that J is of
+    by_zeros = J[..., :3, turning] + np.cross(J[..., 3:, turning], arm_of, axis=-2)
+    there, around = _centred((by_tool @ tool)[..., 0] + flange[..., :3, 3]), _centred(xyz_m)
+    U, _, Vt = np.linalg.svd(around.T @ there)
+    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+    base = U @ Vt
+    there = there @ base.mT
+    moved = base[:, None] @ _centred(np.concatenate([by_zeros, by_tool], axis=-1), axis=1)
+    B = there.mT @ around
+    spin = np.trace(B, axis1=1, axis2=2)[:, None, None] * np.eye(3) - B
+    turned = np.linalg.pinv(spin, hermitian=True) @ np.cross(moved, around[None, ..., None], axis=-2).sum(axis=1)
+    moved -= np.cross(there[..., None], turned[:, None], axis=-2)
+    return (there - around).reshape(len(x), -1), moved.reshape(len(x), -1, k + 3)
