@@ -205,19 +205,20 @@ def extra_noise(residual: Array, measurement: Array, n_parameters: int) -> Array
     return out
 
 
-def fit_model(model: Model, guess: Array, free: Collection[str]) -> ModelFit:
+def fit_model(model: Model, guess: Array, free: Collection[str], settled: float = 1e-10) -> ModelFit:
     """Return the free parameters by maximum likelihood, gross errors held down, the unexplained noise estimated.
 
-    Parameters that the data leave open stay where they are and are named in the fit. Raises NotConverged.
+    settled: share of the cost by which the last step lowers it; more for what is only to be ranked. Parameters that the data leave open stay where they are and are named in the fit. Raises NotConverged.
     """
     rows = model.rows
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
     measurement = measurement_std(model.measured)
     residual, _ = model.linearised(guess)
     noise = Noise.of(model.measured, extra_noise(residual, measurement, 0))
+    settings = Settings(allow_undetermined=True, max_iterations=200, cost_tolerance=settled)
     p = guess
     for _ in range(NOISE_ROUNDS):
-        fit = solve(_problem(model, p, free, noise, loss), Settings(allow_undetermined=True, max_iterations=200))
+        fit = solve(_problem(model, p, free, noise, loss), settings)
         p = fit.shared
         residual, _ = model.linearised(p)
         before, after = noise, Noise.of(model.measured, extra_noise(residual, measurement, len(free)))

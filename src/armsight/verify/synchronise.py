@@ -36,6 +36,8 @@ CHUNK = 400
 """Lags judged at a time, for memory."""
 CANDIDATES = 5
 """Lags fitted, of each kind of judgement."""
+RANKED = 1e-5
+"""A lag's fit ends where a step lowers its cost by less than this share: fits from wrong lags creep."""
 RIVAL, APART_S = 1.3, 0.15
 """Another lag, so far away, with less than RIVAL times the error (and no worse than the noise) fits as well."""
 DRIFTS = 5.0
@@ -194,7 +196,8 @@ def _fitted(
         guess = closed_form(F, part, nominal, how)
         expected = _timed(stream, t_s[inside], lag, float(t_s.mean()))
         model = Model(measured=part, expected=expected, extra=(OFFSET, DRIFT))
-        fit = fit_model(model, np.append(guess.vector, [0.0, 0.0]), (*free_names(part, how), OFFSET))
+        free = (*free_names(part, how), OFFSET)
+        fit = fit_model(model, np.append(guess.vector, [0.0, 0.0]), free, settled=RANKED)
     except (NotConverged, Degenerate):
         return None
     if abs(fit.p[-2]) > 10.0 * LAG_S:  # ran off to another lag, which is looked at by itself
