@@ -41,7 +41,7 @@ from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
-from armsight.control.sources import GoalSource
+from armsight.control.setpoints import GoalSource
 from armsight.drivers import ROBOTS, load
 from armsight.kinematics import Joint
 from armsight_sim.twins.alter import AlterTwin

@@ -22,7 +22,7 @@ from tests.truth.emulated_links import World, link_of
 from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.run_motion import run_motion
 from armsight.clock import ManualClock, SystemClock
-from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.play.path_source import JointMotionSource
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import ControllerState, address

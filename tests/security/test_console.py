@@ -17,9 +17,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from armsight.console import application, texts
 from armsight.console import routes as uploads
-from armsight.console.routes import SAID
+from armsight.console.routes import NAME, SAID
 from armsight.console.state import Console
-from armsight.console.visitors import NAME
 from armsight.errors import BadFile
 from armsight.server.serving import background
 from refusals import refuses

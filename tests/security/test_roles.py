@@ -30,8 +30,8 @@ from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import page_socket, robot_link, routes
 from armsight.console.application import PAGES, add_console
 from armsight.console.page_socket import MESSAGES
+from armsight.console.routes import NAME
 from armsight.console.state import Console
-from armsight.console.visitors import NAME
 from armsight.control.guard import Limits
 from armsight.control.session.operator_session import OperatorSession, Person
 from armsight.control.session.service import Service

@@ -22,7 +22,7 @@ from armsight.fields import Doc
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from armsight.control.play.joint_motion import JointMotionSource
+    from armsight.control.play.path_source import JointMotionSource
 
 
 @command(robot)

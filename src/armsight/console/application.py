@@ -24,9 +24,8 @@ from armsight.console.pages.settings import settings_page
 from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
 from armsight.console.robot_link import add_robot_link
-from armsight.console.routes import SafeHeaders, add_files, add_pictures
+from armsight.console.routes import SafeHeaders, add_files, add_pictures, person_of
 from armsight.console.state import Console
-from armsight.console.visitors import person_of
 
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,

@@ -18,8 +18,8 @@ from nicegui.elements.mixins.text_element import TextElement
 from armsight.app.operator.job_runner import BackgroundJob, JobRunner
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import texts
+from armsight.console.routes import LARGEST_BYTES, logged_in, page_name
 from armsight.console.state import Console
-from armsight.console.visitors import logged_in, page_name
 from armsight.errors import ArmsightError, UsageError
 from armsight.fields import DIGITS, Bounds, bounds_of, known_hints
 from armsight.units import DEG, MM
@@ -357,3 +357,21 @@ def _show(robot: RobotCell, labels: list[TextElement]) -> None:
         slides = arm is not None and not arm.revolute[axis]
         now = texts.SLIDE_NOW.format(value=value / MM) if slides else texts.JOINT_NOW.format(value=value / DEG)
         set_text(label, f"{texts.JOG_JOINT.format(n=axis + 1)}  {now}")
+
+
+def uploader() -> None:
+    """Choose a file of this machine and bring it into the cell's folder; the browser sends it by itself."""
+    with ui.element("label"):
+        text_of("span", texts.UPLOAD.format(mb=LARGEST_BYTES // 1_000_000))
+        chooser = ui.element("input")
+        chooser.props.update(
+            {
+                "type": "file",
+                "data-upload": "/console/files/",
+                "data-largest": str(LARGEST_BYTES),
+                "data-too-big": texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000),
+                "data-not-sent": texts.NOT_SENT,
+                "data-testid": "upload",
+            }
+        )
+    text_of("p", role="alert", id="uploaded").classes("hint")

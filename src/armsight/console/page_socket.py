@@ -13,7 +13,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
-from armsight.console.visitors import opened_by, person_in, require_login
+from armsight.console.routes import opened_by, person_in, require_login
 from armsight.control.session.operator_session import Person
 from armsight.errors import UsageError
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -10,9 +12,85 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
+from numpy.typing import ArrayLike, NDArray
 
-from armsight.console.tracks import Array, Point, Ticks
 from armsight.units import MM
+
+Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+POINTS = 1500
+"""Positions of a track that are kept: 12 m of a path at 80 mm/s, at ten a second."""
+APART_M = 5e-4
+"""What is seen so near to its track's end is at rest: the track goes on beyond it."""
+DIGITS = 5
+"""Of positions in m as they are sent."""
+TICKS = 8
+"""Of the longest axis at most."""
+
+
+@dataclass(slots=True)
+class Tracks:
+    """Where the target was measured, with its standard deviation in m, and where the arm's tool was; all pages add to
+    them and show the same."""
+
+    measured: deque[tuple[Point, float]] = field(default_factory=lambda: deque(maxlen=POINTS))
+    tool: deque[Point] = field(default_factory=lambda: deque(maxlen=POINTS))
+
+    def add_measured(self, xyz_m: Array, std_m: float) -> None:
+        """Add where the target is (3,) where it has gone on."""
+        if not self.measured or _apart(xyz_m, self.measured[-1][0]):
+            self.measured.append((_rounded(xyz_m), std_m))
+
+    def add_tool(self, xyz_m: Array) -> None:
+        """Add where the tool is (3,) where it has gone on."""
+        if not self.tool or _apart(xyz_m, self.tool[-1]):
+            self.tool.append(_rounded(xyz_m))
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.measured.clear()
+        self.tool.clear()
+
+
+def _rounded(xyz_m: Array) -> Point:
+    x, y, z = (round(float(value), DIGITS) for value in xyz_m)
+    return x, y, z
+
+
+def _apart(one: Array, other: Point) -> bool:
+    return bool(np.linalg.norm(one - np.array(other)) > APART_M)
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """Of the axes about curves, in whole mm: from, to (3,) and the step between two, the same on all axes."""
+
+    low_mm: tuple[int, int, int]
+    high_mm: tuple[int, int, int]
+    step_mm: int
+
+    @classmethod
+    def about(cls, positions: Array) -> Ticks:
+        """Return those about positions (n, 3) in m."""
+        low, high = positions.min(axis=0) / MM, positions.max(axis=0) / MM
+        wanted = max(float((high - low).max()) / (TICKS - 1), 1.0)
+        size = 10 ** int(np.floor(np.log10(wanted)))
+        step = next(n * size for n in (1, 2, 5, 10) if n * size >= wanted)
+        first = np.floor(low / step).astype(int) * step
+        last = np.maximum(np.ceil(high / step).astype(int) * step, first + step)
+        return cls(tuple(first.tolist()), tuple(last.tolist()), step)
+
+    @property
+    def centre_m(self) -> Array:
+        """The middle (3,) of what they hold."""
+        return np.asarray(0.5 * MM * (np.array(self.low_mm) + np.array(self.high_mm)))
+
+    @property
+    def span_m(self) -> float:
+        """The diagonal of what they hold."""
+        return MM * float(np.linalg.norm(np.array(self.high_mm) - np.array(self.low_mm)))
+
 
 GREY = "#7b8794"
 """Readable on light and dark paper."""
@@ -143,3 +221,56 @@ class Ruler:
 
     def _name(self, words: str, at_mm: Array) -> None:
         self._scene.text(words, f"font-size: 12px; font-weight: 600; color: {INK}").move(*(MM * at_mm).tolist())
+
+
+SCALES = (5000.0, 2000.0, 1000.0, 500.0, 200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0)
+LARGEST_M = 0.06
+"""Longest semi-axis that an ellipsoid is drawn with: it must not hide the target."""
+USELESS_M = 1.0
+"""Standard deviation of a position that says nothing of it: its ellipsoid would hold the whole scene."""
+THINNEST = 0.02
+"""Share of the longest semi-axis that the others are drawn with at least: a flat one is not seen from its side."""
+BEST, WORST = np.array([0.0, 0.447, 0.698]), np.array([0.835, 0.369, 0.0])
+"""Okabe and Ito's blue and vermillion, as (r, g, b) in 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnEllipsoid:
+    """semi_axes_m (3,) as drawn, along the columns of R (3, 3); scale: how many times as large as 1 sigma."""
+
+    semi_axes_m: Array
+    R: Array
+    scale: float
+
+
+def drawn_ellipsoid(covariance_m2: ArrayLike) -> DrawnEllipsoid | None:
+    """Return the 1 sigma ellipsoid of a position's covariance (3, 3) m^2, enlarged by a round figure to be seen.
+
+    R is a rotation. None for a covariance that is not finite or that is zero, and for one beyond USELESS_M.
+    """
+    covariance = np.asarray(covariance_m2, dtype=float)
+    if not np.isfinite(covariance).all():
+        return None
+    values, vectors = np.linalg.eigh(covariance)
+    sigma = np.sqrt(np.maximum(values, 0.0))
+    longest = float(sigma.max())
+    if not 0.0 < longest <= USELESS_M:
+        return None
+    scale = next((one for one in SCALES if one * longest <= LARGEST_M), 1.0)
+    if np.linalg.det(vectors) < 0.0:
+        vectors = vectors * [1.0, 1.0, -1.0]
+    return DrawnEllipsoid(semi_axes_m=np.maximum(scale * sigma, THINNEST * scale * longest), R=vectors, scale=scale)
+
+
+def track_colours(std_m: ArrayLike) -> Array:
+    """Return (n, 3): r, g, b in 0 to 1 of a track's points by their standard deviations (n,), in m.
+
+    From blue at the least to vermillion at the greatest; a point whose standard deviation is not known (NaN) is blue.
+    """
+    std = np.asarray(std_m, dtype=float)
+    known = std[np.isfinite(std)]
+    if not len(known):
+        return np.tile(BEST, (len(std), 1))
+    span = float(np.ptp(known))
+    share = np.zeros(len(std)) if span <= 0.0 else np.nan_to_num((std - known.min()) / span)
+    return np.asarray(BEST + share[:, None] * (WORST - BEST))

@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from armsight.clock import monotonic_s
 from armsight.console import texts
 from armsight.console.layout import SIGNS
+from armsight.console.routes import opener_of, person_of, require_login
 from armsight.console.state import Console
-from armsight.console.visitors import opener_of, person_of, require_login
 from armsight.control.guard import GuardState
 from armsight.control.session.operator_session import OperatorSession, Push
 from armsight.control.status import RobotStatus

@@ -21,8 +21,7 @@ from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.guided.timing import TimingStep
-from armsight.app.live.followed import FollowedCell
-from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, require_kind
+from armsight.app.live.measurement import COMPLEX, DetectionSettings, FollowedCell, LiveJob, require_kind
 from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
@@ -32,7 +31,7 @@ from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach_controller import TeachController, teach_controller
 from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.handeye import Setup
-from armsight.console.tracks import Tracks
+from armsight.console.plots import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
 from armsight.store import read_rig, read_world

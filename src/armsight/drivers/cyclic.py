@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, StandStill
-from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
-from armsight.drivers.pace import LinkTimes, Pace
+from armsight.drivers.pace import ControllerClock, LinkTimes, Pace
 from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
 from armsight.drivers.protocols import PROVING, RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armsight.console import robot_link
 from armsight.console.robot_link import LONGEST, Beat, JogKey, RobotLink
-from armsight.console.visitors import IDENTITY
+from armsight.console.routes import IDENTITY
 from armsight.control.session.operator_session import OperatorSession, Person
 
 NOW = 100.0

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from types import TracebackType
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.live.followed import FollowedCell, FollowedPairs
 from armsight.app.live.pace import live_pace
 from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
+from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.clock import Clock
-from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, by_side, is_live
+from armsight.control.session.channels import JointTrack
+from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, Skew, by_side, is_live
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
@@ -29,6 +31,47 @@ from armsight.measure.tracker import lost_pair
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
 from armsight.store import World, read_rig, read_world
+
+ROOM = "plain"
+"""What stands behind a target that is led about: before a workshop's hundreds of bright things three lights seen askew
+cannot always be told, and a person would mask them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedCell:
+    """scenario: its name or file. track: where the loop's process says the joints are, on the machine's clock."""
+
+    scenario: str
+    track: JointTrack
+    room: str = ROOM
+
+
+class FollowedPairs:
+    """What the cell's cameras see of an arm that stands where the track says; frames are stamped with the clock."""
+
+    skew: Skew | None = None
+    total: int | None = None
+
+    def __init__(self, cell: FollowedCell, clock: Clock) -> None:
+        """Open nothing yet. Raises DeviceNotFound, BadFile, Inconsistent for the scenario."""
+        self._cell: Any = live_cell(cell.scenario, clock, room=cell.room)
+        self._cell.robot.follow(cell.track.at)
+        self.name = str(self._cell.pairs.name)
+
+    def __enter__(self) -> Self:
+        self._cell.pairs.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._cell.pairs.__exit__(kind, error, trace)
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        origin_s = float(self._cell.origin_s)
+        for left, right in self._cell.pairs:
+            yield replace(left, t_s=origin_s + left.t_s), replace(right, t_s=origin_s + right.t_s)
+
 
 Pair = tuple[Frame, Frame]
 Mask = NDArray[np.bool_]

@@ -14,15 +14,14 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import run_verify
 from armsight.clock import Clock, SystemClock
-from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
+from armsight.control.joint_sweep import PathSegment, PoseObserver, PoseVisit, Visitor
 from armsight.defaults import LOOK_S, TOOL_SPEED_M_S
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, DataRefused, DeviceFailed, NotEnoughData, UsageError
@@ -74,8 +73,8 @@ class IsoPlan:
     """The cube that fits, the ways between its poses, and what to know of it. begin: the way there from now on."""
 
     test: TestPlan
-    begin: Leg
-    legs: tuple[Leg, ...]
+    begin: PathSegment
+    legs: tuple[PathSegment, ...]
     T_world_rig: RigidTransform
     notes: tuple[str, ...]
 
@@ -188,13 +187,13 @@ def _straight(a: RigidTransform, b: RigidTransform) -> RigidTransform:
     )
 
 
-def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Leg:
+def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> PathSegment:
     """Return a way with its times: at the speed asked for, slower where a joint would be too fast."""
     if len(readings) < 2:
-        return Leg(name=name, q=readings, t_s=np.zeros(1))
+        return PathSegment(name=name, q=readings, t_s=np.zeros(1))
     steps = len(readings) - 1
     each = np.maximum(length_m / steps / (asked.speed_m_s), np.abs(np.diff(readings, axis=0)).max(axis=1) / JOINT_SPEED)
-    return Leg(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
+    return PathSegment(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 
 def run(asked: IsoRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IsoDone:
@@ -221,7 +220,7 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, background: Backg
 def slower(made: IsoPlan, override: float) -> IsoPlan:
     """Return the plan with all ways at a share of their speed."""
 
-    def leg(one: Leg) -> Leg:
+    def leg(one: PathSegment) -> PathSegment:
         return replace(one, t_s=one.t_s / override)
 
     return replace(made, begin=leg(made.begin), legs=tuple(leg(one) for one in made.legs))
@@ -229,10 +228,10 @@ def slower(made: IsoPlan, override: float) -> IsoPlan:
 
 def visited(
     made: IsoPlan, asked: IsoRequest, robot: Robot, observer: PoseObserver, clock: Clock, progress: Progress
-) -> tuple[list[Visit], str]:
+) -> tuple[list[PoseVisit], str]:
     """Return the visits that were made, and why they ended before the last cycle; the robot is held then."""
     visitor = Visitor(robot, observer, clock, progress, frames=asked.frames)
-    visits: list[Visit] = []
+    visits: list[PoseVisit] = []
     total = asked.cycles * len(made.legs)
     try:
         visitor.visit(made.begin, 0)  # P1, which every cycle ends with
@@ -265,7 +264,7 @@ class StationPoses:
         return self._clock.now_s() - shown.view.latency_s, shown.pose
 
 
-def judged(made: IsoPlan, asked: IsoRequest, visits: list[Visit], ended: str, out: Path) -> IsoDone:
+def judged(made: IsoPlan, asked: IsoRequest, visits: list[PoseVisit], ended: str, out: Path) -> IsoDone:
     """Write visits.csv, plan.csv, world.yaml and what `verify` writes; return the figures.
 
     Raises NotEnoughData where no pose was visited often enough, with why it ended.
@@ -294,7 +293,7 @@ def judged(made: IsoPlan, asked: IsoRequest, visits: list[Visit], ended: str, ou
     return IsoDone(output=run_verify(job), folder=out, cycles=complete, wanted=asked.cycles, ended=ended)
 
 
-def visits_csv(visits: list[Visit]) -> str:
+def visits_csv(visits: list[PoseVisit]) -> str:
     """Return visits.csv: a row for every frame, with the pose it is a visit of, and the cycle."""
     n = len(visits[0].q)
     header = "pose,visit,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,t_s"

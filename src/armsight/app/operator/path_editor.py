@@ -15,19 +15,17 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.outputs import moved_pose
-from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.path.check import PathCheckOutput, checked
-from armsight.app.play.play_job import sight_of
+from armsight.app.play.play_job import Seen, sight_of
 from armsight.app.play.play_path import Opened, PlayOutput, run_play
-from armsight.app.play.target_monitor import Seen
 from armsight.app.requests.motion import PlayJob
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import QueueSink
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows
 from armsight.control.play import PathSource
+from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.cell_poses import read_placement
-from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.teach_controller import LEAST_CYCLE_S
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
 from armsight.app.verify.live_output import LiveLog, live_output

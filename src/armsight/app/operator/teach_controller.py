@@ -10,8 +10,7 @@ from pathlib import Path
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
-from armsight.app.operator.cell_poses import read_placement
-from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.requests.motion import TeachJob
 from armsight.app.teach import save
 from armsight.clock import Clock, SystemClock

@@ -9,12 +9,11 @@ import numpy as np
 
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import JogJob
-from armsight.app.robot.guarding import beside_outside
-from armsight.app.robot.opening import robot_of
+from armsight.app.robot.opening import beside_outside, robot_of
 from armsight.app.robot.robot_run import Confirm, RobotRun
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard, GuardState
-from armsight.control.sources import GoalSource
+from armsight.control.setpoints import GoalSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError

@@ -15,10 +15,9 @@ from armsight.app.robot.jog import SETTLE_S, UNASKED, JogOutput, jog_output
 from armsight.app.robot.opening import robot_of
 from armsight.app.robot.robot_run import Confirm, RobotRun
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState
-from armsight.control.sources import Enable, JogFrame, JogSource
-from armsight.control.status import RobotStatus
+from armsight.control.setpoints import Enable, JogFrame, JogSource
+from armsight.control.status import QueueSink, RobotStatus
 from armsight.drivers import Robot
 from armsight.drivers.jog_inputs import JogInput, open_jog_input, single_keys
 from armsight.errors import ArmsightError, DeviceFailed, UsageError

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import QueueSink
+from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, RecordingFailed, UsageError
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter

@@ -17,17 +17,16 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing_outside
+from armsight.app.robot.opening import arm_of, beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock
-from armsight.control.events import QueueSink
 from armsight.control.guard import GuardState
 from armsight.control.loop import ControlLoop
 from armsight.control.play import PathSource
 from armsight.control.servo import ServoSource
 from armsight.control.setpoints import CycleState, Hold, SetPoint, SetPointSource, ToolPose, ToolTwist
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot, RobotTraits
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, UsageError
 from armsight.fields import Doc

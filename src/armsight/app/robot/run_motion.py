@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from armsight.app.arm_files import given_arm
 from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.guarding import standing
-from armsight.app.robot.opening import robot_of
+from armsight.app.robot.opening import robot_of, standing
 from armsight.app.robot.recorder import require_new
 from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_output
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
-from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.play.path_source import JointMotionSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import AUTOMATIC, Robot
 from armsight.errors import Inconsistent, NotEnoughData, UsageError

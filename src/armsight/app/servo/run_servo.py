@@ -25,13 +25,11 @@ from armsight.app.robot.robot_run import (
     check_arm,
     run_output,
 )
-from armsight.app.servo.servo_job import CAMERA, TOOL, ServoDevices
-from armsight.app.servo.vision import Beside, Vision, open_servo, watch
-from armsight.control.events import QueueSink
+from armsight.app.servo.vision import CAMERA, TOOL, Beside, ServoDevices, Vision, open_servo, watch
 from armsight.control.guard import Guard, GuardState, TargetState
 from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
-from armsight.control.servo.delay import CameraDelay
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.servo.law import CameraDelay
+from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc

@@ -13,9 +13,18 @@ from armsight.app.guided.step_runner import GuidedStepRunner, GuidedStepState
 from armsight.console import texts as shared
 from armsight.console import texts_cell as texts
 from armsight.console.cell_mount import Lamp, mount_lamps
-from armsight.console.layout import SIGNS, button, canvas_of, file_name, jog_card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    SIGNS,
+    button,
+    canvas_of,
+    file_name,
+    jog_card,
+    set_attribute,
+    set_text,
+    text_of,
+    uploader,
+)
 from armsight.console.pages.calibrate import CELLS, hint_text, rows_table, show_verdict
-from armsight.console.pages.uploads import uploader
 from armsight.console.state import CELL, Console
 from armsight.errors import ArmsightError
 from armsight.optics import SIDES

@@ -27,9 +27,9 @@ from armsight.console.layout import (
     ticked,
     whole_number,
 )
+from armsight.console.routes import page_name
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.visitors import page_name
 from armsight.errors import ArmsightError
 from armsight.units import DEG, MM
 

@@ -14,8 +14,8 @@ from armsight.console.layout import (
     text,
     text_of,
     ticked,
+    uploader,
 )
-from armsight.console.pages.uploads import uploader
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 

@@ -30,9 +30,9 @@ from armsight.console.layout import (
     text_of,
     ticked,
 )
+from armsight.console.routes import page_name
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.visitors import page_name
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM

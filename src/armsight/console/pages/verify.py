@@ -31,9 +31,8 @@ from armsight.console.layout import (
     whole_number,
 )
 from armsight.console.plots import Plot
-from armsight.console.routes import reports
+from armsight.console.routes import page_name, reports
 from armsight.console.state import Console
-from armsight.console.visitors import page_name
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
 from armsight.units import MM

@@ -10,10 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
-from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.law import (
+    ArmLag,
+    CameraDelay,
+    Mount,
     Reaction,
     ServoError,
+    ServoSettings,
+    Turning,
     cross,
     delay_cycles,
     inverse,
@@ -23,7 +27,6 @@ from armsight.control.servo.law import (
 )
 from armsight.control.servo.premise import LEVER_M, PremiseWatch
 from armsight.control.servo.premise_bank import INVERTED, Premise, impossible_pose, joint_reversed
-from armsight.control.servo.settings import Mount, ServoSettings, Turning
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.errors import StaleData

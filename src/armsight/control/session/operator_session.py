@@ -20,6 +20,8 @@ from armsight.control.setpoints import (
     Command,
     CycleState,
     Hold,
+    JogFrame,
+    JogSource,
     JointStep,
     JointVelocity,
     Reset,
@@ -27,7 +29,6 @@ from armsight.control.setpoints import (
     Taken,
     ToolTwist,
 )
-from armsight.control.sources import JogFrame, JogSource
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.kinematics import Arm

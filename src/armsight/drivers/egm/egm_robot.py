@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock
-from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import Positive, UdpSettings
+from armsight.drivers.pace import ControllerClock
 from armsight.drivers.udp import Sender, UdpRobot
 from armsight.units import MS
 

@@ -18,7 +18,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.drivers.readings import LARGEST_M, LARGEST_RAD
+from armsight.drivers.pace import LARGEST_M, LARGEST_RAD
 from armsight.errors import Inconsistent
 from armsight.units import MM
 

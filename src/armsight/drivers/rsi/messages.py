@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
-from armsight.drivers.readings import LARGEST_M, LARGEST_RAD
+from armsight.drivers.pace import LARGEST_M, LARGEST_RAD
 from armsight.errors import BadFile, Inconsistent
 from armsight.records import frozen_array
 from armsight.units import MM
