@@ -26,8 +26,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.play.play_path import Opened, run_play
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob, TeachJob
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.jog_by_hand import jog_by_hand
+from armsight.app.robot.jog import jog_by_hand, jog_robot
 from armsight.app.robot.opening import arm_of, open_robot
 from armsight.app.robot.run_motion import run_motion
 from armsight.app.servo.run_servo import run_servo

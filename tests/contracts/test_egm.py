@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight.drivers import RobotState
-from armsight.drivers.egm.packets import parse
+from armsight.drivers.egm import parse
 from armsight.errors import DataRefused, DeviceFailed
 from refusals import refuses
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from armsight.clock import ManualClock
 from armsight.drivers import PROVING, RobotState
-from armsight.drivers.rsi import RsiRobot
-from armsight.drivers.rsi.messages import parse, read_tags
+from armsight.drivers.rsi import RsiRobot, parse, read_tags
 from armsight.errors import BadFile, DataRefused, DeviceFailed, UsageError
 from refusals import refuses
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from armsight.app.requests.motion import HandJogJob, JogJob, settings_of
 from armsight.app.requests.plant import PlantFlags
+from armsight.app.robot.jog import _check_frame as check_hand
 from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.jog_by_hand import _check as check_hand
 from armsight.app.robot.opening import arm_model, driver_settings, guard_for, open_robot
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import KeyboardInput
@@ -64,11 +64,11 @@ TRIED = {
         jog(by=0.5, limits=Path("box.yaml"), speed=1.0),
         jog(by=0.02, limits=Path("box.yaml"), speed=1.0),
     ),
-    ("app/robot/jog_by_hand.py", "Give joints, base or tool"): (
+    ("app/robot/jog.py", "Give joints, base or tool"): (
         lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="wrist"), True, SIM),
         lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="tool"), True, SIM),
     ),
-    ("app/robot/jog_by_hand.py", "or --frame joints"): (
+    ("app/robot/jog.py", "or --frame joints"): (
         lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="tool"), False, "egm"),
         lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="joints"), False, "egm"),
     ),

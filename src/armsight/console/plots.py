@@ -1,4 +1,4 @@
-"""Curves for a page: small plots over one axis, and curves in three dimensions with axes in mm about them."""
+"""Curves for a page, tracks of target and tool, a position's uncertainty as a scene shows it, and axes round them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What browsers fetch and send besides pages: pictures, uploaded files, reports; and what every answer says."""
+"""Who looks at a page, and what browsers fetch and send besides pages: pictures, files, reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The times of a link, and how far its controller is."""
+"""The times of a link, how far its controller is, what its own clock tells, and which readings can be."""
 
 from __future__ import annotations
 

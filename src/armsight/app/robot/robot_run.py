@@ -19,7 +19,6 @@ from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
 from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.opening import arm_of, beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
-from armsight.app.robot.with_progress import run_with_progress
 from armsight.clock import Clock
 from armsight.control.guard import GuardState
 from armsight.control.loop import ControlLoop
@@ -32,6 +31,7 @@ from armsight.errors import ArmsightError, Cancelled, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.geometry import pose_difference, xyz_quat
 from armsight.kinematics import Arm
+from armsight.priority import run_with_progress
 from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
