@@ -20,7 +20,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from armsight.app.live.measurement import COMPLEX
-from armsight.app.live.station import Shown
+from armsight.app.live.station import Snapshot
 from armsight.app.live.views import complex_view
 from armsight.console import texts
 from armsight.console.state import Console
@@ -201,7 +201,7 @@ def add_pictures(server: FastAPI, console: Console) -> None:
             await socket.close(code=1008)
             return
         await socket.accept()
-        last: Shown | None = None
+        last: Snapshot | None = None
         try:
             with suppress(WebSocketDisconnect):
                 ask(socket, await _said(socket))
@@ -217,7 +217,7 @@ def add_pictures(server: FastAPI, console: Console) -> None:
             widths_px.pop(socket, None)
 
 
-def picture_message(console: Console, shown: Shown, side: str) -> bytes:
+def picture_message(console: Console, shown: Snapshot, side: str) -> bytes:
     """Return the length of the findings (uint32, little endian), the findings as JSON, and the JPEG."""
     if side == COMPLEX:
         view, data = complex_view(shown.view), shown.left_jpeg
@@ -239,7 +239,7 @@ async def _said(socket: WebSocket) -> str:
     return said.get("text") or ""
 
 
-async def _newer(console: Console, last: Shown | None, asked: asyncio.Future[str]) -> Shown:
+async def _newer(console: Console, last: Snapshot | None, asked: asyncio.Future[str]) -> Snapshot:
     """Return the next newer picture. Raises WebSocketDisconnect where the page goes while none comes."""
     while True:
         if asked.done() and asked.exception() is not None:

@@ -133,7 +133,7 @@ class SetPointSource(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beat:
+class Heartbeat:
     """The driver is alive. enable: whether motion is allowed.
 
     number: of the beat, which grows; one that came by another way and was overtaken does not count.
@@ -153,7 +153,7 @@ class Reset:
     """Take commands again after a stop; the enable has to be let go of and given anew."""
 
 
-Command = Motion | Hold | Beat | Stop | Reset
+Command = Motion | Hold | Heartbeat | Stop | Reset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

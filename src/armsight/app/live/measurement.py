@@ -131,7 +131,7 @@ class DetectionSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Moment:
+class MeasuredPair:
     """One pair measured: its frames, the spots in both with their covariances, and what a screen says of it."""
 
     pair: Pair
@@ -172,7 +172,7 @@ class LiveMeasurement:
         self._settings(how)  # refused here, not in the loop
         self._look, self._sizes = how, ()
 
-    def moments(self) -> Generator[Moment, None, None]:
+    def moments(self) -> Generator[MeasuredPair, None, None]:
         """Yield every pair as it is measured; the source must be open. Raises as the source does, and Inconsistent."""
         track: Track | None = None
         while True:
@@ -193,7 +193,7 @@ class LiveMeasurement:
         left, right = (replace(frame, t_s=origin_s + frame.t_s) for frame in pair)
         return left, right
 
-    def _measured(self, pair: Pair, track: Track | None) -> tuple[Moment, Track | None]:
+    def _measured(self, pair: Pair, track: Track | None) -> tuple[MeasuredPair, Track | None]:
         setup, start_s = self._prepared(pair), time.perf_counter()
         measured = self._found(setup, pair, track)
         took_s = time.perf_counter() - start_s
@@ -211,7 +211,7 @@ class LiveMeasurement:
             for i in range(len(SIDES))
         ]
         spots = measured.left_seen, measured.right_seen
-        return Moment(pair=pair, pose=pose, spots=spots, view=live_view(pose, run, sides)), measured.track
+        return MeasuredPair(pair=pair, pose=pose, spots=spots, view=live_view(pose, run, sides)), measured.track
 
     def _found(self, setup: Setup | None, pair: Pair, track: Track | None) -> Measured:
         """Return what is measured in a pair; without rig or target the lights alone."""

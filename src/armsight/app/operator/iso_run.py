@@ -12,22 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.operator.station_observer import StationPoses
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import run_verify
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import PathSegment, PoseObserver, PoseVisit, Visitor
-from armsight.defaults import LOOK_S, TOOL_SPEED_M_S
+from armsight.defaults import TOOL_SPEED_M_S
 from armsight.drivers import Robot
-from armsight.errors import ArmsightError, DataRefused, DeviceFailed, NotEnoughData, UsageError
+from armsight.errors import ArmsightError, DataRefused, NotEnoughData, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm, singularity_distance, track_path
-from armsight.records import Progress, TargetPose
+from armsight.records import Progress
 from armsight.store import World, read_rig, write_text, write_world
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.covariances import COVARIANCE, above_diagonal
@@ -49,8 +50,6 @@ JOINT_SPEED = 0.5
 """Fastest joint on the way (rad or m a second), at full override."""
 FEWEST_VISITS = 3
 """Of each pose, before anything is judged."""
-WAIT_S = 10.0
-"""Between two looks for a newer moment; without one for so long the station is taken for lost."""
 FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
 """What a page shows, each with its poses."""
 
@@ -243,25 +242,6 @@ def visited(
         robot.stop()
         return visits, str(error)
     return visits, ""
-
-
-class StationPoses:
-    """The target's pose as the measuring station shows it."""
-
-    def __init__(self, station: Station, clock: Clock) -> None:
-        self._station, self._clock = station, clock
-        self._last: Shown | None = None
-
-    def observe(self, while_: str) -> tuple[float, TargetPose]:
-        """Return the next moment's. Raises DeviceFailed where no pictures come."""
-        until_s = self._clock.now_s() + WAIT_S
-        while (shown := self._station.shown) is None or shown is self._last:
-            if self._station.failure or self._clock.now_s() > until_s:
-                why = self._station.failure or "no pictures come"
-                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
-            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
-        self._last = shown
-        return self._clock.now_s() - shown.view.latency_s, shown.pose
 
 
 def judged(made: IsoPlan, asked: IsoRequest, visits: list[PoseVisit], ended: str, out: Path) -> IsoDone:

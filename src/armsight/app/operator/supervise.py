@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,18 +9,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Snapshot, Station
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.teach_controller import LEAST_CYCLE_S
+from armsight.app.operator.station_observer import RobotFollower, Snapshots
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
 from armsight.app.verify.live_output import LiveLog, live_output
+from armsight.clock import SystemClock
 from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S
-from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
+from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
 from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
 from armsight.store import write_text
 from armsight.store.atomic import write_json
@@ -30,7 +29,6 @@ from armsight.units import DEG, MM
 from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Compared, Expectation, Level, Limits, Seen, Watch
 
-LOOK_S = 0.004
 KEPT = 90_000
 """Moments kept for the files: the newest hour at 25 a second."""
 SHOWN = 600
@@ -56,8 +54,10 @@ class SupervisedState:
     why: str = ""
 
 
-class StationSupervisor:
+class StationSupervisor(RobotFollower):
     """Compares every moment that the station shows, raises levels, and stops the robot beyond one that says so."""
+
+    does = "supervising"
 
     def __init__(
         self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], limits: Limits
@@ -65,13 +65,12 @@ class StationSupervisor:
         """Begin at once. Raises UsageError for carried cameras, NotEnoughData where cameras or target have no place on
         the robot, BadFile.
         """
+        super().__init__(Snapshots(station, SystemClock()), robot)
         self._expectation = _expectation(folder, cell, robot)
         self.out = folder / time.strftime("supervised-%Y%m%d-%H%M%S")
-        self._robot, self._station = robot, station
         # with world.yaml the station's poses are in its frame, of the world or of the arm's base
         placement = read_placement(folder, cell, target=False)
         self._T_world_shown = placement.world_parent(self._expectation.arm) if cell.world else None
-        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
         self._watch = Watch(limits)
         self._log = LiveLog(limits=limits)
         self._last: tuple[Compared | None, str] = (None, "")
@@ -80,9 +79,7 @@ class StationSupervisor:
         """The newest moment, for the plant's systems; that no picture came yet makes them blind too."""
         self._compared_s = time.monotonic()
         self.curve: deque[tuple[float, float, float]] = deque(maxlen=SHOWN)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="supervising", daemon=True)
-        self._thread.start()
+        self.follow()
 
     @property
     def state(self) -> SupervisedState:
@@ -104,8 +101,7 @@ class StationSupervisor:
 
     def end(self) -> VerifyLiveOutput:
         """End it; write verify.json, errors.csv and report.html. Raises NotEnoughData where nothing was seen."""
-        self._ended.set()
-        self._thread.join()
+        self.close()
         if not self._log.rows:
             raise NotEnoughData("the cameras showed nothing", consequence="Nothing was supervised")
         done = live_output(self._log, recording="", doubts=DOUBTS)
@@ -114,30 +110,12 @@ class StationSupervisor:
         write_text(self.out / REPORT, live_report(self._log.series(), done, inputs=[]))
         return done
 
-    def _run(self) -> None:
-        last: Shown | None = None
-        newest_s = time.monotonic()
-        # joints are read between pictures as well, so that those at each exposure are known
-        while not self._ended.wait(LOOK_S):
-            self._read()
-            station = self._station()
-            shown = None if station is None else station.shown
-            if shown is None or shown is last:
-                if time.monotonic() - newest_s > BLIND_S:
-                    self._last = (None, "no pictures come")
-                continue
-            last, newest_s = shown, time.monotonic()
-            self._take(shown)
+    def _look(self) -> None:
+        super()._look()
+        if self._snapshots.silent_s > BLIND_S:
+            self._last = (None, "no pictures come")
 
-    def _read(self) -> None:
-        try:
-            reading = self._robot.service.host.status().reading
-        except ArmsightError:
-            return
-        if reading is not None:
-            self._history.add(reading)
-
-    def _take(self, shown: Shown) -> None:
+    def _take(self, shown: Snapshot) -> None:
         begun_s = time.perf_counter()
         pose = shown.pose
         compared, lost = self._compared(pose)

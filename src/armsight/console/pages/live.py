@@ -12,7 +12,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from numpy.typing import NDArray
 
 from armsight.app.live.measurement import COMPLEX, DetectionSettings
-from armsight.app.live.station import Shown
+from armsight.app.live.station import Snapshot
 from armsight.app.live.views import SideView
 from armsight.app.requests.measure import MeasureJob
 from armsight.console import texts
@@ -36,7 +36,7 @@ from armsight.console.state import Console, values_of
 from armsight.errors import ArmsightError, UsageError
 from armsight.units import DEG
 
-Refresh = Callable[[Shown], None]
+Refresh = Callable[[Snapshot], None]
 
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
@@ -129,7 +129,7 @@ def _picture(side: str) -> Refresh:
         hint = text_of("p").classes("hint")
         figures = text_of("p").classes("hint")
 
-    def refresh(shown: Shown) -> None:
+    def refresh(shown: Snapshot) -> None:
         view = shown.view.right if side == "right" else shown.view.left
         set_text(hint, texts.ADVICE[view.advice])
         set_attribute(hint, "data-level", "good" if view.advice == "good" else "warn")
@@ -158,7 +158,7 @@ def _pose(console: Console) -> Refresh:
     with ui.element("div").classes("numbers"):
         numbers = [_number(name, f"pose-{name}") for name in texts.AXES]
 
-    def refresh(shown: Shown) -> None:
+    def refresh(shown: Snapshot) -> None:
         view = shown.view
         values = values_of(view)
         std = (
@@ -183,7 +183,7 @@ def _status() -> Refresh:
         residual, _ = _number(texts.RESIDUAL, "residual")
     why = text_of("p").classes("hint")
 
-    def refresh(shown: Shown) -> None:
+    def refresh(shown: Snapshot) -> None:
         view = shown.view
         set_text(fps, f"{view.fps:.0f}")
         set_text(latency, f"{1e3 * view.latency_s:.0f} ms")
