@@ -14,7 +14,7 @@ from nicegui import app, ui
 from starlette.applications import Starlette
 
 from armsight.console import texts
-from armsight.console.layout import STATIC, page, text_of
+from armsight.console.layout import STATIC, notice, page, text_of
 from armsight.console.page_socket import PageSocket
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.cell import cell_page
@@ -79,4 +79,4 @@ def _note(console: Console, message: str) -> None:
 
 
 def _not_for_watchers(_: Console) -> None:
-    text_of("p", texts.WATCHING).classes("notice")
+    notice(texts.WATCHING)

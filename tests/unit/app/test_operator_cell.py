@@ -151,7 +151,7 @@ def test_one_piece_of_work_at_a_time_and_its_question_waits_for_an_answer():
     with refuses(DeviceFailed, "play"):
         jobs.begin("identify", "b", lambda work: None)
     go.set()
-    while not work.state.question:
+    while not work.question:
         pass
     work.answer(True, "b")
     work.wait(10.0)

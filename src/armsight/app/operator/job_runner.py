@@ -4,42 +4,27 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from armsight.errors import ArmsightError, DeviceFailed
+from armsight.records import TrackedProgress
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorkState:
-    """How far work is. done of total (0: unknown); note: in words; failure: why it ended early, empty where it did not.
+class BackgroundJob(TrackedProgress):
+    """One piece of work in a thread of its own; the Progress of what it does. Any thread may call this.
 
-    question: what is asked before it goes on, empty where nothing is.
+    failure: why it ended early, empty where it did not. question: what is asked before it goes on, empty for nothing.
     """
-
-    name: str
-    running: bool
-    done: float = 0.0
-    total: float = 0.0
-    note: str = ""
-    failure: str = ""
-    question: str = ""
-
-
-class BackgroundJob:
-    """One piece of work in a thread of its own; the Progress of what it does. Any thread may call this."""
 
     def __init__(self, name: str, browser: str) -> None:
         """browser: the one that began it, whose enable it moves with."""
-        self.name = name
-        self.browser = browser
+        super().__init__()
+        self.name, self.browser = name, browser
         self.result: Any = None
         self.failure = ""
-        self._progress: tuple[float, float, str] = (0.0, 0.0, "")
-        self._question = ""
+        self.question = ""
         self._answer: bool | None = None
         self._asked = threading.Condition()
-        self._cancelled = threading.Event()
         self._thread: threading.Thread | None = None
 
     def begin(self, act: Callable[[BackgroundJob], Any]) -> None:
@@ -52,40 +37,18 @@ class BackgroundJob:
         """Whether it has not ended."""
         return self._thread is not None and self._thread.is_alive()
 
-    @property
-    def state(self) -> WorkState:
-        """How far it is."""
-        done, total, note = self._progress
-        return WorkState(
-            name=self.name,
-            running=self.running,
-            done=done,
-            total=total,
-            note=note,
-            failure=self.failure,
-            question=self._question,
-        )
-
-    def update(self, done: float, total: float, note: str = "") -> None:
-        """Take how far it is."""
-        self._progress = (done, total, note)
-
-    def cancelled(self) -> bool:
-        """Return whether the person ended it."""
-        return self._cancelled.is_set()
-
     def cancel(self) -> None:
         """End it as soon as it can."""
-        self._cancelled.set()
+        super().cancel()
         with self._asked:
             self._asked.notify_all()
 
     def ask(self, question: str) -> bool:
         """Wait for the person's yes or no; no where the work is cancelled."""
         with self._asked:
-            self._question, self._answer = question, None
+            self.question, self._answer = question, None
             self._asked.wait_for(lambda: self._answer is not None or self.cancelled())
-            self._question = ""
+            self.question = ""
             return bool(self._answer)
 
     def answer(self, yes: bool, browser: str) -> None:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-
-from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Snapshot, Station
 from armsight.app.operator.robot_cell import RobotCell, read_placement
@@ -22,17 +19,6 @@ from armsight.store.cell_file import CellFile, cell_path
 FOLDER = "taught"
 EVERY = 5
 """Frames of which a pose is the mean."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TaughtState:
-    """What a page shows. n: poses taught; lost: frames that were not taken; tip: where it is now, None unseen."""
-
-    recording: bool
-    n: int
-    stretches: int
-    lost: int
-    tip: RigidTransform | None
 
 
 class TeachController(RobotFollower):
@@ -55,17 +41,15 @@ class TeachController(RobotFollower):
         self.follow()
 
     @property
-    def state(self) -> TaughtState:
-        """How far it is."""
-        recorder = self.recorder
-        counts = recorder.counts
-        return TaughtState(
-            recording=recorder.state is Teaching.RECORDING,
-            n=len(recorder),
-            stretches=recorder.stretches,
-            lost=counts.lost + counts.doubtful + counts.position_only + counts.unplaced,
-            tip=recorder.tip,
-        )
+    def recording(self) -> bool:
+        """Whether poses are taken."""
+        return self.recorder.state is Teaching.RECORDING
+
+    @property
+    def lost(self) -> int:
+        """Frames that were not taken."""
+        counts = self.recorder.counts
+        return counts.lost + counts.doubtful + counts.position_only + counts.unplaced
 
     def start(self) -> None:
         """Record until the pause."""
@@ -79,7 +63,7 @@ class TeachController(RobotFollower):
 
     def point(self) -> None:
         """Take one pose, the mean of the next frames: hold the target still."""
-        if self.recorder.state is not Teaching.RECORDING:
+        if not self.recording:
             self._points = len(self.recorder) + 1
             self.recorder.start()
 

@@ -21,10 +21,11 @@ from armsight.console.layout import (
     button,
     canvas_of,
     card,
-    jog_card,
+    notice,
     number,
     number_field,
-    set_attribute,
+    refusals_in,
+    say,
     set_text,
     text_of,
     ticked,
@@ -33,6 +34,7 @@ from armsight.console.plots import Plot
 from armsight.console.robot_link import drawn
 from armsight.console.scene import Scene
 from armsight.console.state import Console, values_of
+from armsight.console.work import jog_card
 from armsight.errors import ArmsightError, UsageError
 from armsight.units import DEG
 
@@ -48,7 +50,7 @@ MASKS = 50
 def live_page(console: Console, *, watching: bool = False) -> None:
     """Build the page; watching: without anything that changes the cell."""
     if console.station is None:
-        text_of("p", texts.NO_CAMERAS).classes("notice")
+        notice(texts.NO_CAMERAS)
     else:
         _measuring(console, watching=watching)
     if console.robot is not None and not watching:
@@ -131,8 +133,7 @@ def _picture(side: str) -> Refresh:
 
     def refresh(shown: Snapshot) -> None:
         view = shown.view.right if side == "right" else shown.view.left
-        set_text(hint, texts.ADVICE[view.advice])
-        set_attribute(hint, "data-level", "good" if view.advice == "good" else "warn")
+        say(hint, texts.ADVICE[view.advice], "good" if view.advice == "good" else "warn")
         set_text(figures, _aiming(view))
 
     return refresh
@@ -222,7 +223,7 @@ def _scene(console: Console) -> Scene | None:
     try:
         return Scene(console)
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return None
 
 
@@ -258,12 +259,9 @@ def _search(console: Console) -> None:
 
     def look(change: Callable[[], DetectionSettings]) -> None:
         """Look in another way, or tell why not."""
-        try:
+        with refusals_in(said):
             console.set_look(change())
-            set_text(said, "")
-        except ArmsightError as error:
-            set_text(said, str(error))
-            set_attribute(said, "data-level", "bad")
+            say(said, "")
 
     threshold.on_value_change(lambda: look(lambda: replace(console.look, threshold=_level(threshold))))
     ui.on("armsight_mask", lambda event: look(lambda: masked(console, event.args)))
