@@ -14,7 +14,7 @@ import armsight
 from armsight.api.files import image_size
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Box
-from armsight.control.guard.limits import check_corners
+from armsight.control.guard.plausible import check_corners
 from armsight.control.paths.exports import krl, rapid
 from armsight.control.paths.program import Program, program_moves
 from armsight.control.play.path_source import JointMotionSource
@@ -131,7 +131,7 @@ TRIED = {
         each(lambda: _mount((0.0, 0.0, 0.1)), lambda: _mount((0.0, 0.0, 0.1, 0.0, 90.0, 0.0))),
     ),
     ("api/files.py", "Give (width, height) in px"): (lambda: image_size((0, 480)), lambda: image_size((640, 480))),
-    ("control/guard/limits.py", "Write m (from mm"): (
+    ("control/guard/plausible.py", "Write m (from mm"): (
         lambda: check_corners(Box(lower_m=[-900.0, 0, 0], upper_m=[900.0, 500, 500]), "forbidden"),
         lambda: check_corners(Box(lower_m=[-0.9, 0, 0], upper_m=[0.9, 0.5, 0.5]), "forbidden"),
     ),

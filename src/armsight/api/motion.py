@@ -285,7 +285,6 @@ def _servo_job(given: Given, values: dict[str, Any]) -> tuple[ServoJob, ServoDev
 
 
 def _devices(robot: Robot, job: ServoJob) -> ServoDevices:
-    """Return a driver of one's own, and the live cameras that a job names."""
     clock, settings = SystemClock(), CameraSettings(exposure_s=job.exposure_s)
     if job.image is None:
         pairs = open_pairs(job.left, job.right, settings=settings)

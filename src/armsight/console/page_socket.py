@@ -116,8 +116,6 @@ class PageSocket:
 
 
 class _Line:
-    """One connection of a page."""
-
     def __init__(self, page: str, scope: Scope, note: Callable[[str], None]) -> None:
         self._page, self._scope, self._note = page, scope, note
         self._connected, self._violations, self._ended = False, 0, False

@@ -232,7 +232,6 @@ class Sweeper:
 
 
 def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation) -> bool:
-    """Tell whether neither joints nor beacon moved from one look to the next."""
     if seen.uv_px is None or look.uv_px is None:
         return False
     return bool(np.abs(now.q - before.q).max() <= REST_STEP and np.abs(look.uv_px - seen.uv_px).max() <= REST_PX)

@@ -267,7 +267,6 @@ class CyclicRobot(ABC):
             self._refuse(jump or f"{wrong}: {self._controller_clock.cure}")
 
     def _measured(self) -> bool:
-        """Tell whether the controller's cycle is known."""
         return self._controller_clock.measured_s is not None
 
     def _hold(self) -> None:
@@ -290,7 +289,6 @@ class CyclicRobot(ABC):
         return float(np.abs(self._goals.sent - reading.q).max())
 
     def _leads_on(self, q: Array, pose: RigidTransform | None) -> bool:
-        """Tell whether a command leads away from what was last sent."""
         if pose is None:
             return bool((q != self._goals.sent).any())
         return bool(np.abs(np.concatenate(between(self._poses.sent, pose))).max() > ROUNDING)

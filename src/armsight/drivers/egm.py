@@ -68,7 +68,6 @@ MESSAGES: dict[str, dict[str, tuple[int, int | str, bool]]] = {
 
 
 def _classes() -> dict[str, Any]:
-    """Return the message classes by name, in a pool of their own."""
     file = descriptor_pb2.FileDescriptorProto(name="armsight/egm.proto", package="armsight.egm", syntax="proto2")
     for name, fields in MESSAGES.items():
         message = file.message_type.add(name=name)
@@ -207,7 +206,6 @@ def _joints(part: Any, n: int) -> Array | None:
 
 
 def _pose(part: Any) -> RigidTransform | None:
-    """Return a pose; None where the part has none."""
     if not (part.HasField("cartesian") and part.cartesian.HasField("pos") and part.cartesian.HasField("orient")):
         return None
     position, turn = part.cartesian.pos, part.cartesian.orient
@@ -219,7 +217,6 @@ def _pose(part: Any) -> RigidTransform | None:
 
 
 def _why_still(message: Any) -> str:
-    """Return why the controller takes no motion; empty where it does."""
     if message.HasField("motorState") and message.motorState.state == MotorState.OFF:
         return "the motors are off"
     if message.HasField("rapidExecState") and message.rapidExecState.state == RapidState.STOPPED:

@@ -291,7 +291,6 @@ class RsiRobot(UdpRobot[RobMessage]):
         return True
 
     def _taken(self, state: RobMessage) -> bool:
-        """Tell whether the answer given last was in time."""
         late = self._late_since(state)
         self._obeyed = self._obeyed or (late is not None and late < 1)
         return late is None or late < 1
@@ -321,7 +320,6 @@ class RsiRobot(UdpRobot[RobMessage]):
         self._rebase(state.q)
 
     def _corrects(self) -> bool:
-        """Tell whether a correction is in force."""
         if self.takes_poses and self._start_pose is not None:
             return bool(np.concatenate(between(self._start_pose, self._poses.sent)).any())
         return bool((self._goals.sent != self._start_q).any())

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
-from armsight.app.live.recording import LiveRecording, RecordingState
 from armsight.app.live.views import LiveView
 from armsight.app.measure.warm_up import prepare
+from armsight.app.record.recorder import LiveRecording, RecordingState
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.priority import give_way
@@ -233,7 +233,6 @@ class Station:
 
 
 def _work(job: LiveJob, messages: Connection, commands: Connection) -> None:
-    """Measure until told to end; what goes wrong is told in words."""
     with suppress(KeyboardInterrupt, BrokenPipeError):
         try:
             _Worker(job, messages, commands, SystemClock()).run()

@@ -15,9 +15,8 @@ from armsight.app.identify.live import Known, OperatorCallbacks, identify_observ
 from armsight.app.identify.results import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.job_runner import BackgroundJob
+from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.requests.identify import LiveJob
 from armsight.clock import Clock, SystemClock

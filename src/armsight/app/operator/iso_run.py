@@ -14,9 +14,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.job_runner import BackgroundJob
+from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationPoses
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
@@ -138,7 +137,6 @@ def _poses(arm: Arm, q: Array, cube: TestCube) -> RigidTransform:
 
 
 def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig: RigidTransform) -> IsoPlan | str:
-    """Return the plan in a cube, or why the arm cannot make it."""
     corners = dict(zip(cube.points_m, _poses(arm, q, cube), strict=True))
     at, tracks = arm.values(q), []
     for start, end in pairwise(("P1", *POSE_ORDER)):

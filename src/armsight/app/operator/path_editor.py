@@ -14,9 +14,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Snapshot, Station
 from armsight.app.measure.outputs import moved_pose
-from armsight.app.operator.job_runner import BackgroundJob
+from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.path.check import PathCheckOutput, checked
 from armsight.app.play.play_job import Seen, sight_of

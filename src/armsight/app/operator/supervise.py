@@ -150,7 +150,6 @@ class StationSupervisor(RobotFollower):
             del self._log.rows[: KEPT // 10]
 
     def _compared(self, pose: TargetPose) -> tuple[Compared | None, str]:
-        """Return the comparison, or what is missing for it."""
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
             return None, pose.why or "the target is not seen whole"
         expectation = self._expectation
@@ -169,7 +168,6 @@ def _nothing_yet(limits: Limits) -> Seen:
 
 
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
-    """Return where the target should be seen."""
     if cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
     arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")

@@ -98,7 +98,6 @@ class PlayedSource(RecordedSource):
         return wanted
 
     def _record(self, t_s: float) -> None:
-        """Tell what changed along the path."""
         at = self._source.progress
         stage, paused, waiting, welding = self._before
         self._before = (at.stage, at.paused, at.waiting, at.welding)

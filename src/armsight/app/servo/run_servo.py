@@ -267,7 +267,6 @@ def _source(
 
 
 def _check(job: ServoJob) -> None:
-    """Raise UsageError for what cannot be meant."""
     if job.at not in (CAMERA, TOOL):
         raise UsageError(f"--at {job.at} is neither {CAMERA} nor {TOOL}", cure="Say whose axis the target is wanted on")
     positive = (

@@ -112,7 +112,6 @@ class _Step:
         ui.timer(TICK_S, self._tick)
 
     def _pictures(self) -> None:
-        """Both pictures as they are, with the coverage beneath."""
         self._cells: dict[str, list[TextElement]] = {}
         with ui.element("div").classes("columns"):
             for side in self._console.pictures:
@@ -241,7 +240,6 @@ USED_AS = {
 
 
 def _inside(console: Console, file: Path) -> str:
-    """Return a file of the cell's folder by its name in it."""
     return file.relative_to(console.folder).as_posix()
 
 

@@ -50,8 +50,6 @@ def identify_page(console: Console) -> None:
 
 
 class _Identify:
-    """The page of a cell with robot and cameras."""
-
     def __init__(self, console: Console, ranges: tuple[Range, ...]) -> None:
         self._console, self._ranges = console, ranges
         self._robot = console.require_robot()
@@ -139,7 +137,6 @@ class _Identify:
             self._show_left_out()
 
     def _show(self, job: BackgroundJob) -> None:
-        """Show the table and the fits of sweeps that are done."""
         done: IdentifyOutput = job.result
         self._table.clear()
         with self._table:

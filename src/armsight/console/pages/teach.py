@@ -90,7 +90,6 @@ def _scene(console: Console, path: _Path) -> Scene | None:
 
 
 def _look(scene: Scene) -> None:
-    """The legend, and the keys that look from near and far."""
     with ui.element("ul").classes("legend").props("data-testid=scene-legend"):
         for name, words in texts.PATHS_LEGEND.items():
             text_of("li", words, data_curve=name)
@@ -105,8 +104,6 @@ def _look(scene: Scene) -> None:
 
 
 class _Recording:
-    """The keys of the recorder."""
-
     def __init__(self, recorder: TeachController, editor: PathEditor, path: _Path, said: Any) -> None:
         self._recorder, self._editor, self._path, self._said = recorder, editor, path, said
         with card(texts.TEACH):
@@ -306,7 +303,6 @@ class _Play:
 
 
 def _watched(done: PlayOutput) -> str:
-    """Return what the cameras saw of it."""
     seen = done.measured
     if seen is None or seen.rms_m is None or seen.max_m is None:
         return texts.PLAY_UNSEEN

@@ -132,8 +132,6 @@ def iso_card(console: Console, reported: Callable[[], object]) -> None:
 
 
 class _Iso:
-    """The card of a cell with robot and cameras."""
-
     def __init__(self, console: Console, reported: Callable[[], object]) -> None:
         self._reported = reported
         self._console, self._robot = console, console.require_robot()
@@ -173,7 +171,6 @@ class _Iso:
             say(self._said, "")
 
     def _show(self, job: BackgroundJob) -> None:
-        """Show the figures of a run that is done."""
         done: IsoDone = job.result
         self._table.clear()
         with self._table:

@@ -159,7 +159,6 @@ def plan_path(
 
 
 def _in_base(path: TaughtPath, arm: Arm) -> TaughtPath:
-    """Return the path in base axes."""
     if path.parent == "base":
         return path
     if path.parent != "world":

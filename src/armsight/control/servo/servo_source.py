@@ -256,7 +256,6 @@ class ServoSource:
         self.contradiction = wrong.text if named and wrong is not None else ""
 
     def _why_not(self, now_s: float) -> str:
-        """Return why the target is not followed, or nothing."""
         if self._unplaced:
             return self._unplaced
         if self._reaction.missing:

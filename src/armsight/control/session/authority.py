@@ -343,7 +343,6 @@ class ControlAuthority:
         return RobotState.READY if now.robot in (RobotState.STOPPED, RobotState.CLOSED) else now.robot
 
     def _check_joints(self, name: str, values: Array) -> None:
-        """Raise UsageError where the robot has another number of joints."""
         if values.shape != (self.robot.n_joints,):
             raise UsageError(
                 f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {values.size} values",

@@ -254,7 +254,6 @@ class OperatorSession:
             raise DeviceFailed(cause, consequence="The robot is not moved", cure=ENABLE_RELEASED)
 
     def _is_driver(self, browser: str, person: Person) -> bool:
-        """Return whether this person has the right to drive, from this browser."""
         lease = self._lease
         return (
             lease is not None

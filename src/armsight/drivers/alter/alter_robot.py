@@ -297,7 +297,6 @@ class AlterRobot(CyclicRobot):
             self._nominal = state.T_base_flange
 
     def _reachable_since(self, state: StateFrame) -> bool:
-        """Tell whether the arm can be where a state has it, after the last."""
         last = self._last
         return last is None or possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES, self.cycle_s)
 
