@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from tests.contracts.conftest import WRONG
+from tests.contracts.conftest import WRONG, until
 from tests.truth.emulated_links import World, link_of
 
 from armsight.app.requests.run_motion import RunMotionJob
@@ -119,15 +119,6 @@ def twin() -> Iterator[Twin]:
     twin = Twin(1)
     yield twin
     twin.close()
-
-
-def until(holds: Callable[[], bool]) -> None:
-    """Wait until something holds; that it never does is an error."""
-    for _ in range(5000):
-        if holds():
-            return
-        time.sleep(0.002)
-    raise AssertionError("it never came to be")
 
 
 PATIENT = {"stale_s": 5.0, "silent_s": 10.0, "watchdog_hz": 1.0}

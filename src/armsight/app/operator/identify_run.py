@@ -127,7 +127,7 @@ def run(asked: IdentifyRequest, robot: RobotCell, station: Station, background: 
     Raises as run_identify_live.
     """
     clock = SystemClock()
-    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
+    moved = background.robot(robot.session, clock, waits=True)
     person = OperatorCallbacks(confirm=background.ask)
     done = _identify(asked, robot, station, moved, person, background, clock, propose=False)
     if not isinstance(done, IdentifyOutput):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationPoses
 from armsight.app.requests.verify import VerifyJob
@@ -206,9 +206,8 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, background: Backg
     ):
         raise NotEnoughData("it was not begun", consequence="Nothing was moved")
     clock = SystemClock()
-    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
     out = asked.folder / time.strftime("iso-%Y%m%d-%H%M%S")
-    with moved:
+    with background.robot(robot.session, clock, waits=True) as moved:
         override = max(robot.session.override, 0.01)
         visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, background)
     return judged(made, asked, visits, ended, out)

@@ -68,6 +68,10 @@ class BackgroundJob(TrackedProgress):
             self.browser, self._answer = browser, yes
             self._asked.notify_all()
 
+    def robot(self, session: OperatorSession, clock: Clock, *, waits: bool) -> SessionRobot:
+        """Return the session's robot as this work moves it, with the enable of the browser that it belongs to."""
+        return SessionRobot(session, lambda: self.browser, clock, waits=waits, cancelled=self.cancelled)
+
     def wait(self, timeout_s: float | None = None) -> None:
         """Wait for its end."""
         if self._thread is not None:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Snapshot, Station
 from armsight.app.measure.outputs import moved_pose
-from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
+from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.path.check import PathCheckOutput, checked
@@ -215,7 +215,7 @@ def play(
     path = editor.require()
     clock = SystemClock()
     session = robot.session
-    moved = SessionRobot(session, lambda: background.browser, clock, waits=False, cancelled=background.cancelled)
+    moved = background.robot(session, clock, waits=False)
     job = PlayJob(
         robot=robot.robot,
         path=asked.folder / FILE,

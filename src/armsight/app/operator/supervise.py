@@ -43,15 +43,12 @@ DOUBTS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupervisedState:
-    """What a page shows: the level so far, the newest comparison in mm and deg, None where nothing was, and why."""
+    """What a page shows: the level so far, moments seen, the newest comparison, None where nothing was, and why."""
 
-    running: bool
     level: Level
     n: int
-    error_mm: float | None = None
-    std_mm: float | None = None
-    error_deg: float | None = None
-    why: str = ""
+    compared: Compared | None
+    why: str
 
 
 class StationSupervisor(RobotFollower):
@@ -85,19 +82,8 @@ class StationSupervisor(RobotFollower):
     def state(self) -> SupervisedState:
         """How far off the arm is."""
         compared, lost = self._last
-        if compared is None:
-            return SupervisedState(
-                running=not self._ended.is_set(), level=self._watch.level, n=len(self._log.rows), why=self._why or lost
-            )
-        return SupervisedState(
-            running=not self._ended.is_set(),
-            level=self._watch.level,
-            n=len(self._log.rows),
-            error_mm=compared.error_m / MM,
-            std_mm=compared.std_m / MM,
-            error_deg=compared.error_rad / DEG,
-            why=self._why,
-        )
+        why = self._why or ("" if compared is not None else lost)
+        return SupervisedState(level=self._watch.level, n=len(self._log.rows), compared=compared, why=why)
 
     def end(self) -> VerifyLiveOutput:
         """End it; write verify.json, errors.csv and report.html. Raises NotEnoughData where nothing was seen."""

@@ -10,11 +10,10 @@ from typing import Annotated
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob, JogJob
-from armsight.app.robot.opening import beside_outside, robot_of
+from armsight.app.robot.opening import beside_outside
 from armsight.app.robot.robot_run import Confirm, RobotRun
-from armsight.clock import Clock, SystemClock
+from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState
 from armsight.control.setpoints import Enable, GoalSource, JogFrame, JogSource
 from armsight.control.status import QueueSink, RobotStatus
@@ -22,7 +21,7 @@ from armsight.drivers import Robot
 from armsight.drivers.jog_inputs import JogInput, open_jog_input
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.fields import Doc
-from armsight.records import Progress, Silent
+from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM, displayed
 
@@ -89,10 +88,9 @@ def jog_robot(
     Raises UsageError; Inconsistent for a way beyond a limit; DeviceFailed, DeviceLost where the robot or the guard
     stopped; Cancelled.
     """
-    clock, model = clock or SystemClock(), given_arm(job.arm)
-    robot = opened or robot_of(job, clock, model)
+    run = RobotRun.of(job, progress, clock, opened)
+    robot = run.robot
     _check(job, robot)
-    run = RobotRun(job, robot, model, clock, progress or Silent())
     _check_degrees(job, run.guard)
     j = job.joint - 1
     with run:
@@ -226,9 +224,8 @@ def jog_by_hand(
     confirm: asked once, before anything can move. opened, inputs: in place of what the job names. Raises UsageError,
     DeviceNotFound; DeviceFailed where robot, guard or gamepad failed; Cancelled.
     """
-    clock, model = clock or SystemClock(), given_arm(job.arm)
-    robot = opened or robot_of(job, clock, model)
-    run = RobotRun(job, robot, model, clock, progress or Silent())
+    run = RobotRun.of(job, progress, clock, opened)
+    robot, clock = run.robot, run.clock
     _check_frame(job, run.knows_lengths, robot.name)
     source = JogSource(robot.n_joints, job.frame, speed_m_s=run.guard.limits.speed_m_s)
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6

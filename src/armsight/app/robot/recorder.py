@@ -84,8 +84,6 @@ class RecordingLog:
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
         """Raises UsageError where the file is there already: a robot's motion is never replaced."""
-        if path.exists():
-            raise UsageError(f"{path} is there already", consequence="Nothing is moved", cure="Choose another name")
         self._recorder = LoopRecorder(path, clock or SystemClock())
         self._event_s = self._command_s = -math.inf
 

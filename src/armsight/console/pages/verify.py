@@ -37,7 +37,7 @@ from armsight.console.state import Console
 from armsight.console.work import Working, jog_card
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
-from armsight.units import MM
+from armsight.units import DEG, MM
 from armsight.verify.results import VerifyOutput
 from armsight.verify.supervision import Level
 
@@ -114,9 +114,10 @@ class _Supervision:
 
 def _words(state: SupervisedState) -> str:
     level = texts.SUPERVISION_LEVELS[state.level.word]
-    if state.error_mm is None:
+    off = state.compared
+    if off is None:
         return f"{level}. {texts.SUPERVISION_BLIND.format(why=state.why)}"
-    words = texts.SUPERVISION_AT.format(mm=state.error_mm, std=state.std_mm, deg=state.error_deg)
+    words = texts.SUPERVISION_AT.format(mm=off.error_m / MM, std=off.std_m / MM, deg=off.error_rad / DEG)
     return f"{level}. {words} {state.why}".strip()
 
 
