@@ -14,11 +14,9 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import TypeVar
 
 CONTROL = 10
 """Of SCHED_FIFO: before all usual work, behind the kernel's own threads."""
@@ -123,36 +121,3 @@ def _schedule(thread: int, priority: int) -> bool:
         os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         return True
     return False
-
-
-Result = TypeVar("Result")
-
-SHOW_S = 0.2
-"""Time between two calls of show, in s."""
-
-
-def run_with_progress(target: Callable[[], Result], show: Callable[[], None]) -> Result:
-    """Return what target returns, or raise what it raises; show is called now and then meanwhile, from this thread.
-
-    target goes before all else on the machine where the system allows that. No cycle of a loop within it waits for the
-    screen that show writes to.
-    """
-    results: list[Result] = []
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        control_first()
-        try:
-            results.append(target())
-        except BaseException as error:  # raised again below, where somebody hears it
-            errors.append(error)
-
-    bound_control()
-    thread = threading.Thread(target=run, name="control loop")
-    thread.start()
-    while thread.is_alive():
-        thread.join(SHOW_S)
-        show()
-    if errors:
-        raise errors[0]
-    return results[0]

@@ -24,7 +24,7 @@ from armsight.records.measured import NotSeen, Points, PoseStatus, Spots, Target
 from armsight.records.motion import JointReading, Motion
 from armsight.records.noise import LinearNoise, NoiseModel
 from armsight.records.path import WELD_OFF, WELD_ON, TaughtPath
-from armsight.records.progress import Progress, Silent, TrackedProgress
+from armsight.records.progress import Progress, Silent
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.timing import AT_ONCE, CameraTiming
 from armsight.records.tracks import SpotTrack
@@ -55,7 +55,6 @@ __all__ = [
     "TargetKind",
     "TargetPose",
     "TaughtPath",
-    "TrackedProgress",
     "board_target",
     "checked_array",
     "checked_poses",

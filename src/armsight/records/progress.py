@@ -26,26 +26,3 @@ class Silent:
     def cancelled(self) -> bool:
         """Never."""
         return False
-
-
-class TrackedProgress:
-    """How far work is, for every page that shows it; each of them may end it. Any thread may call this.
-
-    newest: done, total and note as they were told last.
-    """
-
-    def __init__(self) -> None:
-        self.newest: tuple[float, float, str] = (0.0, 0.0, "")
-        self._cancelled = False
-
-    def update(self, done: float, total: float, note: str = "") -> None:
-        """Take how far it is."""
-        self.newest = (done, total, note)
-
-    def cancelled(self) -> bool:
-        """Return whether somebody ended it."""
-        return self._cancelled
-
-    def cancel(self) -> None:
-        """End it as soon as it can."""
-        self._cancelled = True

@@ -12,12 +12,11 @@ import pytest
 
 from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
 from armsight.app.live.station import Snapshot
-from armsight.app.live.views import complex_view
+from armsight.app.live.views import complex_view, drawn_ellipsoid, track_colours
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.record.recorder import Recorder
 from armsight.app.simulate.run import simulate
 from armsight.clock import ManualClock
-from armsight.console.plots import drawn_ellipsoid, track_colours
 from armsight.console.routes import picture_message
 from armsight.console.state import Console
 from armsight.errors import UsageError

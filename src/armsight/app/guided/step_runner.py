@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 from armsight.app.guided.poses import PoseSamples
 from armsight.app.guided.step import Charted, Figure, Guided, Hint, Sample, StepResult
 from armsight.app.live.station import Station
+from armsight.app.operator.job_runner import TrackedProgress
 from armsight.errors import ArmsightError
-from armsight.records import Progress, TrackedProgress
+from armsight.records import Progress
 from armsight.units import DEG
 
 Curves = dict[tuple[str, str], list[tuple[int, float]]]

@@ -78,13 +78,18 @@ class Snapshots:
 
 
 class StationFollower:
-    """Takes each snapshot of a station in a thread of its own, from `follow` on until it is closed."""
+    """Takes each snapshot of a station in a thread of its own, from `follow` on until it is closed.
+
+    robot: its joints are read between pictures too, so that those at each exposure are known.
+    """
 
     does = "following"
     """What the thread is called."""
 
-    def __init__(self, snapshots: Snapshots) -> None:
-        self._snapshots = snapshots
+    def __init__(self, snapshots: Snapshots, robot: RobotCell | None = None) -> None:
+        self._snapshots, self._robot = snapshots, robot
+        cycle_s = 0.0 if robot is None else robot.service.authority.robot.cycle_s
+        self._history = JointHistory(max(cycle_s, LEAST_CYCLE_S))
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.does, daemon=True)
 
@@ -101,10 +106,18 @@ class StationFollower:
 
     def _run(self) -> None:
         while not self._ended.wait(FOLLOWED_S):
+            self._read()
             self._look()
             shown = self._snapshots.newer()
             if shown is not None:
                 self._take(shown)
+
+    def _read(self) -> None:
+        if self._robot is not None:
+            with suppress(ArmsightError):
+                reading = self._robot.service.host.status().reading
+                if reading is not None:
+                    self._history.add(reading)
 
     def _look(self) -> None:
         """Do what is to be done between pictures as well."""
@@ -112,21 +125,6 @@ class StationFollower:
     def _take(self, shown: Snapshot) -> None:
         """Take a new snapshot."""
         raise NotImplementedError
-
-
-class RobotFollower(StationFollower):
-    """A follower that reads the robot's joints between pictures too, so that those at each exposure are known."""
-
-    def __init__(self, snapshots: Snapshots, robot: RobotCell) -> None:
-        super().__init__(snapshots)
-        self._robot = robot
-        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
-
-    def _look(self) -> None:
-        with suppress(ArmsightError):
-            reading = self._robot.service.host.status().reading
-            if reading is not None:
-                self._history.add(reading)
 
 
 class StationPoses:

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from armsight.app.live.station import Snapshot, Station
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.station_observer import RobotFollower, Snapshots
+from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.clock import SystemClock
@@ -51,7 +51,7 @@ class SupervisedState:
     why: str
 
 
-class StationSupervisor(RobotFollower):
+class StationSupervisor(StationFollower):
     """Compares every moment that the station shows, raises levels, and stops the robot beyond one that says so."""
 
     does = "supervising"
@@ -63,6 +63,7 @@ class StationSupervisor(RobotFollower):
         the robot, BadFile.
         """
         super().__init__(Snapshots(station, SystemClock()), robot)
+        self._session = robot.session
         self._expectation = _expectation(folder, cell, robot)
         self.out = folder / time.strftime("supervised-%Y%m%d-%H%M%S")
         # with world.yaml the station's poses are in its frame, of the world or of the arm's base
@@ -97,7 +98,6 @@ class StationSupervisor(RobotFollower):
         return done
 
     def _look(self) -> None:
-        super()._look()
         if self._snapshots.silent_s > BLIND_S:
             self._last = (None, "no pictures come")
 
@@ -110,7 +110,7 @@ class StationSupervisor(RobotFollower):
             self._log.raised(alarm)
             self._why = alarm.why
             if alarm.level is Level.STOP:
-                self._robot.session.stop(SUPERVISION)
+                self._session.stop(SUPERVISION)
                 self._log.stopped = True
         if self._watch.level is Level.GOOD:
             self._why = ""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from armsight.app.live.station import Snapshot, Station
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.station_observer import RobotFollower, Snapshots
+from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.requests.motion import TeachJob
 from armsight.app.teach import save
 from armsight.clock import Clock
@@ -21,7 +21,7 @@ EVERY = 5
 """Frames of which a pose is the mean."""
 
 
-class TeachController(RobotFollower):
+class TeachController(StationFollower):
     """Records the tip's path in world while the target is led along, by hand or by the robot's jog keys."""
 
     does = "teaching"

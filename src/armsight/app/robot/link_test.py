@@ -7,13 +7,13 @@ from typing import Annotated
 
 from armsight.app.requests.motion import RobotTestJob
 from armsight.app.robot.opening import robot_of
+from armsight.app.robot.recorder import run_with_progress
 from armsight.clock import Clock, SystemClock
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
 from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, StaleData
 from armsight.fields import Doc
-from armsight.priority import run_with_progress
 from armsight.records import JointReading, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import MS

@@ -19,7 +19,7 @@ from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
 from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.opening import arm_of, beside_outside, guard_for, noted, robot_of, standing_outside
-from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.robot.recorder import LoopRecorder, run_with_progress
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import GuardState
 from armsight.control.loop import ControlLoop
@@ -32,7 +32,6 @@ from armsight.errors import ArmsightError, Cancelled, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.geometry import pose_difference, xyz_quat
 from armsight.kinematics import Arm
-from armsight.priority import run_with_progress
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
