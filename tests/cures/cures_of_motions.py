@@ -247,10 +247,6 @@ TRIED = {
         lambda: check_servo(servo(seconds_s=-1.0)),
         lambda: check_servo(servo(seconds_s=1.0)),
     ),
-    ("app/servo/run_servo.py", "Make it with: armsight calibrate handeye"): (
-        lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool")),
-        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool"))),
-    ),
     ("app/requests/motion.py", "Make it with: armsight calibrate handeye"): (
         lambda: play(rig=Path("rig.yaml"), target=Path("target.yaml"), handeye=Path("h.yaml")).cameras(),
         (

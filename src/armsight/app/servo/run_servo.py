@@ -14,7 +14,7 @@ from armsight.app.arm_files import given_arm
 from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.motion import ServoJob
+from armsight.app.requests.motion import ServoJob, require_handeye
 from armsight.app.robot.recorder import require_new
 from armsight.app.robot.robot_run import (
     Confirm,
@@ -31,7 +31,7 @@ from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turn
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
-from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
@@ -285,12 +285,7 @@ def _check(job: ServoJob) -> None:
 
 def _handeye(job: ServoJob) -> HandEyeFile:
     """Return the hand-eye calibration. Raises BadFile where it is missing, Inconsistent where it does not fit."""
-    if not job.handeye.exists():
-        raise BadFile(
-            f"the hand-eye calibration {job.handeye} is missing",
-            consequence="Where the cameras are on the robot is not known, and nothing is moved",
-            cure="Make it with: armsight calibrate handeye",
-        )
+    require_handeye(job.handeye)
     handeye = read_handeye(job.handeye)
     if handeye.setup.value == Mount.EYE_TO_HAND.value and job.at == CAMERA:
         raise Inconsistent(
