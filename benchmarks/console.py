@@ -35,7 +35,7 @@ import yaml
 from fastapi import FastAPI
 from playwright.sync_api import sync_playwright
 
-from armsight.app.live.station import Shown
+from armsight.app.live.station import Snapshot
 from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.app.simulate.cells import load_cell
 from armsight.console.application import add_console
@@ -347,7 +347,7 @@ class Stream:
     n = 0
 
     @property
-    def shown(self) -> Shown:
+    def shown(self) -> Snapshot:
         """A moment of a 1280x720 pair; its pictures of their usual size."""
         self.n += 1
         side = SideView(
@@ -359,7 +359,7 @@ class Stream:
             std=(1e-4,) * 6, residual_px=0.1, counts=Counts(ok=self.n, doubtful=0, position_only=0, lost=0),
             left=side, right=side,
         )  # fmt: skip
-        return Shown(view=view, left_jpeg=bytes(60_000), right_jpeg=bytes(60_000))
+        return Snapshot(view=view, left_jpeg=bytes(60_000), right_jpeg=bytes(60_000))
 
 
 if __name__ == "__main__":

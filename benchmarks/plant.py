@@ -32,8 +32,8 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
 from armsight.app.requests.plant import PlantFlags
-from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
+from armsight.app.robot.opening import arm_model
 from armsight.app.robot.recorder import RecordingLog
 from armsight.control.session.loop_side import lateness_s
 from armsight.control.session.service import Service

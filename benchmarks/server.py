@@ -24,8 +24,8 @@ from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
+from armsight.app.robot.opening import arm_model
 from armsight.app.robot.recorder import RecordingLog
 from armsight.control.session.loop_side import lateness_s
 from armsight.control.session.service import Service

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.servo_job import SteppedClock
+from armsight.app.servo.vision import SteppedClock
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop

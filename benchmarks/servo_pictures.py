@@ -15,13 +15,11 @@ from typing import Any
 import numpy as np
 
 from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.servo_job import ServoDevices, SteppedClock
-from armsight.app.servo.vision import Vision
-from armsight.control.events import QueueSink
+from armsight.app.servo.vision import ServoDevices, SteppedClock, Vision
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, chosen_gain, on_axis
-from armsight.control.status import RobotStatus
+from armsight.control.status import QueueSink, RobotStatus
 from armsight.measure.poses.pipeline import Setup
 from armsight.records import Silent
 from armsight.store import rig_from_mapping, target_from_mapping

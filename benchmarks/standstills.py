@@ -33,9 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.truth.lossy_links import ARM
 
 import armsight
-from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import driver_settings
+from armsight.app.robot.opening import arm_model, driver_settings
 from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import SystemClock, monotonic_s
 from armsight.control.session.channels import JointTrack

@@ -38,9 +38,8 @@ import numpy as np
 import websockets.frames
 
 import armsight
-from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import arm_model, open_robot
 from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits

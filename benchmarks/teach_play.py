@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.requests.motion import ServoJob, TeachJob
-from armsight.app.servo.servo_job import ServoDevices, SteppedClock
+from armsight.app.servo.vision import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.app.teach import teach_following

@@ -26,13 +26,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.play.play_path import Opened, run_play
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob, TeachJob
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.guarding import arm_of
-from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.jog_by_hand import jog_by_hand
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.jog import jog_by_hand, jog_robot
+from armsight.app.robot.opening import arm_of, open_robot
 from armsight.app.robot.run_motion import run_motion
 from armsight.app.servo.run_servo import run_servo
-from armsight.app.servo.servo_job import ServoDevices, SteppedClock
+from armsight.app.servo.vision import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.teach import teach_following

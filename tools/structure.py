@@ -63,7 +63,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "app/robot/opening.py": DRIVERS,
         "app/robot/recorder.py": "a log of orders of every kind, each with its own values",
         "app/robot/robot_run.py": "a recording of set points of every kind, each with its own values",
-        "app/operator/session_robot.py": "what a remote robot's description holds of its arm",
+        "app/operator/job_runner.py": "what a remote robot's description holds of its arm",
         "app/simulate/cells.py": SCENES,
         "app/simulate/run.py": SCENES,
         "app/simulate/scenarios.py": SCENES,

@@ -30,7 +30,7 @@ from armsight.cli.command import Command
 from armsight.cli.commands import app
 from armsight.cli.flags import OneFlag, Parts
 from armsight.control.joint_sweep import Pace
-from armsight.control.paths import smoothing, tools
+from armsight.control.paths import along, smoothing
 from armsight.control.play import PlaySettings
 from armsight.control.servo import ServoSettings
 from armsight.control.session.operator_session import FIRST_OVERRIDE
@@ -179,8 +179,8 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
     known = (
         (files.SmoothJob.bound_m, smoothing.BOUND_M),
         (files.SmoothJob.bound_rad, smoothing.BOUND_RAD),
-        (files.JoinPathsJob.gap_m, tools.GAP_M),
-        (files.JoinPathsJob.gap_rad, tools.GAP_RAD),
+        (files.JoinPathsJob.gap_m, along.GAP_M),
+        (files.JoinPathsJob.gap_rad, along.GAP_RAD),
         (files.PicksJob.pick_std_px, PatchSettings().pick_std_px),
         (files.PicksJob.patch_px, 2 * PatchSettings().half_px + 1),
         (robots.ArmJob.tolerance_m, Tolerance().length_m),

@@ -43,6 +43,16 @@ WRONG = {
 }
 
 
+def until(holds: Callable[[], bool]) -> None:
+    """Return when another thread has done its part; fails where it never does."""
+    pause = threading.Event()
+    for _ in range(15_000):
+        if holds():
+            return
+        pause.wait(0.002)
+    raise AssertionError("it never came to be")
+
+
 def _free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import time
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
+from tests.contracts.conftest import until
 
 from armsight.drivers import PROVING, RobotState
 from armsight.drivers.alter import AlterRobot
@@ -23,14 +23,6 @@ from refusals import refuses
 
 CYCLE_S = 0.028
 HOME = twin_home(small_arm())
-
-
-def until(condition: object) -> None:
-    for _ in range(2000):
-        if condition():  # type: ignore[operator]
-            return
-        time.sleep(0.002)
-    raise AssertionError("it did not come to that")
 
 
 @pytest.mark.parametrize("tool", [False, True])

@@ -12,8 +12,8 @@ from tests.contracts.conftest import WRONG
 from tests.truth.emulated_links import Link, Wire, World, link_of
 
 from armsight.clock import ManualClock
-from armsight.drivers import PROVING, RobotState, controller_clock, proof, proof_causes
-from armsight.drivers.controller_clock import ControllerClock
+from armsight.drivers import PROVING, RobotState, pace, proof, proof_causes
+from armsight.drivers.pace import ControllerClock
 from armsight.errors import DeviceFailed
 from armsight.testing import WrongController
 from armsight.testing.wrong_controllers import check_wrong, prove
@@ -42,7 +42,7 @@ def proven(link: Link) -> None:
         (WrongController.SCALE, proof_causes, "TOLERANCE", 0.3),
         (WrongController.RELATIVE, proof, "MOST_RATE", 500.0),
         (WrongController.GEAR, proof_causes, "TOLERANCE", 5.0),
-        (WrongController.HALF_CYCLE, controller_clock, "TOLERANCE", 0.6),
+        (WrongController.HALF_CYCLE, pace, "TOLERANCE", 0.6),
     ],
 )
 def test_without_a_rule_a_wrong_controller_is_not_found(

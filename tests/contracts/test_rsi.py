@@ -5,33 +5,20 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from tests.contracts.conftest import until
 
 from armsight.clock import ManualClock
 from armsight.drivers import PROVING, RobotState
-from armsight.drivers.rsi import RsiRobot
-from armsight.drivers.rsi.messages import parse, read_tags
-from armsight.errors import BadFile, DataRefused, DeviceFailed, UsageError
+from armsight.drivers.rsi import RsiRobot, read_tags
+from armsight.errors import BadFile, DeviceFailed, UsageError
 from refusals import refuses
 
 CYCLE_S = 0.004
-
-
-def until(holds: Callable[[], bool]) -> None:
-    """Return when the driver's thread has done its part; fails where it never does."""
-    pause = threading.Event()
-    for _ in range(15_000):
-        if holds():
-            return
-        pause.wait(0.002)
-    raise AssertionError("it never came to be")
 
 
 def test_nothing_moves_by_opening_and_holding_and_no_answer_is_late(make_rsi: Any) -> None:
@@ -185,13 +172,6 @@ def test_the_open_simulator_is_understood(free_port: int) -> None:
         assert simulator.recv(1024).endswith(b"<IPOC>100</IPOC></Sen>")
         until(lambda: robot.counts.repeated == 1)
         robot.__exit__(None, None, None)
-
-
-@given(st.binary(max_size=300) | st.text(max_size=300).map(str.encode))
-@settings(max_examples=200, deadline=None)
-def test_garbage_is_refused_by_the_parser(data: bytes) -> None:
-    with contextlib.suppress(DataRefused):
-        assert np.isfinite(parse(data).q).all()
 
 
 def test_garbage_on_the_wire_is_counted_and_moves_nothing(make_rsi: Any) -> None:

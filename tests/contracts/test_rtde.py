@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from tests.contracts.conftest import WRONG
+from tests.contracts.conftest import WRONG, until
 from tests.truth.emulated_links import World, link_of
 
 from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.run_motion import run_motion
 from armsight.clock import ManualClock, SystemClock
-from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.play.path_source import JointMotionSource
 from armsight.drivers import RobotState
 from armsight.drivers.rtde import RtdeRobot
 from armsight.drivers.rtde.link import ControllerState, address
@@ -119,15 +119,6 @@ def twin() -> Iterator[Twin]:
     twin = Twin(1)
     yield twin
     twin.close()
-
-
-def until(holds: Callable[[], bool]) -> None:
-    """Wait until something holds; that it never does is an error."""
-    for _ in range(5000):
-        if holds():
-            return
-        time.sleep(0.002)
-    raise AssertionError("it never came to be")
 
 
 PATIENT = {"stale_s": 5.0, "silent_s": 10.0, "watchdog_hz": 1.0}

@@ -6,17 +6,20 @@ Each steps with its twin on one clock.
 from __future__ import annotations
 
 import contextlib
-import time
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
+from tests.contracts.conftest import until
 
-from armsight.drivers import PROVING, RobotState
+from armsight.drivers import PROVING, RobotState, egm, rsi
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rsi import RsiRobot
-from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, StaleData, UsageError
+from armsight.errors import DataRefused, DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, StaleData, UsageError
 from armsight_sim.twins.base import small_arm, twin_home
 from refusals import refuses
 
@@ -41,10 +44,7 @@ def test_a_silent_link_stays_lost_even_when_it_speaks_again(make_pair: Any) -> N
         pair.advance(CYCLE_S)
         pair.twin.fault("silent")
         pair.advance(20 * CYCLE_S)
-        for _ in range(2000):
-            if robot._lost:
-                break
-            time.sleep(0.001)
+        until(lambda: bool(robot._lost))
         pair.twin.fault("silent", on=False)
         pair.advance(5 * CYCLE_S)
         assert robot.state is RobotState.LOST
@@ -66,6 +66,14 @@ def test_a_second_program_and_a_second_controller_are_refused(make_pair: Any) ->
             assert robot.counts.foreign == 5
             assert stranger.counts.taken == 0
         assert np.abs(robot.read().q - pair.home).max() < 2e-5
+
+
+@pytest.mark.parametrize("parse", [partial(egm.parse, n=6), rsi.parse])
+@given(data=st.binary(max_size=600) | st.text(max_size=300).map(str.encode))
+@settings(max_examples=400, deadline=None)
+def test_garbage_is_refused_by_the_parser(parse: Any, data: bytes) -> None:
+    with contextlib.suppress(DataRefused):
+        assert np.isfinite(parse(data).q).all()
 
 
 @pytest.mark.parametrize("driver", [EgmRobot, RsiRobot])

@@ -153,7 +153,7 @@ TRIED = {
         lambda: smoothed(read_path(Path("taught.csv")), bound_m=0.0005, bound_rad=180.0),
         lambda: smoothed(read_path(Path("taught.csv")), bound_m=0.0005, bound_rad=math.pi),
     ),
-    ("control/paths/tools.py", "10 mm are 0.01"): (
+    ("control/paths/along.py", "10 mm are 0.01"): (
         "path offset taught.csv -o a.csv --by-m 10",
         "path offset taught.csv -o a.csv --by-m 0.01",
     ),

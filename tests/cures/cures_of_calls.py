@@ -17,11 +17,9 @@ from armsight.control.guard import Box
 from armsight.control.guard.plausible import check_corners
 from armsight.control.paths.exports import krl, rapid
 from armsight.control.paths.program import Program, program_moves
-from armsight.control.play.joint_motion import JointMotionSource
-from armsight.control.play.path_source import _checked_override
-from armsight.control.play.weave import Weave
-from armsight.control.servo.law import chosen_gain, delay_cycles
-from armsight.control.servo.settings import on_axis
+from armsight.control.play.path_source import JointMotionSource
+from armsight.control.play.shape import Weave
+from armsight.control.servo.law import chosen_gain, delay_cycles, on_axis
 from armsight.drivers.images import ImageReading, image_of_8_bits
 from armsight.drivers.opening import open_source
 from armsight.drivers.remote.wire import ServerAddress
@@ -146,16 +144,12 @@ TRIED = {
         lambda: program(acceleration_m_s2=500.0),
         lambda: program(acceleration_m_s2=0.5),
     ),
-    ("control/play/joint_motion.py", "0.5 (--override)"): (motion(50.0), motion(0.5)),
-    ("control/play/path_source.py", "0.5 (--override)"): (
-        lambda: _checked_override(50),
-        lambda: _checked_override(0.5),
-    ),
-    ("control/play/weave.py", "Give metres, for instance"): (
+    ("control/play/path_source.py", "0.5 (--override)"): (motion(50.0), motion(0.5)),
+    ("control/play/shape.py", "Give metres, for instance"): (
         lambda: Weave.parse("sine:2:8"),
         lambda: Weave.parse("sine:0.002:0.008"),
     ),
-    ("control/play/weave.py", "Give none, sine:"): (
+    ("control/play/shape.py", "Give none, sine:"): (
         lambda: Weave.parse("sine"),
         each(lambda: Weave.parse("none"), lambda: Weave.parse("zigzag:0.002:0.008")),
     ),
@@ -167,7 +161,7 @@ TRIED = {
         lambda: chosen_gain(50.0, 0.008, 0.1),
         lambda: chosen_gain(float(f"{chosen_gain(None, 0.008, 0.1).no_overshoot:.4g}"), 0.008, 0.1),
     ),
-    ("control/servo/settings.py", "Give metres, zero or more"): (
+    ("control/servo/law.py", "Give metres, zero or more"): (
         lambda: on_axis(RigidTransform.identity(), -0.3),
         lambda: on_axis(RigidTransform.identity(), 0.3),
     ),

@@ -20,14 +20,12 @@ from armsight.app.requests.identify import LiveJob, joint_numbers
 from armsight.app.requests.motion import PlayJob, ServoJob
 from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
-from armsight.app.robot.guarding import arm_of
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import arm_of, open_robot
 from armsight.app.robot.robot_run import check_arm
 from armsight.app.robot.run_motion import run_motion
 from armsight.app.servo.run_servo import _check as check_servo
 from armsight.app.servo.run_servo import _handeye, _turning, measuring, run_servo
-from armsight.app.servo.servo_job import ServoDevices
-from armsight.app.servo.vision import open_servo
+from armsight.app.servo.vision import ServoDevices, open_servo
 from armsight.app.verify.live import _check as check_live
 from armsight.app.verify.live import _check_arm, open_supervised
 from armsight.app.verify.mastering import _middle, run_mastering
@@ -248,10 +246,6 @@ TRIED = {
     ("app/servo/run_servo.py", "Give seconds, more than zero"): (
         lambda: check_servo(servo(seconds_s=-1.0)),
         lambda: check_servo(servo(seconds_s=1.0)),
-    ),
-    ("app/servo/run_servo.py", "Make it with: armsight calibrate handeye"): (
-        lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool")),
-        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool"))),
     ),
     ("app/requests/motion.py", "Make it with: armsight calibrate handeye"): (
         lambda: play(rig=Path("rig.yaml"), target=Path("target.yaml"), handeye=Path("h.yaml")).cameras(),

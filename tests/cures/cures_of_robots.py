@@ -6,10 +6,9 @@ from pathlib import Path
 
 from armsight.app.requests.motion import HandJogJob, JogJob, settings_of
 from armsight.app.requests.plant import PlantFlags
-from armsight.app.robot.guarding import arm_model, guard_for
+from armsight.app.robot.jog import _check_frame as check_hand
 from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.jog_by_hand import _check as check_hand
-from armsight.app.robot.opening import driver_settings, open_robot
+from armsight.app.robot.opening import arm_model, driver_settings, guard_for, open_robot
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import KeyboardInput
 from armsight.kinematics import preset
@@ -65,11 +64,11 @@ TRIED = {
         jog(by=0.5, limits=Path("box.yaml"), speed=1.0),
         jog(by=0.02, limits=Path("box.yaml"), speed=1.0),
     ),
-    ("app/robot/jog_by_hand.py", "Give joints, base or tool"): (
+    ("app/robot/jog.py", "Give joints, base or tool"): (
         lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="wrist"), True, SIM),
         lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="tool"), True, SIM),
     ),
-    ("app/robot/jog_by_hand.py", "or --frame joints"): (
+    ("app/robot/jog.py", "or --frame joints"): (
         lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="tool"), False, "egm"),
         lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="joints"), False, "egm"),
     ),
@@ -90,15 +89,15 @@ TRIED = {
         lambda: settings_of(["controller"]),
         lambda: settings_of(["controller=192.168.0.10"]),
     ),
-    ("app/robot/guarding.py", "Give the arm of this robot"): (
+    ("app/robot/opening.py", "Give the arm of this robot"): (
         lambda: guard_for(Bare(), preset("panda"), None),
         lambda: guard_for(Bare(), preset("ur10"), None),
     ),
-    ("app/robot/guarding.py", "or limits without boxes"): (
+    ("app/robot/opening.py", "or limits without boxes"): (
         lambda: guard_for(Bare(), None, Path("box.yaml")),
         lambda: [guard_for(Bare(), preset("ur10"), Path("box.yaml")), guard_for(Bare(), None, Path("free.yaml"))],
     ),
-    ("app/robot/guarding.py", "Give --arm with its arm.yaml"): (
+    ("app/robot/opening.py", "Give --arm with its arm.yaml"): (
         lambda: arm_model("egm:6510", None),
         lambda: arm_model("egm:6510", "irb120"),
     ),

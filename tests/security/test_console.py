@@ -17,9 +17,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from armsight.console import application, texts
 from armsight.console import routes as uploads
-from armsight.console.routes import SAID
+from armsight.console.routes import PAGE_NAME, SAID
 from armsight.console.state import Console
-from armsight.console.visitors import NAME
 from armsight.errors import BadFile
 from armsight.server.serving import background
 from refusals import refuses
@@ -144,7 +143,7 @@ def bearer(token: str) -> dict[str, str]:
 @pytest.mark.parametrize("when", ["before", "while"])
 @pytest.mark.parametrize("message", MESSAGES)
 def test_a_watcher_moves_nothing_in_the_name_of_a_drivers_page(served: Any, message: dict[str, Any], when: str) -> None:
-    page = page_of(served, "/live", served.drive).storage[NAME]
+    page = page_of(served, "/live", served.drive).storage[PAGE_NAME]
     headers = bearer(served.watch)
     with (
         driving(served, page) if when == "while" else nullcontext(),
@@ -162,7 +161,7 @@ def test_a_watcher_moves_nothing_in_the_name_of_a_drivers_page(served: Any, mess
 
 def test_a_watcher_does_not_learn_the_name_of_the_drivers_page(served: Any) -> None:
     page = page_of(served, "/live", served.drive)
-    name = page.storage[NAME]
+    name = page.storage[PAGE_NAME]
     assert name != page.id, "that of NiceGUI stands in the address of its socket"
     with (
         driving(served, name),

@@ -21,11 +21,11 @@ from scipy.io import savemat
 
 from armsight.app.compare.runs import shared
 from armsight.app.record.export import export
+from armsight.drivers import egm as packets
 from armsight.drivers import images as image_files
-from armsight.drivers.egm import packets
+from armsight.drivers import rsi
 from armsight.drivers.images import LARGEST_PX, said_size
-from armsight.drivers.rsi import messages as rsi
-from armsight.drivers.rsi.messages import read_tags
+from armsight.drivers.rsi import read_tags
 from armsight.errors import BadFile, BadImage, DataRefused
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm

@@ -23,7 +23,7 @@ from armsight.clock import ManualClock
 from armsight.drivers import list_images, read_image
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.remote import ServerAddress
-from armsight.drivers.rsi.messages import read_tags
+from armsight.drivers.rsi import read_tags
 from armsight.errors import ArmsightError, BadFile, DataRefused, DeviceFailed, UsageError
 from armsight.store import atomic, read_rig, write_text
 from armsight.store.atomic import sha256

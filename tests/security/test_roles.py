@@ -30,8 +30,8 @@ from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import page_socket, robot_link, routes
 from armsight.console.application import PAGES, add_console
 from armsight.console.page_socket import MESSAGES
+from armsight.console.routes import PAGE_NAME
 from armsight.console.state import Console
-from armsight.console.visitors import NAME
 from armsight.control.guard import Limits
 from armsight.control.session.operator_session import OperatorSession, Person
 from armsight.control.session.service import Service
@@ -345,7 +345,7 @@ def on_line(world: World, kind: str, caller: Caller, phase: str) -> str:
 def page_drives(world: World, phase: str) -> None:
     """Let ann drive from her page, before a stop or after it; before: nobody does."""
     world.at_rest()
-    page = world.page.storage[NAME]
+    page = world.page.storage[PAGE_NAME]
     world.session.beat(page, ANN, enable=False)  # if it was lost while it drove
     if phase != "before":
         world.session.beat(page, ANN, enable=True, number=1, key="key")
@@ -361,7 +361,7 @@ def on_page(world: World, kind: str, caller: Caller, phase: str) -> str:
         line = Line(stack, world.at, "/console/robot", caller)
         seen = line.next(lambda one: "t" in one)["t"]
         anns = caller.who == "ann" or not caller.mine
-        page = {"do": "page", "page": world.page_by("ann" if anns else "eve").storage[NAME]}
+        page = {"do": "page", "page": world.page_by("ann" if anns else "eve").storage[PAGE_NAME]}
         if kind != "page" and anns:
             line.page(world.taps, json.dumps(page))
         caller.expire()

@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
-from armsight.app.operator.cell_poses import Placement
+from armsight.app.operator.robot_cell import Placement
 from armsight.app.robot.opening import LinkArm
 from armsight.control.guard.guard import Guard
 from armsight.control.guard.limits import Box, Limits, joint_bounds

@@ -11,8 +11,7 @@ from tests.truth.play_paths import Case, Ran, cases, run, tips
 
 from armsight.control.guard import Limits
 from armsight.control.play import PathSource, PlaySettings, plan_path, timing
-from armsight.control.play.timing import Ceilings
-from armsight.control.play.track import Track
+from armsight.control.play.timing import Ceilings, Track
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.kinematics import preset
 from armsight.records import TaughtPath

@@ -12,7 +12,7 @@ from armsight.api.links import Confirm, RobotLike, Settings, as_question, name_o
 from armsight.app.play.play_path import Opened, PlayOutput, run_play
 from armsight.app.requests.motion import STOP_M, FollowJob, PlayJob, ServoJob, StandingJob, TeachJob
 from armsight.app.servo.run_servo import ServoOutput, run_servo
-from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.vision import ServoDevices
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.app.teach import PATH, TeachOutput, teach_following, teach_poses, teach_standing
 from armsight.clock import SystemClock
@@ -285,7 +285,6 @@ def _servo_job(given: Given, values: dict[str, Any]) -> tuple[ServoJob, ServoDev
 
 
 def _devices(robot: Robot, job: ServoJob) -> ServoDevices:
-    """Return a driver of one's own, and the live cameras that a job names."""
     clock, settings = SystemClock(), CameraSettings(exposure_s=job.exposure_s)
     if job.image is None:
         pairs = open_pairs(job.left, job.right, settings=settings)

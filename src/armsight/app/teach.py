@@ -18,11 +18,11 @@ from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
 from armsight.app.robot.robot_run import Confirm
 from armsight.app.servo.run_servo import ServoOutput, Show, run_servo
-from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.vision import ServoDevices
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock
-from armsight.control.events import QueueSink
 from armsight.control.servo import Mount, ServoSource
+from armsight.control.status import QueueSink
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig
 from armsight.drivers import CameraSettings, PairSource
 from armsight.errors import StaleData, UsageError

@@ -127,8 +127,8 @@ def standing_taught(
     face: CommandUI, job: requests.motion.TeachJob, seen_by: requests.motion.StandingJob
 ) -> TeachOutput:
     """Teach before cameras that stand, with keys to steer it."""
-    from armsight.app.robot.jog_by_hand import listening
     from armsight.app.teach import teach_standing
+    from armsight.drivers.jog_inputs import listening
 
     with ExitStack() as stack:
 
@@ -143,8 +143,8 @@ def following_taught(
     face: CommandUI, job: requests.motion.TeachJob, servo: requests.motion.ServoJob, *, yes: bool
 ) -> TeachOutput:
     """Teach while the arm follows, after asking, with keys to steer it."""
-    from armsight.app.robot.jog_by_hand import listening
     from armsight.app.teach import teach_following
+    from armsight.drivers.jog_inputs import listening
 
     recorders: list[PathRecorder] = []
     asked = face.moves(yes=yes)
@@ -205,7 +205,7 @@ def play(face: CommandUI, job: requests.motion.PlayJob, yes: Yes = False) -> Non
     The whole way is checked first; before anything moves it is told in mm and degrees, and asked for.
     """
     from armsight.app.play.play_path import run_play
-    from armsight.app.robot.jog_by_hand import listening
+    from armsight.drivers.jog_inputs import listening
 
     with ExitStack() as stack:
 

@@ -22,7 +22,7 @@ from armsight.fields import Doc
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from armsight.control.play.joint_motion import JointMotionSource
+    from armsight.control.play.path_source import JointMotionSource
 
 
 @command(robot)
@@ -61,8 +61,7 @@ def jog(
 
     Ctrl-C brings it to rest.
     """
-    from armsight.app.robot.jog import jog_robot
-    from armsight.app.robot.jog_by_hand import jog_by_hand
+    from armsight.app.robot.jog import jog_by_hand, jog_robot
 
     hand = led.value("hand")
     if hand is not None and joint is None and by is None:
@@ -87,8 +86,8 @@ def run(face: CommandUI, job: RunMotionJob, yes: Annotated[bool, Doc("Move witho
     The whole motion is checked first. Both cameras are recorded beside it, from before it until after it: one that
     fails or falls silent brings the arm to rest.
     """
-    from armsight.app.robot.jog_by_hand import listening
     from armsight.app.robot.run_motion import run_motion
+    from armsight.drivers.jog_inputs import listening
 
     with ExitStack() as stack:
 

@@ -215,7 +215,6 @@ def _of_robot(robot: str | None, settings: RobotSettings, rsi_config: Path | Non
 
 @contextlib.contextmanager
 def _opening(bind: str, port: int, secure: bool) -> Iterator[WaitingPage]:
-    """Give the page that is there before anything else is loaded."""
     from armsight.console import texts
     from armsight.server.waiting import waiting_page
 

@@ -14,7 +14,7 @@ from nicegui import app, ui
 from starlette.applications import Starlette
 
 from armsight.console import texts
-from armsight.console.layout import STATIC, page, text_of
+from armsight.console.layout import STATIC, notice, page, text_of
 from armsight.console.page_socket import PageSocket
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.cell import cell_page
@@ -24,9 +24,8 @@ from armsight.console.pages.settings import settings_page
 from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
 from armsight.console.robot_link import add_robot_link
-from armsight.console.routes import SafeHeaders, add_files, add_pictures
+from armsight.console.routes import SafeHeaders, add_files, add_pictures, person_of
 from armsight.console.state import Console
-from armsight.console.visitors import person_of
 
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
@@ -80,4 +79,4 @@ def _note(console: Console, message: str) -> None:
 
 
 def _not_for_watchers(_: Console) -> None:
-    text_of("p", texts.WATCHING).classes("notice")
+    notice(texts.WATCHING)

@@ -88,7 +88,6 @@ def _joints(console: Console, arm: Arm | None) -> Lamp:
 
 
 def _target(console: Console) -> tuple[Target | None, Lamp]:
-    """Return the lit target and its lamp."""
     try:
         file = cell_path(console.folder, console.cell.target, "target")
         if file is None:
@@ -110,7 +109,6 @@ def _target(console: Console) -> tuple[Target | None, Lamp]:
 
 
 def _arm(console: Console) -> tuple[Arm | None, Lamp]:
-    """Return the arm's model and its lamp."""
     try:
         file = cell_path(console.folder, console.cell.arm, "arm")
         if file is None:

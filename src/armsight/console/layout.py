@@ -1,13 +1,12 @@
-"""The frame of every page and the parts that several have: fields, progress of a job, keys that jog the robot."""
+"""The frame of every page and the parts that several have: fields, lamps, tables, lines that tell of refusals."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,12 @@ from nicegui import ui
 from nicegui.element import Element
 from nicegui.elements.mixins.text_element import TextElement
 
-from armsight.app.operator.job_runner import BackgroundJob, JobRunner
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import texts
+from armsight.console.routes import LARGEST_BYTES, logged_in, page_name
 from armsight.console.state import Console
-from armsight.console.visitors import logged_in, page_name
 from armsight.errors import ArmsightError, UsageError
 from armsight.fields import DIGITS, Bounds, bounds_of, known_hints
-from armsight.units import DEG, MM
 
 STATIC = "/console/static"
 TICK_S = 0.1
@@ -123,7 +120,7 @@ def page(name: str, console: Console) -> Iterator[None]:
     with ui.element("main").style("display: contents"):
         text_of("h1", texts.PAGES[name])
         yield
-    ui.timer(TICK_S, lambda: _show_level(lamp, level_of(console)))
+    ui.timer(TICK_S, lambda: show_level(lamp, *astuple(level_of(console))))
 
 
 def _navigation(here: str) -> None:
@@ -163,11 +160,6 @@ def _robot_bar(robot: RobotCell) -> None:
         stop.props["aria-label"] = texts.STOP_HELP
 
 
-def _show_level(lamp: TextElement, level: Level) -> None:
-    set_text(lamp, f"{SIGNS[level.level]} {level.words}")
-    set_attribute(lamp, "data-level", level.level)
-
-
 def set_text(label: TextElement, text: str) -> None:
     """Change a label's text; nothing is sent where it is the same."""
     if label.text != text:
@@ -178,6 +170,45 @@ def set_attribute(element: Element, name: str, value: str) -> None:
     """Change an element's attribute; nothing is sent where it is the same."""
     if element.props.get(name) != value:
         element.props[name] = value
+
+
+def show_level(lamp: TextElement, level: str, words: str) -> None:
+    """Show a state with its sign; level: good, warn, bad or idle."""
+    say(lamp, f"{SIGNS[level]} {words}", level)
+
+
+def say(line: TextElement, words: str, level: str = "good") -> None:
+    """Tell something in a line of the page."""
+    set_text(line, words)
+    set_attribute(line, "data-level", level)
+
+
+@contextmanager
+def refusals_in(line: TextElement) -> Iterator[None]:
+    """Tell in a line of the page why what follows was refused."""
+    try:
+        yield
+    except ArmsightError as error:
+        say(line, str(error), "bad")
+
+
+def notice(words: str) -> None:
+    """Put a line onto the page that says why something is not there."""
+    text_of("p", words).classes("notice")
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Put a plain table onto the page that is being built; head: empty for none."""
+    with ui.element("table").classes("plain"):
+        for kind, cells in (*((("th", head),) if head else ()), *(("td", row) for row in rows)):
+            with ui.element("tr"):
+                for words in cells:
+                    text_of(kind, words)
+
+
+def report_link(file: str) -> None:
+    """Put a link to a report onto the page that is being built; file: in the cell's folder."""
+    text_of("a", texts.REPORT, href=f"/console/files/{file}", target="_blank")
 
 
 LARGEST = 1e6
@@ -255,105 +286,19 @@ def _refused(cause: str) -> UsageError:
     return UsageError(cause, consequence=texts.FIELD_CONSEQUENCE, cure=texts.FIELD_CURE)
 
 
-class Working:
-    """The line of one kind of work; `ended` is called once its result is there, also of work found on loading."""
-
-    def __init__(self, jobs: JobRunner, name: str, ended: Callable[[BackgroundJob], None]) -> None:
-        """Put it onto the page that is being built; name: of the work."""
-        self._jobs, self._name, self._ended = jobs, name, ended
-        self._shown: BackgroundJob | None = None
-        self._browser = page_name()
-        self._said = text_of("p", role="status", testid="work").classes("hint")
-        with ui.element("div").classes("row") as self._asking:
-            self._question = text_of("p")
-            button(texts.YES, lambda: self._answer(yes=True), testid="yes")
-            button(texts.NO, lambda: self._answer(yes=False), kind="act quiet")
-        with ui.element("div").classes("row") as self._ending:
-            button(texts.END_WORK, self._end, kind="act quiet", testid="end-work")
-        ui.timer(TICK_S, self._tick)
-        self._tick()
-
-    def _job(self) -> BackgroundJob | None:
-        return self._jobs.named(self._name)
-
-    def _answer(self, *, yes: bool) -> None:
-        job = self._job()
-        if job is not None:
-            job.answer(yes, self._browser)
-
-    def _end(self) -> None:
-        job = self._job()
-        if job is not None:
-            job.cancel()
-
-    def _tick(self) -> None:
-        job = self._job()
-        state = None if job is None else job.state
-        self._asking.set_visibility(bool(state and state.question))
-        self._ending.set_visibility(bool(state and state.running))
-        if job is None or state is None:
-            return
-        set_text(self._question, state.question)
-        if state.failure:
-            set_text(self._said, texts.ENDED_WORK.format(why=state.failure))
-        elif state.running and not state.question:
-            progress = texts.UNDER_WAY.format(note=state.note)
-            if state.total:
-                progress = texts.WORKING.format(note=state.note, done=state.done, total=state.total)
-            set_text(self._said, f"{progress}. {texts.HOLD_TO_MOVE}")
-        else:
-            set_text(self._said, "")
-        set_attribute(self._said, "data-level", "bad" if state.failure else "good")
-        if not state.running and job.result is not None and self._shown is not job:
-            self._shown = job
-            self._ended(job)
-
-
-def jog_card(robot: RobotCell) -> None:
-    """Put the jog keys onto the page that is being built."""
-    keys = ui.element("div").classes("jog")
-    joints: list[TextElement] = []
-
-    def choose(frame: str) -> None:
-        keys.clear()
-        joints.clear()
-        with keys:
-            joints.extend(_keys(robot, frame))
-
-    with card(texts.JOG):
-        text_of("p", texts.JOG_HELP).classes("hint")
-        with ui.element("div").classes("row"):
-            for frame, title in texts.JOG_FRAMES.items():
-                button(title, partial(choose, frame), kind="act quiet", testid=f"jog-{frame}")
-        keys.move(ui.context.slot.parent)
-    choose("joints")
-    ui.timer(TICK_S, lambda: _show(robot, joints))
-
-
-def _keys(robot: RobotCell, frame: str) -> list[TextElement]:
-    """Return the labels that tell the joints' values; none where the tool is led."""
-    description = robot.service.authority.robot
-    joints = frame == "joints"
-    names = [texts.JOG_JOINT.format(n=i + 1) for i in range(description.n_joints)] if joints else texts.JOG_AXES
-    labels = []
-    for axis, name in enumerate(names):
-        with ui.element("div").classes("axis"):
-            label = text_of("span", name)
-            for sense, sign in ((-1, "−"), (1, "+")):
-                key = text_of("button", sign, type="button").classes("key")
-                said = texts.JOG_KEY.format(axis=name, sense=texts.JOG_SENSES[sense])
-                key.props.update({"data-jog": f"{frame}:{axis}:{sense}", "aria-label": said, "aria-pressed": "false"})
-            labels.append(label)
-    return labels if joints else []
-
-
-def _show(robot: RobotCell, labels: list[TextElement]) -> None:
-    try:
-        q = robot.joints() if labels else ()
-    except ArmsightError:
-        return
-    arm = robot.session.arm
-    for axis, (label, value) in enumerate(zip(labels, q, strict=True)):
-        slides = arm is not None and not arm.revolute[axis]
-        now = texts.SLIDE_NOW.format(value=value / MM) if slides else texts.JOINT_NOW.format(value=value / DEG)
-        set_text(label, f"{texts.JOG_JOINT.format(n=axis + 1)}  {now}")
+def uploader() -> None:
+    """Choose a file of this machine and bring it into the cell's folder; the browser sends it by itself."""
+    with ui.element("label"):
+        text_of("span", texts.UPLOAD.format(mb=LARGEST_BYTES // 1_000_000))
+        chooser = ui.element("input")
+        chooser.props.update(
+            {
+                "type": "file",
+                "data-upload": "/console/files/",
+                "data-largest": str(LARGEST_BYTES),
+                "data-too-big": texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000),
+                "data-not-sent": texts.NOT_SENT,
+                "data-testid": "upload",
+            }
+        )
+    text_of("p", role="alert", id="uploaded").classes("hint")

@@ -13,7 +13,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
-from armsight.console.visitors import opened_by, person_in, require_login
+from armsight.console.routes import opened_by, person_in, require_login
 from armsight.control.session.operator_session import Person
 from armsight.errors import UsageError
 
@@ -116,8 +116,6 @@ class PageSocket:
 
 
 class _Line:
-    """One connection of a page."""
-
     def __init__(self, page: str, scope: Scope, note: Callable[[str], None]) -> None:
         self._page, self._scope, self._note = page, scope, note
         self._connected, self._violations, self._ended = False, 0, False

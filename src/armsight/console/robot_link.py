@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from armsight.clock import monotonic_s
 from armsight.console import texts
 from armsight.console.layout import SIGNS
+from armsight.console.routes import opener_of, person_of, require_login
 from armsight.console.state import Console
-from armsight.console.visitors import opener_of, person_of, require_login
 from armsight.control.guard import GuardState
 from armsight.control.session.operator_session import OperatorSession, Push
 from armsight.control.status import RobotStatus
@@ -51,7 +51,7 @@ class JogKey(_Said):
         return Push(frame=self.frame, axis=self.axis, sense=float(self.sense))
 
 
-class Beat(_Said):
+class Heartbeat(_Said):
     """The page is alive. enable: whether its button is held; seen: t of the newest state that it had, None of none.
 
     number: of the beat, which the page says on the line for stops as well; one that was overtaken does not count.
@@ -97,7 +97,7 @@ class Drawn(_Said):
     mask: tuple[Pixel, Pixel, Pixel, Pixel] = Field(strict=False)
 
 
-RobotMessage = Page | Beat | Stop | Reset | Override
+RobotMessage = Page | Heartbeat | Stop | Reset | Override
 """What a page may say of the robot."""
 
 _ROBOT: TypeAdapter[RobotMessage] = TypeAdapter(Annotated[RobotMessage, Field(discriminator="do")])
@@ -206,7 +206,7 @@ class RobotLink:
             match robot_message(text):
                 case Page(page=name):
                     self._join(name)
-                case Beat() as beat:
+                case Heartbeat() as beat:
                     self._beat(beat, age_s)
                 case Stop():
                     self._session.stop(person_of(self._socket))
@@ -218,7 +218,7 @@ class RobotLink:
         except ArmsightError as error:
             self._refused = str(error)
 
-    def _beat(self, beat: Beat, age_s: float) -> None:
+    def _beat(self, beat: Heartbeat, age_s: float) -> None:
         seen_s = -math.inf if beat.seen is None else beat.seen
         if beat.enable and seen_s > self._sent_s:  # it would stay fresh however long it lay in a buffer
             raise UsageError("the page saw a state that it was not told", consequence="Nothing was done")

@@ -1,4 +1,4 @@
-"""What browsers fetch and send besides pages: pictures, uploaded files, reports; and what every answer says."""
+"""Who looks at a page, and what browsers fetch and send besides pages: pictures, files, reports."""
 
 from __future__ import annotations
 
@@ -6,24 +6,76 @@ import asyncio
 import json
 import os
 import re
+import secrets
 import struct
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import FileResponse, PlainTextResponse
+from nicegui import Client, ui
 from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from armsight.app.live.measurement import COMPLEX
-from armsight.app.live.station import Shown
+from armsight.app.live.station import Snapshot
 from armsight.app.live.views import complex_view
 from armsight.console import texts
 from armsight.console.state import Console
-from armsight.console.visitors import person_of
+from armsight.control.session.operator_session import Person
 from armsight.defaults import LOOK_S
-from armsight.errors import ArmsightError
+from armsight.errors import ArmsightError, UsageError
 from armsight.store.atomic import write_bytes
+
+IDENTITY = "armsight.identity"
+"""Where the server that lets callers in puts who they are into a request's scope."""
+
+PAGE_NAME = "armsight.page"
+"""Where a page's name is kept: not NiceGUI's own, which stands in the address of its socket."""
+
+
+def person_of(connection: HTTPConnection | None) -> Person:
+    """Return who asks, as it is now; where nobody is checked, because only this machine is served, its operator."""
+    return person_in({} if connection is None else connection.scope)
+
+
+def person_in(scope: Any) -> Person:
+    """Return who asked in a request with this scope, and what they may do now."""
+    found: Any = scope.get(IDENTITY)
+    return Person() if found is None else Person(who=found.who, role=found.role)
+
+
+def require_login(person: Person) -> None:
+    """Raise UsageError where what somebody came in by has ended."""
+    if person.role == "none":
+        raise UsageError(
+            f"the token or the log-in of {person.who} has ended", consequence="Nothing was done", cure="Log in again"
+        )
+
+
+def logged_in(connection: HTTPConnection) -> bool:
+    """Return whether somebody came by a log-in, which they can end."""
+    return bool(getattr(connection.scope.get(IDENTITY), "logged_in", False))
+
+
+def page_name() -> str:
+    """Return the name of the page that is being built, made where it has none: its robot's connection speaks in it."""
+    name: str = ui.context.client.storage.setdefault(PAGE_NAME, secrets.token_urlsafe(16))
+    return name
+
+
+def opener_of(name: str) -> Person | None:
+    """Return who opened the page of this name, and what they may do now; None where no such page is open."""
+    found = next((client for client in Client.instances.values() if client.storage.get(PAGE_NAME) == name), None)
+    return None if found is None else opened_by(found)
+
+
+def opened_by(page: Client) -> Person | None:
+    """Return who opened a page, and what they may do now; None where nobody did."""
+    return None if page._request is None else person_in(page._request.scope)
+
 
 PAGE_POLICY = "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 """Says nothing of scripts: NiceGUI writes them into its pages, and Vue compiles templates, so that all kinds would have
@@ -149,7 +201,7 @@ def add_pictures(server: FastAPI, console: Console) -> None:
             await socket.close(code=1008)
             return
         await socket.accept()
-        last: Shown | None = None
+        last: Snapshot | None = None
         try:
             with suppress(WebSocketDisconnect):
                 ask(socket, await _said(socket))
@@ -165,7 +217,7 @@ def add_pictures(server: FastAPI, console: Console) -> None:
             widths_px.pop(socket, None)
 
 
-def picture_message(console: Console, shown: Shown, side: str) -> bytes:
+def picture_message(console: Console, shown: Snapshot, side: str) -> bytes:
     """Return the length of the findings (uint32, little endian), the findings as JSON, and the JPEG."""
     if side == COMPLEX:
         view, data = complex_view(shown.view), shown.left_jpeg
@@ -187,7 +239,7 @@ async def _said(socket: WebSocket) -> str:
     return said.get("text") or ""
 
 
-async def _newer(console: Console, last: Shown | None, asked: asyncio.Future[str]) -> Shown:
+async def _newer(console: Console, last: Snapshot | None, asked: asyncio.Future[str]) -> Snapshot:
     """Return the next newer picture. Raises WebSocketDisconnect where the page goes while none comes."""
     while True:
         if asked.done() and asked.exception() is not None:

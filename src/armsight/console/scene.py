@@ -13,15 +13,13 @@ from nicegui.events import SceneClickEventArguments
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
-from armsight.app.live.views import LiveView
+from armsight.app.live.views import LiveView, drawn_ellipsoid, track_colours
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import arm_points, read_placement
 from armsight.app.operator.identify_run import SweepFit
+from armsight.app.operator.robot_cell import arm_points, read_placement
 from armsight.console import texts
-from armsight.console.plots import Curve, Ruler
+from armsight.console.plots import Curve, Ruler, Ticks
 from armsight.console.state import Console
-from armsight.console.tracks import Ticks
 from armsight.errors import ArmsightError
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Target

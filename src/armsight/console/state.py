@@ -21,18 +21,18 @@ from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.guided.timing import TimingStep
-from armsight.app.live.followed import FollowedCell
-from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, require_kind
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.measurement import COMPLEX, DetectionSettings, FollowedCell, LiveJob, require_kind
+from armsight.app.live.station import Snapshot, Station
 from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
-from armsight.app.operator.teach_controller import TeachController, teach_controller
+from armsight.app.operator.teach_controller import TeachController
 from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.handeye import Setup
-from armsight.console.tracks import Tracks
+from armsight.clock import SystemClock
+from armsight.console.plots import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
@@ -150,7 +150,9 @@ class Console:
     def teaching(self) -> TeachController:
         """Return the recorder of paths, begun where there is none. Raises NotEnoughData, BadFile."""
         if self._teaching is None:
-            self._teaching = teach_controller(self.folder, self.cell, self.require_robot(), lambda: self.station)
+            self._teaching = TeachController(
+                self.folder, self.cell, self.require_robot(), lambda: self.station, SystemClock()
+            )
         return self._teaching
 
     def path_editor(self) -> PathEditor:
@@ -229,7 +231,7 @@ class Console:
         self.station.record(file)
         return file
 
-    def remember(self) -> Shown | None:
+    def remember(self) -> Snapshot | None:
         """Return the newest moment; its pose is kept for the curves."""
         shown = self.station.shown if self.station is not None else None
         if shown is not None and self._newest is not shown.view:

@@ -1,8 +1,7 @@
-"""A robot moved one joint at a time before two cameras that watch its beacon."""
+"""A robot led before two cameras: joint by joint while they watch its beacon, or from pose to pose, where it rests."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import Clock
 from armsight.defaults import SWEEP_SPEED
-from armsight.drivers import Robot, RobotState
-from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent
-from armsight.records import JointReading, Progress
+from armsight.drivers import Robot, RobotState, Sent
+from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData
+from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 
 Array = NDArray[np.float64]
 
@@ -38,6 +37,13 @@ FIRST_LOOKS = 8
 """Pairs looked at before anything moves: old frames in the cameras' queues are gone then, and all code is compiled."""
 SLACK = 1e-9
 """Joint values (rad, m) so far beyond a limit are at it: rounding."""
+THERE = 1e-6
+"""Joint readings (rad, m) so near to where the track has them are there."""
+MOST_LOST = 30
+"""Looks in a row at a stop without a whole pose that mean the target is not seen there."""
+SWEPT = ("The robot was stopped", "The sweeps are not complete")
+VISITED = ("The robot is held", "The run ends there")
+"""What is told where a person ends the motion, and where the robot does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,13 +147,17 @@ class Sweeper:
         longest = self._pace.speed * self.travel[joint] * self._robot.cycle_s
         stuck, looked_s = 0, self._clock.now_s()
         while abs(goal[joint] - at[joint]) > SLACK:
-            self._check_going(f"while joint {joint + 1} moved")
+            _check_going(self._robot, self._progress, f"while joint {joint + 1} moved", *SWEPT)
             step = np.zeros(len(at))
             step[joint] = np.clip(goal[joint] - at[joint], -longest, longest)
             sent = self._robot.step_joints(step)
             stuck = stuck + 1 if abs(sent.q[joint] - at[joint]) < 1e-3 * abs(step[joint]) else 0
             if stuck >= STUCK:
-                raise _does_not_go(joint, at, goal, sent.limited)
+                raise DeviceFailed(
+                    f"joint {joint + 1} does not go from {at[joint]:.4g} to {goal[joint]:.4g}{_limited_by(sent)}",
+                    consequence="The robot was stopped",
+                    cure="Give limits inside the robot's own",
+                )
             at = self._at = sent.q
             self._clock.sleep_until(self._clock.now_s() + self._robot.cycle_s)
             if self._clock.now_s() - looked_s >= LOOK_S:
@@ -174,25 +184,13 @@ class Sweeper:
         if (np.abs(goal - at) > SLACK).sum() > 1:
             raise Inconsistent("more than one joint would move at once", consequence="Nothing was sent")
 
-    def _check_going(self, when: str) -> None:
-        if self._progress.cancelled():
-            raise Cancelled(f"stopped {when}", consequence="The robot was stopped")
-        state = self._robot.state
-        if state not in (RobotState.READY, RobotState.MOVING):
-            kind = DeviceLost if state is RobotState.LOST else DeviceFailed
-            raise kind(
-                f"{self._robot.name} is {state} {when}",
-                consequence="The sweeps are not complete",
-                cure="Look at the robot and its controller, then begin anew",
-            )
-
     def _rest(self, joint: int) -> None:
         """Return when joints and beacon keep still. Raises DeviceFailed where they do not, or stand elsewhere."""
         arrived_s = self._clock.now_s()
         when = f"while joint {joint + 1} came to rest"
         still, before, seen = 0, self._robot.read(), self._observer.observe(when)
         while still < REST_FRAMES:
-            self._check_going(when)
+            _check_going(self._robot, self._progress, when, *SWEPT)
             if self._clock.now_s() - arrived_s > REST_TIMEOUT_S:
                 raise DeviceFailed(
                     f"joint {joint + 1} did not come to rest in {REST_TIMEOUT_S:g} s",
@@ -220,7 +218,7 @@ class Sweeper:
         looks: list[Observation] = []
         readings: list[Array] = []
         while len(looks) < self._pace.frames:
-            self._check_going(f"while joint {joint + 1} was read")
+            _check_going(self._robot, self._progress, f"while joint {joint + 1} was read", *SWEPT)
             look = self._observer.observe(f"while joint {joint + 1} was read")
             if look.uv_px is not None:
                 looks.append(look)
@@ -233,18 +231,126 @@ class Sweeper:
         self._rows.append((np.mean(readings, axis=0), uv, xyz, float(np.median(known)) if known else None))
 
 
-def _does_not_go(joint: int, at: Array, goal: Array, limited: Sequence[str]) -> DeviceFailed:
-    """Return the refusal of a joint that is sent and stays, with what the robot says is limiting it."""
-    said = f": {', '.join(limited)}" if limited else ""
-    return DeviceFailed(
-        f"joint {joint + 1} does not go from {at[joint]:.4g} to {goal[joint]:.4g}{said}",
-        consequence="The robot was stopped",
-        cure="Give limits inside the robot's own",
-    )
-
-
 def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation) -> bool:
-    """Tell whether neither joints nor beacon moved from one look to the next."""
     if seen.uv_px is None or look.uv_px is None:
         return False
     return bool(np.abs(now.q - before.q).max() <= REST_STEP and np.abs(look.uv_px - seen.uv_px).max() <= REST_PX)
+
+
+class PoseObserver(Protocol):
+    """Sees where the target is, now."""
+
+    def observe(self, while_: str) -> tuple[float, TargetPose]:
+        """Return when the newest frames were taken at the earliest, on our clock, and what they show.
+
+        while_: what the robot does, for messages. Raises DeviceFailed where no frames come.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathSegment:
+    """The way to a pose: joint readings q (k, n) at times t_s (k,); it begins where the last one ended."""
+
+    name: str
+    q: Array
+    t_s: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseVisit:
+    """What was seen at one stop: the pose's name, the cycle from 1, frames with a whole pose, and the readings (n,)."""
+
+    name: str
+    cycle: int
+    poses: tuple[TargetPose, ...]
+    q: Array
+
+
+class Visitor:
+    """Leads an open robot along segments, and looks where it rests."""
+
+    def __init__(self, robot: Robot, observer: PoseObserver, clock: Clock, progress: Progress, *, frames: int) -> None:
+        """frames: with a whole pose that are wanted at a stop."""
+        self._robot, self._observer = robot, observer
+        self._clock, self._progress, self._frames = clock, progress, frames
+        self._at: Array | None = None
+
+    def visit(self, segment: PathSegment, cycle: int) -> PoseVisit:
+        """Go along a segment, rest, and look. Raises DeviceFailed, DeviceLost, NotEnoughData, Cancelled."""
+        self._go(segment)
+        self._rest(segment)
+        return self._look(segment, cycle)
+
+    def _go(self, segment: PathSegment) -> None:
+        at = self._robot.step_joints(np.zeros(segment.q.shape[1])).q if self._at is None else self._at
+        gone_s, stuck = 0.0, 0
+        while gone_s < segment.t_s[-1] or np.abs(segment.q[-1] - at).max() > THERE:
+            _check_going(self._robot, self._progress, f"on the way to {segment.name}", *VISITED)
+            gone_s = min(gone_s + self._robot.cycle_s, float(segment.t_s[-1])) if stuck == 0 else gone_s
+            goal = np.array([np.interp(gone_s, segment.t_s, column) for column in segment.q.T])
+            sent = self._robot.step_joints(goal - at)
+            short = np.abs(goal - sent.q).max()
+            stuck = stuck + 1 if short > THERE else 0  # the guard took a part of it: wait on the track
+            if stuck >= STUCK and np.abs(sent.q - at).max() < THERE:
+                raise DeviceFailed(
+                    f"the arm does not go on towards {segment.name}{_limited_by(sent)}",
+                    consequence="The run ends there",
+                    cure="Choose a smaller cube, or wider limits",
+                )
+            at = self._at = sent.q
+            self._clock.sleep_until(self._clock.now_s() + self._robot.cycle_s)
+
+    def _rest(self, segment: PathSegment) -> None:
+        """Return when the joints keep still and frames come that were taken after."""
+        arrived_s, still = self._clock.now_s(), 0
+        before = self._robot.read()
+        while still < REST_FRAMES:
+            _check_going(self._robot, self._progress, f"coming to rest at {segment.name}", *VISITED)
+            if self._clock.now_s() - arrived_s > REST_TIMEOUT_S:
+                raise DeviceFailed(
+                    f"the arm did not come to rest at {segment.name} in {REST_TIMEOUT_S:g} s",
+                    consequence="The run ends there",
+                    cure="Look for vibration or a slipping brake",
+                )
+            taken_s, _ = self._observer.observe(f"at {segment.name}")
+            now = self._robot.read()
+            same = np.abs(now.q - before.q).max() <= REST_STEP
+            still = still + 1 if same and taken_s >= arrived_s + HELD_BACK_S else 0
+            before = now
+
+    def _look(self, segment: PathSegment, cycle: int) -> PoseVisit:
+        poses: list[TargetPose] = []
+        lost = 0
+        while len(poses) < self._frames:
+            _check_going(self._robot, self._progress, f"while {segment.name} was looked at", *VISITED)
+            _, pose = self._observer.observe(f"at {segment.name}")
+            if pose.status is PoseStatus.OK:
+                poses.append(pose)
+                lost = 0
+                continue
+            lost += 1
+            if lost >= MOST_LOST:
+                raise NotEnoughData(
+                    f"the target is not seen whole at {segment.name}" + (f": {pose.why}" if pose.why else ""),
+                    consequence="The run ends there",
+                    cure="Free the view of it, or choose a smaller cube",
+                )
+        return PoseVisit(name=segment.name, cycle=cycle, poses=tuple(poses), q=self._robot.read().q)
+
+
+def _limited_by(sent: Sent) -> str:
+    return f": {', '.join(sent.limited)}" if sent.limited else ""
+
+
+def _check_going(robot: Robot, progress: Progress, when: str, stopped: str, unfinished: str) -> None:
+    """Raise Cancelled, with the consequence stopped, DeviceFailed and DeviceLost with the consequence unfinished."""
+    if progress.cancelled():
+        raise Cancelled(f"stopped {when}", consequence=stopped)
+    state = robot.state
+    if state not in (RobotState.READY, RobotState.MOVING):
+        kind = DeviceLost if state is RobotState.LOST else DeviceFailed
+        raise kind(
+            f"{robot.name} is {state} {when}",
+            consequence=unfinished,
+            cure="Look at the robot and its controller, then begin anew",
+        )

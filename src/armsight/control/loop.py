@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.clock import Clock
-from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Decision, Guard, GuardState, Inputs, TargetState
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, SetPointSource
-from armsight.control.status import Jitter, RobotStatus, Timing
+from armsight.control.status import EventSink, Jitter, NoSink, RobotStatus, Timing
 from armsight.drivers import Pace, Paced, Robot, RobotState, RobotTraits, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData
 from armsight.records import JointReading

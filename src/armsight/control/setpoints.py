@@ -1,16 +1,22 @@
-"""What may be asked of a robot: set points for one control cycle, one source at a time, and a driver's commands."""
+"""What may be asked of a robot, set points and a driver's commands; and who asks, one at a time, with its enable."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.clock import Clock
+from armsight.errors import UsageError
 from armsight.geometry import xyz_quat
 from armsight.records import frozen_array
+from armsight.units import DEG, MS
 
 Array = NDArray[np.float64]
 
@@ -127,7 +133,7 @@ class SetPointSource(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beat:
+class Heartbeat:
     """The driver is alive. enable: whether motion is allowed.
 
     number: of the beat, which grows; one that came by another way and was overtaken does not count.
@@ -147,7 +153,7 @@ class Reset:
     """Take commands again after a stop; the enable has to be let go of and given anew."""
 
 
-Command = Motion | Hold | Beat | Stop | Reset
+Command = Motion | Hold | Heartbeat | Stop | Reset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,3 +192,160 @@ def logged(command: Motion | Hold | Stop | Reset) -> tuple[str, dict[str, Any]]:
             return "stop", {}
         case Reset():
             return "reset", {}
+
+
+ENABLE_S = 0.25
+"""An enable that nobody renewed for so long is gone: some key repeats, or a client's heartbeats, one of them lost."""
+
+
+class Enable:
+    """A deadman: keep() renews it, release() ends it at once. Any thread may call each of them at any time."""
+
+    def __init__(self, clock: Clock, timeout_s: float = ENABLE_S) -> None:
+        self._clock = clock
+        self._timeout_s = timeout_s
+        self._until_s = -math.inf
+
+    def keep(self) -> None:
+        """Say that the operator is there."""
+        self._until_s = self._clock.now_s() + self._timeout_s
+
+    def release(self) -> None:
+        """Say that the operator let go."""
+        self._until_s = -math.inf
+
+    def alive(self) -> bool:
+        """Tell whether it was renewed within its time."""
+        return self._clock.now_s() <= self._until_s
+
+
+ARRIVED = 1e-6
+"""A joint sent nearer to its goal than this (rad or m) and slower than this per s has arrived."""
+
+
+class GoalSource:
+    """Goes to joint values q (n,) in rad or m as fast as the guard lets it, and has then finished."""
+
+    def __init__(self, q: ArrayLike, name: str = "goal") -> None:
+        """Raises Inconsistent for values that are not finite."""
+        self.name = name
+        self._goal = JointGoal(q=frozen_array("q", q, (None,)))
+
+    def next(self, now: CycleState) -> SetPoint:
+        """Return the goal until the robot was sent there and rests."""
+        goal = self._goal.q
+        if len(goal) != len(now.q_sent):
+            return self._goal  # the guard refuses it, and says why
+        away = float(np.abs(goal - now.q_sent).max())
+        return Finished() if max(away, float(np.abs(now.qd_sent).max())) < ARRIVED else self._goal
+
+
+LONGEST_S = 0.25
+"""A set point older than this is followed no longer: a client that falls silent is a stop."""
+
+
+class ClientSource:
+    """Holds the newest set point of a client; whoever receives it calls post, from any thread."""
+
+    name = "client"
+
+    def __init__(self, longest_s: float = LONGEST_S) -> None:
+        self._longest_s = longest_s
+        self._posted: tuple[float, SetPoint] | None = None
+
+    def post(self, wanted: SetPoint, t_s: float) -> None:
+        """Take a set point that was received at t_s, on the loop's clock, in place of the one before."""
+        self._posted = (t_s, wanted)
+
+    def clear(self) -> None:
+        """Forget the set point: the client is gone."""
+        self._posted = None
+
+    def next(self, now: CycleState) -> SetPoint:
+        """Return the newest set point while it is fresh; else Hold, with why."""
+        posted = self._posted
+        if posted is None:
+            return Hold()
+        age_s = now.t_s - posted[0]
+        if age_s > self._longest_s:
+            return Hold(why=f"no set point from the client for more than {self._longest_s / MS:.0f} ms")
+        return posted[1]
+
+
+AXES_S = 0.25
+"""Axes older than this are let go of: a keyboard repeats a key about thirty times a second after its first pause."""
+SPEED_M_S = 0.05
+TURN_RAD_S = 20.0 * DEG
+JOINT_SPEED = 10.0 * DEG
+DEAD_ZONE = 0.05
+"""A stick nearer to its middle than this share of its way is let go of."""
+
+
+class JogFrame(StrEnum):
+    """What the axes move: each joint, or the tool along and about the axes of the base or its own."""
+
+    JOINTS = "joints"
+    BASE = "base"
+    TOOL = "tool"
+
+
+class JogSource:
+    """Turns axes of -1 to 1 into velocities. It reads no keys: whoever does calls push.
+
+    n: joints of the robot. Axes are n joints, or x, y, z, rx, ry, rz of the frame. speed_m_s, turn_rad_s, joint_speed
+    (rad/s or m/s): at a full axis; the guard cuts what is too fast.
+    """
+
+    name = "jog"
+
+    def __init__(
+        self,
+        n: int,
+        frame: JogFrame | str = JogFrame.JOINTS,
+        *,
+        speed_m_s: float = SPEED_M_S,
+        turn_rad_s: float = TURN_RAD_S,
+        joint_speed: float = JOINT_SPEED,
+        timeout_s: float = AXES_S,
+    ) -> None:
+        self.frame = JogFrame(frame)
+        self._n = n if self.frame is JogFrame.JOINTS else 6
+        self._most = np.full(n, joint_speed) if self.frame is JogFrame.JOINTS else _both(speed_m_s, turn_rad_s)
+        self._timeout_s = timeout_s
+        self._axes: tuple[float, NDArray[np.float64]] | None = None
+
+    def push(self, axes: Sequence[float], t_s: float) -> None:
+        """Take the axes' values at t_s, on the loop's clock; legal from any thread.
+
+        Raises UsageError for another number of axes; what is no number between -1 and 1 is cut, or let go of.
+        """
+        values = np.asarray(axes, dtype=float)
+        if values.shape != (self._n,):
+            raise UsageError(
+                f"{len(axes)} axes were pushed, {self.frame} has {self._n}",
+                consequence="They are not followed",
+                cure=f"Push {self._n} values between -1 and 1",
+            )
+        values = np.clip(np.where(np.isfinite(values), values, 0.0), -1.0, 1.0)
+        self._axes = (t_s, np.where(np.abs(values) < DEAD_ZONE, 0.0, values))
+
+    def release(self) -> None:
+        """Let go of all axes."""
+        self._axes = None
+
+    def next(self, now: CycleState) -> SetPoint:
+        """Return the velocity that the axes ask for; Hold where none is pushed, or longer ago than the time-out."""
+        pushed = self._axes
+        if pushed is None or now.t_s - pushed[0] > self._timeout_s or not pushed[1].any():
+            return Hold()
+        velocity = self._most * pushed[1]
+        if self.frame is JogFrame.JOINTS:
+            return JointVelocity(qd=velocity)
+        if self.frame is JogFrame.TOOL:
+            turn = now.T_base_tool.rotation
+            return ToolTwist(velocity_m_s=turn.apply(velocity[:3]), angular_rad_s=turn.apply(velocity[3:]))
+        return ToolTwist(velocity_m_s=velocity[:3], angular_rad_s=velocity[3:])
+
+
+def _both(straight: float, turned: float) -> NDArray[np.float64]:
+    return np.array([straight] * 3 + [turned] * 3)

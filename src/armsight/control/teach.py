@@ -271,7 +271,6 @@ class PathRecorder:
         return "ok", _Seen(exposed_s, T_world_rig * RigidTransform.from_matrix(pose.T_parent_target), covariance)
 
     def _row(self) -> _Row:
-        """Return the vector of the frames gathered."""
         last = self._group[-1]
         t_s, T, covariance = last.t_s, last.T_world_target, last.covariance
         if self._mean and len(self._group) > 1:

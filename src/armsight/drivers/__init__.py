@@ -4,9 +4,18 @@ from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSett
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.opening import is_live, is_video, open_pairs, open_source, open_split
+from armsight.drivers.opening import (
+    FilePairs,
+    Overlaid,
+    SplitImages,
+    ended_early,
+    is_live,
+    is_video,
+    open_pairs,
+    open_source,
+    open_split,
+)
 from armsight.drivers.pace import Pace, Paced
-from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages, ended_early
 from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, frame_period_s, ordered_map

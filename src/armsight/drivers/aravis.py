@@ -317,7 +317,6 @@ def _incomplete(name: str) -> DeviceLost:
 
 
 def _errors() -> tuple[type[Exception], ...]:
-    """Return the errors that Aravis raises."""
     try:
         from gi.repository import GLib
     except ImportError:  # where the API is a test's own

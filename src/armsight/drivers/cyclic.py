@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, StandStill
-from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
-from armsight.drivers.pace import LinkTimes, Pace
+from armsight.drivers.pace import ControllerClock, LinkTimes, Pace
 from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
 from armsight.drivers.protocols import PROVING, RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
@@ -268,7 +267,6 @@ class CyclicRobot(ABC):
             self._refuse(jump or f"{wrong}: {self._controller_clock.cure}")
 
     def _measured(self) -> bool:
-        """Tell whether the controller's cycle is known."""
         return self._controller_clock.measured_s is not None
 
     def _hold(self) -> None:
@@ -291,7 +289,6 @@ class CyclicRobot(ABC):
         return float(np.abs(self._goals.sent - reading.q).max())
 
     def _leads_on(self, q: Array, pose: RigidTransform | None) -> bool:
-        """Tell whether a command leads away from what was last sent."""
         if pose is None:
             return bool((q != self._goals.sent).any())
         return bool(np.abs(np.concatenate(between(self._poses.sent, pose))).max() > ROUNDING)

@@ -121,7 +121,6 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff(data: bytes, order: str) -> tuple[int, int] | None:
-    """Return the size that the first directory's tags say."""
     (start,) = struct.unpack_from(order + "I", data, 4)
     (count,) = struct.unpack_from(order + "H", data, start)
     found = {}

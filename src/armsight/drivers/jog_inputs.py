@@ -7,7 +7,8 @@ import os
 import select
 import struct
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
@@ -191,3 +192,33 @@ def single_keys() -> Iterator[int]:
     finally:
         with contextlib.suppress(termios.error):
             termios.tcsetattr(fd, termios.TCSADRAIN, before)
+
+
+KEYS_S = 0.1
+
+
+@contextmanager
+def listening(actions: Mapping[str, Callable[[], object]]) -> Iterator[None]:
+    """Call the action of each key that is pressed, from a thread, until it ends. Without a terminal nothing happens."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    end = threading.Event()
+
+    def look(fd: int) -> None:
+        while not end.is_set():
+            if not select.select([fd], [], [], KEYS_S)[0]:
+                continue
+            for key in os.read(fd, 64).decode("ascii", "ignore"):
+                action = actions.get(key)
+                if action is not None:
+                    action()
+
+    with single_keys() as fd:
+        thread = threading.Thread(target=look, args=(fd,), name="keys", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            end.set()
+            thread.join()

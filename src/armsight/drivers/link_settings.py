@@ -90,7 +90,6 @@ class UdpSettings(LinkSettings):
 
 
 def _each(values: list[float] | None, otherwise: float, n: int) -> NDArray[np.float64]:
-    """Return one value for each joint, (n,)."""
     if values is None:
         return np.full(n, otherwise)
     if len(values) != n:

@@ -154,7 +154,6 @@ class LiveCamera(ABC):
             self._put(error)
 
     def _now_s(self) -> float:
-        """Return the time since the origin."""
         return self._clock.now_s() - (self._origin_s or 0.0)
 
     def _put(self, item: Frame | DeviceFailed) -> None:

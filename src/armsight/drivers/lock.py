@@ -82,7 +82,6 @@ class DeviceLock:
 
 
 def _is_at(path: Path, file: int) -> bool:
-    """Tell whether an open file is the one at this path."""
     try:
         return os.path.samestat(path.stat(), os.fstat(file))
     except OSError:

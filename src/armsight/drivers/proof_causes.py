@@ -85,7 +85,6 @@ def cause_of(seen: Evidence) -> str:
 
 
 def _not_back(seen: Evidence) -> str:
-    """Return the cause where the axes did not come back."""
     share = seen.end / seen.added
     middle = float(np.median(share))
     if middle > 0.0 and (np.abs(seen.end - middle * seen.added) <= ALIKE * np.abs(seen.end) + 3.0 * seen.noise).all():
@@ -98,7 +97,6 @@ def _not_back(seen: Evidence) -> str:
 
 
 def _scaled(gain: Array, alike: float) -> str:
-    """Return the cause where all axes have one scale."""
     scale = float(np.median(gain))
     if abs(scale) < STILL_SHARE * 0.05 or np.abs(gain / scale - 1.0).max() > alike:
         return ""
@@ -122,7 +120,6 @@ def _units(gain: Array) -> str:
 
 
 def _exchanged(seen: Evidence) -> str:
-    """Return the cause where the axes move in another order."""
     n, alike = len(seen.names), EARLY if seen.early else TOLERANCE
 
     def off(order: NDArray[np.int64]) -> float:

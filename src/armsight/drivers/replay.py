@@ -173,7 +173,6 @@ class ReplayRobot:
             self._held_s = None
 
     def _now_s(self) -> float:
-        """Return the moment of the recording."""
         if self._held_s is not None:
             return self._held_s
         passed_s = self._clock.now_s() - (self._start_s or 0.0)

@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.controller_clock import ENOUGH
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.link_settings import UdpSettings
-from armsight.drivers.pace import LinkTimes
+from armsight.drivers.pace import ENOUGH, LinkTimes, possible
 from armsight.drivers.proof import Probe, flange_probe, flange_probe_by_joints
 from armsight.drivers.protocols import PROVING, Sent
-from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading

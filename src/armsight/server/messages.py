@@ -8,9 +8,9 @@ import numpy as np
 
 from armsight.control.session.loop_host import LoopEvent
 from armsight.control.setpoints import (
-    Beat,
     Command,
     FlangePose,
+    Heartbeat,
     Hold,
     JointGoal,
     JointStep,
@@ -34,7 +34,7 @@ def command_of(message: say.Command) -> Command:
     """Return what a driver's message asks for. Raises UsageError for a read, Inconsistent for a pose that is none."""
     match message:
         case say.Heartbeat(enable=enable, number=number):
-            return Beat(enable=enable, number=number)
+            return Heartbeat(enable=enable, number=number)
         case say.HoldMessage():
             return Hold()
         case say.StopMessage():

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI
 
 from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.guarding import arm_model, left_open
 from armsight.app.robot.hosting import ProcessHost, spec_of
-from armsight.app.robot.opening import open_to_all
+from armsight.app.robot.opening import arm_model, left_open, open_to_all
 from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.control.guard import Limits
 from armsight.control.session.service import Service

@@ -19,7 +19,7 @@ from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
-from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.play.path_source import JointMotionSource
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.records import Motion, Silent

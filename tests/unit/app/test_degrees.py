@@ -7,9 +7,8 @@ import pytest
 from armsight.app.identify.live import read_limits
 from armsight.app.kinematics import draw_arm
 from armsight.app.requests.motion import JogJob
-from armsight.app.robot.guarding import guard_for
 from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import guard_for, open_robot
 from armsight.clock import SystemClock
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.store.arm_file import read_arm

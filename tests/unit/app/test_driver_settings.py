@@ -86,7 +86,7 @@ def test_robots_are_opened_in_one_place() -> None:
         for path in source.rglob("*.py")
         if re.search(r"(?<!def )\bopen_robot\(|load\(ROBOTS", path.read_text(encoding="utf-8"))
     }
-    assert opened == {"opening.py", "guarding.py", "hosting.py"}  # of these the second asks for an arm's model alone
+    assert opened == {"opening.py", "hosting.py"}
 
 
 def test_a_link_that_knows_its_controller_listens_where_that_is_reached() -> None:

@@ -18,7 +18,7 @@ from armsight.app.guided.boards import BoardCalibration, tilt
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
-from armsight.app.live.station import Shown
+from armsight.app.live.station import Snapshot
 from armsight.app.live.views import Counts, LiveView, RunView, SideView, SpotView, live_view
 from armsight.app.operator.station_observer import StationObserver
 from armsight.app.requests.calibrate_cameras import StereoJob
@@ -56,7 +56,7 @@ class Poses:
     def __init__(self, poses: list[tuple[np.ndarray, Rotation]]) -> None:
         self.poses = poses
 
-    def shown_since(self, t_s: float) -> Shown:
+    def shown_since(self, t_s: float) -> Snapshot:
         xyz, turn = self.poses.pop(0)
         view = LiveView(
             sequence=1, t_s=t_s, fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
@@ -67,7 +67,7 @@ class Poses:
         T = RigidTransform.from_components(xyz, turn).as_matrix()
         C = np.diag([1e-8] * 3 + [1e-6] * 3)
         pose = TargetPose(t_s=t_s, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=C)
-        return Shown(pose=pose, spots=(Spots.none(), Spots.none()), view=view, left_jpeg=b"", right_jpeg=b"")
+        return Snapshot(pose=pose, spots=(Spots.none(), Spots.none()), view=view, left_jpeg=b"", right_jpeg=b"")
 
 
 def test_what_was_measured_comes_with_its_whole_covariance_and_what_is_doubtful_is_no_pose_to_take() -> None:
@@ -102,7 +102,7 @@ def test_a_beacon_is_told_with_the_deviation_that_its_light_has_in_the_pictures(
     run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=0, doubtful=0, position_only=0, lost=1))
     lost = TargetPose(t_s=1.0, status=PoseStatus.LOST, parent="rig", why="one light alone")
     station: Any = SimpleNamespace(
-        shown=Shown(pose=lost, spots=spots, view=live_view(lost, run, sides), left_jpeg=b""), failure=""
+        shown=Snapshot(pose=lost, spots=spots, view=live_view(lost, run, sides), left_jpeg=b""), failure=""
     )
     seen = StationObserver(station, rig, "A", ManualClock()).observe("while it is tested")
     assert seen.std_px == pytest.approx(0.03) and seen.xyz_m == pytest.approx([0.0, 0.05, 1.0], abs=1e-9)

@@ -17,8 +17,8 @@ from armsight.app.guided.cell import CellStep, used_files
 from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch
 from armsight.app.guided.step import Next
 from armsight.app.guided.step_runner import GuidedStepRunner
-from armsight.app.live.recording import RecordingState
 from armsight.app.live.views import SideView
+from armsight.app.record.recorder import RecordingState
 from armsight.clock import SystemClock
 from armsight.console.state import Console
 from armsight.defaults import LOST_LOOKS

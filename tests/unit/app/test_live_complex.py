@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, LiveMeasurement, Moment
-from armsight.app.live.station import Shown
-from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
-from armsight.app.live.views import complex_view
+from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
+from armsight.app.live.station import Snapshot
+from armsight.app.live.views import complex_view, drawn_ellipsoid, track_colours
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.record.recorder import Recorder
 from armsight.app.simulate.run import simulate
@@ -41,17 +40,17 @@ def job(cell: Path, **more: Any) -> LiveJob:
     return LiveJob(left=str(cell / "image"), rig=cell / "rig.yaml", target=cell / "target.yaml", **more)
 
 
-def moments(measurement: LiveMeasurement) -> list[Moment]:
+def moments(measurement: LiveMeasurement) -> list[MeasuredPair]:
     with measurement.pairs:
         return list(measurement.moments())
 
 
 @pytest.fixture(scope="module")
-def seen(cell: Path) -> list[Moment]:
+def seen(cell: Path) -> list[MeasuredPair]:
     return moments(LiveMeasurement(job(cell), ManualClock()))
 
 
-def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[Moment]) -> None:
+def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[MeasuredPair]) -> None:
     truth = read_poses(cell / "truth.csv")
     assert [one.view.status for one in seen] == ["ok"] * FRAMES
     for one, true in zip(seen, truth, strict=True):
@@ -59,7 +58,7 @@ def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[Moment]) -> Non
         assert np.abs(off_m / np.array(one.view.std[:3])).max() < 5.0 and np.abs(off_m).max() < 1e-3
 
 
-def test_the_one_picture_tells_which_spot_is_of_which_view(seen: list[Moment]) -> None:
+def test_the_one_picture_tells_which_spot_is_of_which_view(seen: list[MeasuredPair]) -> None:
     """The left view of a point lies to the right of its right view (MATH 3.2), and each on a curve of its own view."""
     for one in seen:
         view = complex_view(one.view)
@@ -84,7 +83,7 @@ def near(curve: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.asarray(ways[np.argmin(np.linalg.norm(ways, axis=1))])
 
 
-def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[Moment]) -> None:
+def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[MeasuredPair]) -> None:
     spot = next(one for one in complex_view(seen[0].view).spots if (one.name, one.view) == ("A", "right"))
     measurement = LiveMeasurement(job(cell), ManualClock())
     measurement.look(
@@ -103,10 +102,10 @@ def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
     assert complex_view(moments(masked)[0].view).spots == []
 
 
-def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[Moment], tmp_path: Path) -> None:
+def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[MeasuredPair], tmp_path: Path) -> None:
     console = Console(folder=tmp_path)
     message = picture_message(
-        console, Shown(pose=seen[0].pose, spots=seen[0].spots, view=seen[0].view, left_jpeg=b"JPEG"), COMPLEX
+        console, Snapshot(pose=seen[0].pose, spots=seen[0].spots, view=seen[0].view, left_jpeg=b"JPEG"), COMPLEX
     )
     (length,) = struct.unpack("<I", message[:4])
     told = json.loads(message[4 : 4 + length])
@@ -127,7 +126,7 @@ def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
     assert console.pictures == (COMPLEX,) and Console(folder=cell).pictures == ("left", "right")
 
 
-def test_a_recording_of_it_has_one_camera(seen: list[Moment], tmp_path: Path) -> None:
+def test_a_recording_of_it_has_one_camera(seen: list[MeasuredPair], tmp_path: Path) -> None:
     file = tmp_path / "one.mcap"
     with Recorder(RecordingWriter(file, clock=ManualClock()), ImageFormat.PNG, live=False) as recorder:
         for one in seen:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from armsight.app.live import recording
-from armsight.app.live.recording import LiveRecording, RecordingState
+from armsight.app.record import recorder as recording
+from armsight.app.record.recorder import LiveRecording, RecordingState
 from armsight.clock import ManualClock
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, Moment
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
 from armsight.app.live.station import Station
 from armsight.clock import ManualClock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
@@ -29,7 +29,7 @@ def job(scene: Any, **more: Any) -> LiveJob:
     )
 
 
-def moments(measurement: LiveMeasurement) -> list[Moment]:
+def moments(measurement: LiveMeasurement) -> list[MeasuredPair]:
     with measurement.pairs:
         return list(measurement.moments())
 

@@ -11,7 +11,7 @@ import pytest
 
 from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.guarding import left_open, noted
+from armsight.app.robot.opening import left_open, noted
 from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.app.simulate.cells import load_cell
 from armsight.app.simulate.scenarios import load_scenario

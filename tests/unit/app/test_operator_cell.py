@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.followed import FollowedCell, FollowedPairs
-from armsight.app.operator.cell_poses import arm_points, flange_pose, read_placement
+from armsight.app.live.measurement import FollowedCell, FollowedPairs
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_editor import PathEditor
-from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
+from armsight.app.operator.robot_cell import arm_points, flange_pose, prepare_simulated, read_placement, scenario_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import ManualClock
 from armsight.control.session.channels import JointTrack
@@ -152,7 +151,7 @@ def test_one_piece_of_work_at_a_time_and_its_question_waits_for_an_answer():
     with refuses(DeviceFailed, "play"):
         jobs.begin("identify", "b", lambda work: None)
     go.set()
-    while not work.state.question:
+    while not work.question:
         pass
     work.answer(True, "b")
     work.wait(10.0)

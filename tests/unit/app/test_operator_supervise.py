@@ -101,12 +101,12 @@ def cell(tmp_path):
 def test_an_arm_that_is_where_it_says_raises_nothing_and_one_that_is_not_is_stopped(cell):
     run = cell.supervised()
     cell.show(run, times=4)
-    assert run.state.level is Level.GOOD and run.state.error_mm == pytest.approx(0.0, abs=1e-6)
+    assert run.state.level is Level.GOOD and run.state.compared.error_m == pytest.approx(0.0, abs=1e-9)
     assert run.seen.in_tolerance is True
     cell.show(run, off_m=(0.0, 0.0035, 0.0), times=3)
     assert run.state.level is Level.WARN and not cell.stops
     assert run.seen.in_tolerance is False and run.seen.why == run.state.why
-    assert run.state.error_mm == pytest.approx(3.5, abs=1e-6) and "2 mm" in run.state.why
+    assert run.state.compared.error_m == pytest.approx(3.5e-3, abs=1e-9) and "2 mm" in run.state.why
     cell.show(run, off_m=(0.0, 0.009, 0.0), times=2)
     assert run.state.level is Level.STOP and len(cell.stops) == 1 and cell.stops[0].who == "supervision"
     done = run.end()
@@ -130,7 +130,7 @@ def test_a_target_that_is_hidden_is_told_and_compared_with_nothing(cell):
     cell.show(run)
     cell.show(run, status="lost", times=2)
     state = run.state
-    assert state.error_mm is None and "a hand" in state.why and not cell.stops
+    assert state.compared is None and "a hand" in state.why and not cell.stops
     assert run.seen.in_tolerance is None and "a hand" in run.seen.lost
     assert run.end().n_compared == 1
 

@@ -14,9 +14,8 @@ from typer.testing import CliRunner
 
 from armsight.app.play.play_path import run_play
 from armsight.app.requests.motion import JogJob, PlayJob, ServoJob
-from armsight.app.robot.guarding import guard_for
 from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import guard_for, open_robot
 from armsight.app.servo.run_servo import run_servo
 from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock

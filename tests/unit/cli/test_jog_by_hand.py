@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.app.requests.motion import HandJogJob
-from armsight.app.robot.jog_by_hand import jog_by_hand
+from armsight.app.robot.jog import jog_by_hand
 from armsight.app.robot.opening import open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock

@@ -17,14 +17,13 @@ from typer.testing import CliRunner
 
 from armsight.app.play.play_path import Opened, run_play
 from armsight.app.requests.motion import PlayJob, ServoJob, TeachJob
-from armsight.app.robot.guarding import arm_of
-from armsight.app.robot.jog_by_hand import listening
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import arm_of, open_robot
 from armsight.app.simulate.run import simulate
 from armsight.app.teach import TaughtBeside, teach_following
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.play import PathSource
+from armsight.drivers.jog_inputs import listening
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import presets
 from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath

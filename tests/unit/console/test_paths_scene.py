@@ -14,11 +14,10 @@ from nicegui import Client, ui
 from tests.unit.console.test_console_state import view
 
 from armsight.app.arm_files import load_arm
-from armsight.app.operator.cell_poses import read_placement
-from armsight.app.operator.robot_cell import prepare_simulated
+from armsight.app.operator.robot_cell import prepare_simulated, read_placement
+from armsight.console.plots import APART_M, POINTS, Ticks, Tracks
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.tracks import APART_M, POINTS, Ticks, Tracks
 
 
 class Page:

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Snapshot, Station
 from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.console.routes import WIDEST_PX, add_pictures
 from armsight.console.state import Console
@@ -31,7 +31,7 @@ class Asked:
         self.widths_px: list[int] = []
 
     @property
-    def shown(self) -> Shown:
+    def shown(self) -> Snapshot:
         side = SideView(
             width=640, height=480, spots=[], epipolar=[], advice="good", background=0.0, brightest=0.0, sigma_px=None
         )
@@ -40,7 +40,7 @@ class Asked:
             xyz_m=None, euler_rad=None, quat_xyzw=None, std=None, residual_px=None,
             counts=Counts(ok=0, doubtful=0, position_only=0, lost=1), left=side, right=side,
         )  # fmt: skip
-        return Shown(pose=UNSEEN, spots=NO_SPOTS, view=view, left_jpeg=b"left", right_jpeg=b"right")
+        return Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view, left_jpeg=b"left", right_jpeg=b"right")
 
     def show_width(self, width_px: int) -> None:
         self.widths_px.append(width_px)

@@ -13,17 +13,15 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight.control.loop as loop_module
-from armsight.app.robot.guarding import guard_for
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import guard_for, open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.clock import ManualClock
 from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
-from armsight.control.events import QueueSink
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.session.loop_side import Channels, OrderSource
-from armsight.control.sources import ClientSource, Enable, GoalSource, JogFrame, JogSource
-from armsight.control.status import Jitter
+from armsight.control.setpoints import ClientSource, Enable, GoalSource, JogFrame, JogSource
+from armsight.control.status import Jitter, QueueSink
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import JointLimits
 from armsight.drivers.pace import LinkTimes

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.robot.guarding import arm_of
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import arm_of, open_robot
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.play import CameraPlacement, PathSource, PlaySettings, PlayWatch, Weave, plan_path
-from armsight.control.play.track import Leg
+from armsight.control.play.timing import StraightSegment
 from armsight.control.servo import Mount
 from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
@@ -271,7 +270,7 @@ def test_the_weave_is_between_weld_on_and_weld_off() -> None:
 
 def test_a_leg_turns_evenly() -> None:
     end = STAND * RigidTransform.from_components([0.01, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, 1.0]))
-    leg = Leg(STAND, end, 0.02)
+    leg = StraightSegment(STAND, end, 0.02)
     assert leg.length_m == pytest.approx(0.1)  # ARM_M for a radian
     assert np.allclose(leg.pose(leg.duration_s).as_matrix(), end.as_matrix())
     assert (leg.pose(0.5 * leg.duration_s).rotation * STAND.rotation.inv()).magnitude() == pytest.approx(0.5)

@@ -11,8 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import TargetState
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, on_axis
-from armsight.control.servo.delay import ArmLag, CameraDelay
-from armsight.control.servo.law import STANDS, Reaction
+from armsight.control.servo.law import STANDS, ArmLag, CameraDelay, Reaction
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
 from armsight.errors import Inconsistent

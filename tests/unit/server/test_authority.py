@@ -7,7 +7,16 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.session.authority import SILENT_S, EnableLost
-from armsight.control.setpoints import Beat, FlangePose, Hold, JointGoal, JointStep, JointVelocity, Reset, ToolTwist
+from armsight.control.setpoints import (
+    FlangePose,
+    Heartbeat,
+    Hold,
+    JointGoal,
+    JointStep,
+    JointVelocity,
+    Reset,
+    ToolTwist,
+)
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, UsageError
 from refusals import refuses
@@ -21,7 +30,7 @@ def authority(service):
 @pytest.fixture
 def lease(authority):
     lease = authority.take("anna")
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=True))
     return lease
 
 
@@ -32,7 +41,7 @@ def posts(host):
 def test_one_drives_at_a_time(authority, host):
     anna = authority.take("anna")
     host.tick(50)
-    authority.perform(anna, Beat(enable=False))
+    authority.perform(anna, Heartbeat(enable=False))
     with refuses(DeviceFailed, "anna", "fake", "5 s"):
         authority.take("bert")
     authority.leave(anna, "done")
@@ -44,7 +53,7 @@ def test_who_has_driven_for_long_and_still_does_is_not_replaced(authority, host)
     anna = authority.take("anna")
     for _ in range(3):
         host.t_s += 0.9 * SILENT_S
-        authority.perform(anna, Beat(enable=False))
+        authority.perform(anna, Heartbeat(enable=False))
     host.t_s += 0.9 * SILENT_S
     with refuses(DeviceFailed, "anna"):
         authority.take("bert")
@@ -56,7 +65,7 @@ def test_a_silent_driver_is_replaced_and_then_refused(authority, host):
     bert = authority.take("bert")
     assert host.told[-1][0] == "release"
     with refuses(DeviceFailed, "anna", "no longer"):
-        authority.perform(anna, Beat(enable=True))
+        authority.perform(anna, Heartbeat(enable=True))
     authority.leave(anna, "late")
     assert authority.driver is bert, "who was replaced takes nothing from who drives now"
 
@@ -66,10 +75,10 @@ def test_without_a_live_enable_nothing_moves(authority, host):
     goal = JointGoal(q=[0.1, 0.2])
     with refuses(EnableLost, "off"):
         authority.perform(lease, goal)
-    authority.perform(lease, Beat(enable=False))
+    authority.perform(lease, Heartbeat(enable=False))
     with refuses(EnableLost, "off"):
         authority.perform(lease, goal)
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=True))
     host.t_s += 1.1 * host.enable_age_s
     for message in (goal, JointStep(step=[0.1, 0.1]), JointVelocity(qd=[0.1, 0.1])):
         with refuses(EnableLost, "newest"):
@@ -80,14 +89,14 @@ def test_without_a_live_enable_nothing_moves(authority, host):
 def test_an_enable_that_lapsed_in_the_loop_is_to_be_given_anew(authority, host, lease):
     host.tick(5)
     host.lapsed = "the web server stood still"
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=True))
     with refuses(EnableLost, "stood still", "anew"):
         authority.perform(lease, JointGoal(q=np.array([0.1, 0.1])))
-    authority.perform(lease, Beat(enable=False))
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=False))
+    authority.perform(lease, Heartbeat(enable=True))
     authority.perform(lease, JointGoal(q=np.array([0.1, 0.1])))  # the loop has not told yet that it was let go of
     host.tick(5)
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=True))
     with refuses(EnableLost, "stood still"):
         authority.perform(lease, JointGoal(q=np.array([0.1, 0.1])))
 
@@ -143,7 +152,7 @@ def test_steps_of_one_cycle_lead_no_further_than_a_cycle_allows(authority, host,
 def test_steps_lead_the_robot_by_so_much_only(authority, host, lease):
     for _ in range(20):
         host.tick()
-        authority.perform(lease, Beat(enable=True))
+        authority.perform(lease, Heartbeat(enable=True))
         with_lead = host.q.copy()
         answer = authority.perform(lease, JointStep(step=[0.1, 0.0]))
         host.q = np.array([0.0, 0.0])  # it does not come along
@@ -179,11 +188,11 @@ def test_a_stop_of_anyone_lasts_until_a_reset(authority, host, lease):
     assert authority.status().robot == "ready"
     host.guard = "running"
     host.tick(3)
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=True))
     with refuses(EnableLost, "let go"):
         authority.perform(lease, JointGoal(q=[0.1, 0.2]))
-    authority.perform(lease, Beat(enable=False))
-    authority.perform(lease, Beat(enable=True))
+    authority.perform(lease, Heartbeat(enable=False))
+    authority.perform(lease, Heartbeat(enable=True))
     authority.perform(lease, JointGoal(q=[0.1, 0.2]))
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.guarding import arm_model
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
+from armsight.app.robot.opening import arm_model
 from armsight.clock import ManualClock
 from armsight.control.guard.limits import ENABLE_AGE_S
 from armsight.control.session.channels import Newest, Queue, Serves, Turns, error_of, put_error

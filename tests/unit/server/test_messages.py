@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.control.guard import GuardState
 from armsight.control.session.loop_host import LoopEvent
 from armsight.control.session.loop_side import STATUS_BYTES
-from armsight.control.setpoints import Beat, Taken, logged
+from armsight.control.setpoints import Heartbeat, Taken, logged
 from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
@@ -58,7 +58,7 @@ def test_each_message_asks_for_what_it_says_and_is_logged_so(kind):
 
 
 def test_a_heartbeat_keeps_its_number_and_a_read_is_no_command():
-    assert command_of(message(say.Heartbeat, enable=True, number=4)) == Beat(enable=True, number=4)
+    assert command_of(message(say.Heartbeat, enable=True, number=4)) == Heartbeat(enable=True, number=4)
     with refuses(UsageError, "command"):
         command_of(message(say.ReadMessage))
 

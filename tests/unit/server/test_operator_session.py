@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.operator.job_runner import SessionRobot
 from armsight.control.session.operator_session import FRESH_S, LOST_S, OperatorSession, Person, Push
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity
 from armsight.drivers import RobotState

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armsight.console import robot_link
-from armsight.console.robot_link import LONGEST, Beat, JogKey, RobotLink
-from armsight.console.visitors import IDENTITY
+from armsight.console.robot_link import LONGEST, Heartbeat, JogKey, RobotLink
+from armsight.console.routes import IDENTITY
 from armsight.control.session.operator_session import OperatorSession, Person
 
 NOW = 100.0
@@ -99,7 +99,7 @@ def lax(text):
     """Stand for reading without a schema: what is there is taken as it is."""
     said = json.loads(text or "{}")
     push = said.get("push") or None
-    return Beat.model_construct(
+    return Heartbeat.model_construct(
         do="beat", enable=bool(said.get("enable")), seen=said.get("seen"),
         push=push if push is None else JogKey.model_construct(**{**KEY, **push}),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers.egm.packets import parse
+from armsight.drivers.egm import parse
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.geometry import is_close
 from armsight_sim.twins.base import HOME, small_arm

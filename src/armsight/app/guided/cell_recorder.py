@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Snapshot, Station
 from armsight.clock import Clock
 from armsight.defaults import LOOK_S, LOST_LOOKS
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
@@ -55,7 +55,7 @@ class CellWatch:
     _first_s: float | None = None
     _before: deque[Array] = field(default_factory=lambda: deque([np.empty((0, 2))] * 2, maxlen=2))
 
-    def add_pictures(self, shown: Shown) -> None:
+    def add_pictures(self, shown: Snapshot) -> None:
         """Take both pictures of a moment."""
         t_s = shown.view.t_s
         self._first_s = t_s if self._first_s is None else self._first_s
@@ -124,7 +124,7 @@ class CellRecorder:
         self.silent, self.dropped = "", 0
         """Why the robot tells nothing just now, empty where it does; pairs that the disk had no time for."""
         self._station, self._read_joints, self._clock = station, read_joints, clock
-        self._shown: Shown | None = None
+        self._shown: Snapshot | None = None
         self._before = station.recording
         self._asked, self._writing = threading.Event(), False
         self._thread = threading.Thread(target=self._run, name="cell recording", daemon=True)

@@ -16,7 +16,7 @@ from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.handeye import calibrate_handeye
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
-from armsight.app.operator.cell_poses import flange_pose
+from armsight.app.operator.robot_cell import flange_pose
 from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip_result import TURNED_RAD

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from armsight.app.guided.poses import PoseSamples
 from armsight.app.guided.step import Charted, Figure, Guided, Hint, Sample, StepResult
 from armsight.app.live.station import Station
+from armsight.app.operator.job_runner import TrackedProgress
 from armsight.errors import ArmsightError
 from armsight.records import Progress
 from armsight.units import DEG
@@ -71,26 +72,6 @@ class GuidedStepState:
     not_done: str = ""
 
 
-class ToldProgress:
-    """How far a calibration is, for every page that shows it; each of them may end it."""
-
-    def __init__(self) -> None:
-        self.told: tuple[float, float, str] = (0.0, 0.0, "")
-        self._cancelled = threading.Event()
-
-    def update(self, done: float, total: float, note: str = "") -> None:
-        """Take how far it is."""
-        self.told = (done, total, note)
-
-    def cancelled(self) -> bool:
-        """Return whether somebody ended it."""
-        return self._cancelled.is_set()
-
-    def cancel(self) -> None:
-        """End it as soon as it can."""
-        self._cancelled.set()
-
-
 class GuidedStepRunner:
     """Does what pages ask of a step, in the order in which they ask; any thread may call it."""
 
@@ -98,7 +79,7 @@ class GuidedStepRunner:
         self.step = step
         self._lock = threading.Lock()
         self._history = History()
-        self.progress = ToldProgress()
+        self.progress = TrackedProgress()
         """Of the calibration that runs, where it was begun with run_told; else of the last one."""
         self._state = self._looked()
 
@@ -146,7 +127,7 @@ class GuidedStepRunner:
         """Calibrate as run does, so that every page sees how far it is and may end it; once where several ask."""
         if self._state.busy == "run":
             return
-        self.progress = ToldProgress()
+        self.progress = TrackedProgress()
         self.run(self.progress)
 
     def do(self, what: str, act: Callable[[], object]) -> None:

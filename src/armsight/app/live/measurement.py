@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from types import TracebackType
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.live.followed import FollowedCell, FollowedPairs
 from armsight.app.live.pace import live_pace
 from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
+from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.clock import Clock
-from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, by_side, is_live
+from armsight.control.session.channels import JointTrack
+from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, Skew, by_side, is_live
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
@@ -29,6 +31,47 @@ from armsight.measure.tracker import lost_pair
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
 from armsight.store import World, read_rig, read_world
+
+ROOM = "plain"
+"""What stands behind a target that is led about: before a workshop's hundreds of bright things three lights seen askew
+cannot always be told, and a person would mask them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedCell:
+    """scenario: its name or file. track: where the loop's process says the joints are, on the machine's clock."""
+
+    scenario: str
+    track: JointTrack
+    room: str = ROOM
+
+
+class FollowedPairs:
+    """What the cell's cameras see of an arm that stands where the track says; frames are stamped with the clock."""
+
+    skew: Skew | None = None
+    total: int | None = None
+
+    def __init__(self, cell: FollowedCell, clock: Clock) -> None:
+        """Open nothing yet. Raises DeviceNotFound, BadFile, Inconsistent for the scenario."""
+        self._cell: Any = live_cell(cell.scenario, clock, room=cell.room)
+        self._cell.robot.follow(cell.track.at)
+        self.name = str(self._cell.pairs.name)
+
+    def __enter__(self) -> Self:
+        self._cell.pairs.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._cell.pairs.__exit__(kind, error, trace)
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        origin_s = float(self._cell.origin_s)
+        for left, right in self._cell.pairs:
+            yield replace(left, t_s=origin_s + left.t_s), replace(right, t_s=origin_s + right.t_s)
+
 
 Pair = tuple[Frame, Frame]
 Mask = NDArray[np.bool_]
@@ -88,7 +131,7 @@ class DetectionSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Moment:
+class MeasuredPair:
     """One pair measured: its frames, the spots in both with their covariances, and what a screen says of it."""
 
     pair: Pair
@@ -129,7 +172,7 @@ class LiveMeasurement:
         self._settings(how)  # refused here, not in the loop
         self._look, self._sizes = how, ()
 
-    def moments(self) -> Generator[Moment, None, None]:
+    def moments(self) -> Generator[MeasuredPair, None, None]:
         """Yield every pair as it is measured; the source must be open. Raises as the source does, and Inconsistent."""
         track: Track | None = None
         while True:
@@ -150,7 +193,7 @@ class LiveMeasurement:
         left, right = (replace(frame, t_s=origin_s + frame.t_s) for frame in pair)
         return left, right
 
-    def _measured(self, pair: Pair, track: Track | None) -> tuple[Moment, Track | None]:
+    def _measured(self, pair: Pair, track: Track | None) -> tuple[MeasuredPair, Track | None]:
         setup, start_s = self._prepared(pair), time.perf_counter()
         measured = self._found(setup, pair, track)
         took_s = time.perf_counter() - start_s
@@ -168,7 +211,7 @@ class LiveMeasurement:
             for i in range(len(SIDES))
         ]
         spots = measured.left_seen, measured.right_seen
-        return Moment(pair=pair, pose=pose, spots=spots, view=live_view(pose, run, sides)), measured.track
+        return MeasuredPair(pair=pair, pose=pose, spots=spots, view=live_view(pose, run, sides)), measured.track
 
     def _found(self, setup: Setup | None, pair: Pair, track: Track | None) -> Measured:
         """Return what is measured in a pair; without rig or target the lights alone."""

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, Moment
-from armsight.app.live.recording import LiveRecording, RecordingState
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
 from armsight.app.live.views import LiveView
 from armsight.app.measure.warm_up import prepare
+from armsight.app.record.recorder import LiveRecording, RecordingState
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.priority import give_way
@@ -37,7 +37,7 @@ END_S = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class Snapshot:
     """The newest moment: what was measured, with its whole covariance; what a screen says; both pictures.
 
     pose: in the view's parent. spots: of the left and the right picture. right_jpeg: empty where the left one holds
@@ -82,7 +82,7 @@ class _Ended:
     pass
 
 
-_Message = Shown | RecordingState | _Saved | _Failed | _Ended
+_Message = Snapshot | RecordingState | _Saved | _Failed | _Ended
 
 
 class Station:
@@ -96,7 +96,7 @@ class Station:
         self.job = job
         self._clock = clock or SystemClock()
         self._heard_s = 0.0
-        self.shown: Shown | None = None
+        self.shown: Snapshot | None = None
         self.recording = RecordingState()
         self.failure = ""
         self.ended = False
@@ -169,7 +169,7 @@ class Station:
         """Record all frames into a new .mcap, or end the recording (None). What happens stands in `recording`."""
         self._send(_Record(file))
 
-    def shown_since(self, t_s: float) -> Shown:
+    def shown_since(self, t_s: float) -> Snapshot:
         """Wait for a moment whose frames were exposed at t_s on the machine's clock, or later, and return it.
 
         Raises DeviceFailed where none comes.
@@ -210,7 +210,7 @@ class Station:
             while True:
                 message: _Message = results.recv()
                 match message:
-                    case Shown():
+                    case Snapshot():
                         with self._newer:
                             self._heard_s = self._clock.now_s()
                             self.shown = message
@@ -233,7 +233,6 @@ class Station:
 
 
 def _work(job: LiveJob, messages: Connection, commands: Connection) -> None:
-    """Measure until told to end; what goes wrong is told in words."""
     with suppress(KeyboardInterrupt, BrokenPipeError):
         try:
             _Worker(job, messages, commands, SystemClock()).run()
@@ -248,7 +247,7 @@ class _Worker:
         self._measurement = LiveMeasurement(job, clock)
         self._one_picture = job.complex
         self._messages, self._commands, self._clock = messages, commands, clock
-        self._mailbox: Moment | None = None
+        self._mailbox: MeasuredPair | None = None
         self._posted = threading.Condition()
         self._post_lock = threading.Lock()
         self._ending = False
@@ -276,7 +275,7 @@ class _Worker:
                 self._posted.notify()
             sender.join()
 
-    def _take(self, moment: Moment) -> None:
+    def _take(self, moment: MeasuredPair) -> None:
         self._recording.put(moment.pair[0], None if self._one_picture else moment.pair[1])
         with self._posted:
             self._mailbox = moment
@@ -330,13 +329,15 @@ class _Worker:
                 continue
             left = jpeg(moment.pair[0], self._width_px)
             right = b"" if self._one_picture else jpeg(moment.pair[1], self._width_px)
-            self._post(Shown(pose=moment.pose, spots=moment.spots, view=moment.view, left_jpeg=left, right_jpeg=right))
+            self._post(
+                Snapshot(pose=moment.pose, spots=moment.spots, view=moment.view, left_jpeg=left, right_jpeg=right)
+            )
             ended_s = self._clock.now_s()
             jitter_s = 1.0 / PICTURES_HZ  # which skips none
             next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, ended_s + RESTS * (ended_s - begun_s))
             self._recording.notify()
 
-    def _save_pair(self, moment: Moment) -> None:
+    def _save_pair(self, moment: MeasuredPair) -> None:
         if self._save is None:
             return
         asked, self._save = self._save, None  # nobody asks for another before this one is answered

@@ -15,10 +15,8 @@ from armsight.app.identify.live import Known, OperatorCallbacks, identify_observ
 from armsight.app.identify.results import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import read_placement
-from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
+from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.requests.identify import LiveJob
 from armsight.clock import Clock, SystemClock
@@ -129,7 +127,7 @@ def run(asked: IdentifyRequest, robot: RobotCell, station: Station, background: 
     Raises as run_identify_live.
     """
     clock = SystemClock()
-    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
+    moved = background.robot(robot.session, clock, waits=True)
     person = OperatorCallbacks(confirm=background.ask)
     done = _identify(asked, robot, station, moved, person, background, clock, propose=False)
     if not isinstance(done, IdentifyOutput):

@@ -12,23 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.operator.robot_cell import RobotCell, read_placement
+from armsight.app.operator.station_observer import StationPoses
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import run_verify
 from armsight.clock import Clock, SystemClock
-from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
-from armsight.defaults import LOOK_S, TOOL_SPEED_M_S
+from armsight.control.joint_sweep import PathSegment, PoseObserver, PoseVisit, Visitor
+from armsight.defaults import TOOL_SPEED_M_S
 from armsight.drivers import Robot
-from armsight.errors import ArmsightError, DataRefused, DeviceFailed, NotEnoughData, UsageError
+from armsight.errors import ArmsightError, DataRefused, NotEnoughData, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm, singularity_distance, track_path
-from armsight.records import Progress, TargetPose
+from armsight.records import Progress
 from armsight.store import World, read_rig, write_text, write_world
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.covariances import COVARIANCE, above_diagonal
@@ -50,8 +49,6 @@ JOINT_SPEED = 0.5
 """Fastest joint on the way (rad or m a second), at full override."""
 FEWEST_VISITS = 3
 """Of each pose, before anything is judged."""
-WAIT_S = 10.0
-"""Between two looks for a newer moment; without one for so long the station is taken for lost."""
 FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
 """What a page shows, each with its poses."""
 
@@ -74,8 +71,8 @@ class IsoPlan:
     """The cube that fits, the ways between its poses, and what to know of it. begin: the way there from now on."""
 
     test: TestPlan
-    begin: Leg
-    legs: tuple[Leg, ...]
+    begin: PathSegment
+    legs: tuple[PathSegment, ...]
     T_world_rig: RigidTransform
     notes: tuple[str, ...]
 
@@ -140,7 +137,6 @@ def _poses(arm: Arm, q: Array, cube: TestCube) -> RigidTransform:
 
 
 def _planned(asked: IsoRequest, arm: Arm, q: Array, cube: TestCube, T_world_rig: RigidTransform) -> IsoPlan | str:
-    """Return the plan in a cube, or why the arm cannot make it."""
     corners = dict(zip(cube.points_m, _poses(arm, q, cube), strict=True))
     at, tracks = arm.values(q), []
     for start, end in pairwise(("P1", *POSE_ORDER)):
@@ -188,13 +184,13 @@ def _straight(a: RigidTransform, b: RigidTransform) -> RigidTransform:
     )
 
 
-def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Leg:
+def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> PathSegment:
     """Return a way with its times: at the speed asked for, slower where a joint would be too fast."""
     if len(readings) < 2:
-        return Leg(name=name, q=readings, t_s=np.zeros(1))
+        return PathSegment(name=name, q=readings, t_s=np.zeros(1))
     steps = len(readings) - 1
     each = np.maximum(length_m / steps / (asked.speed_m_s), np.abs(np.diff(readings, axis=0)).max(axis=1) / JOINT_SPEED)
-    return Leg(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
+    return PathSegment(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 
 def run(asked: IsoRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IsoDone:
@@ -210,9 +206,8 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, background: Backg
     ):
         raise NotEnoughData("it was not begun", consequence="Nothing was moved")
     clock = SystemClock()
-    moved = SessionRobot(robot.session, lambda: background.browser, clock, waits=True, cancelled=background.cancelled)
     out = asked.folder / time.strftime("iso-%Y%m%d-%H%M%S")
-    with moved:
+    with background.robot(robot.session, clock, waits=True) as moved:
         override = max(robot.session.override, 0.01)
         visits, ended = visited(slower(made, override), asked, moved, StationPoses(station, clock), clock, background)
     return judged(made, asked, visits, ended, out)
@@ -221,7 +216,7 @@ def run(asked: IsoRequest, robot: RobotCell, station: Station, background: Backg
 def slower(made: IsoPlan, override: float) -> IsoPlan:
     """Return the plan with all ways at a share of their speed."""
 
-    def leg(one: Leg) -> Leg:
+    def leg(one: PathSegment) -> PathSegment:
         return replace(one, t_s=one.t_s / override)
 
     return replace(made, begin=leg(made.begin), legs=tuple(leg(one) for one in made.legs))
@@ -229,10 +224,10 @@ def slower(made: IsoPlan, override: float) -> IsoPlan:
 
 def visited(
     made: IsoPlan, asked: IsoRequest, robot: Robot, observer: PoseObserver, clock: Clock, progress: Progress
-) -> tuple[list[Visit], str]:
+) -> tuple[list[PoseVisit], str]:
     """Return the visits that were made, and why they ended before the last cycle; the robot is held then."""
     visitor = Visitor(robot, observer, clock, progress, frames=asked.frames)
-    visits: list[Visit] = []
+    visits: list[PoseVisit] = []
     total = asked.cycles * len(made.legs)
     try:
         visitor.visit(made.begin, 0)  # P1, which every cycle ends with
@@ -246,26 +241,7 @@ def visited(
     return visits, ""
 
 
-class StationPoses:
-    """The target's pose as the measuring station shows it."""
-
-    def __init__(self, station: Station, clock: Clock) -> None:
-        self._station, self._clock = station, clock
-        self._last: Shown | None = None
-
-    def observe(self, while_: str) -> tuple[float, TargetPose]:
-        """Return the next moment's. Raises DeviceFailed where no pictures come."""
-        until_s = self._clock.now_s() + WAIT_S
-        while (shown := self._station.shown) is None or shown is self._last:
-            if self._station.failure or self._clock.now_s() > until_s:
-                why = self._station.failure or "no pictures come"
-                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
-            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
-        self._last = shown
-        return self._clock.now_s() - shown.view.latency_s, shown.pose
-
-
-def judged(made: IsoPlan, asked: IsoRequest, visits: list[Visit], ended: str, out: Path) -> IsoDone:
+def judged(made: IsoPlan, asked: IsoRequest, visits: list[PoseVisit], ended: str, out: Path) -> IsoDone:
     """Write visits.csv, plan.csv, world.yaml and what `verify` writes; return the figures.
 
     Raises NotEnoughData where no pose was visited often enough, with why it ended.
@@ -294,7 +270,7 @@ def judged(made: IsoPlan, asked: IsoRequest, visits: list[Visit], ended: str, ou
     return IsoDone(output=run_verify(job), folder=out, cycles=complete, wanted=asked.cycles, ended=ended)
 
 
-def visits_csv(visits: list[Visit]) -> str:
+def visits_csv(visits: list[PoseVisit]) -> str:
     """Return visits.csv: a row for every frame, with the pose it is a visit of, and the cycle."""
     n = len(visits[0].q)
     header = "pose,visit,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,t_s"

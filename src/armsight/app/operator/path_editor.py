@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -13,52 +12,49 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Snapshot, Station
 from armsight.app.measure.outputs import moved_pose
-from armsight.app.operator.cell_poses import read_placement
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.session_robot import SessionRobot
+from armsight.app.operator.robot_cell import RobotCell, read_placement
+from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.path.check import PathCheckOutput, checked
-from armsight.app.play.play_job import sight_of
+from armsight.app.play.play_job import Seen, sight_of
 from armsight.app.play.play_path import Opened, PlayOutput, run_play
-from armsight.app.play.target_monitor import Seen
 from armsight.app.requests.motion import PlayJob
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import QueueSink
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows
 from armsight.control.play import PathSource
+from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
-from armsight.records import PoseStatus, TargetPose, TaughtPath
+from armsight.records import PoseStatus, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile
 from armsight.store.path_file import read_path, write_path
 from armsight.units import DEG, MM
 
-LOOK_S = 0.004
 SILENT_S = 2.0
 """A station that shows nothing new for so long does not watch any more."""
 
 
-class StationWatcher:
+class StationWatcher(StationFollower):
     """The measuring station as what watches a path: its poses, brought back into the rig's axes."""
 
     stepped = False
+    does = "watching"
 
     def __init__(self, station: Station, handeye: HandEyeFile, T_rig_parent: RigidTransform, clock: Clock) -> None:
         """T_rig_parent: of the frame that the station's poses are in, seen from the rig."""
+        super().__init__(Snapshots(lambda: station, clock))
         self.sight = sight_of(handeye)
-        self._station, self._T_rig_parent, self._clock = station, T_rig_parent, clock
+        self._T_rig_parent = T_rig_parent
         self._counts = dict.fromkeys(PoseStatus, 0)
-        self._ended = threading.Event()
         self._failed: ArmsightError | None = None
 
     def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
         """Tell what the station shows until stack ends."""
-        thread = threading.Thread(target=self._watch, args=(sink, seen), name="watching", daemon=True)
-        thread.start()
-        stack.callback(thread.join)
-        stack.callback(self._ended.set)
+        self._sink, self._seen = sink, seen
+        self.follow()
+        stack.callback(self.close)
 
     def counts(self) -> Mapping[PoseStatus, int]:
         """Return the moments so far by what they showed."""
@@ -68,32 +64,26 @@ class StationWatcher:
         """Return why nothing is watched any more."""
         return self._failed
 
-    def _watch(self, sink: QueueSink, seen: Seen) -> None:
-        last: Shown | None = None
-        newest_s = self._clock.now_s()
-        while not self._ended.wait(LOOK_S):
-            shown, now_s = self._station.shown, self._clock.now_s()
-            if self._station.failure or now_s - newest_s > SILENT_S:
-                why = self._station.failure or "no pictures come any more"
-                self._failed = DeviceFailed(
-                    f"{why} while the path was played",
-                    consequence="The robot is held: nobody watched it",
-                    cure="Look at the cameras, then play again",
-                )
-                return
-            if shown is None or shown is last:
-                continue
-            last, newest_s = shown, now_s
-            pose = self._in_rig(shown.pose)
-            exposed_s = shown.view.t_s  # monotonic time is one for all processes of a machine
-            self._counts[pose.status] += 1
-            seen(pose, exposed_s)
-            sink.pose(replace(pose, t_s=exposed_s))
+    def _look(self) -> None:
+        if self._snapshots.failure or self._snapshots.silent_s > SILENT_S:
+            why = self._snapshots.failure or "no pictures come any more"
+            self._failed = DeviceFailed(
+                f"{why} while the path was played",
+                consequence="The robot is held: nobody watched it",
+                cure="Look at the cameras, then play again",
+            )
+            self._ended.set()
 
-    def _in_rig(self, pose: TargetPose) -> TargetPose:
-        if pose.T_parent_target is None:
-            return pose
-        return moved_pose(pose, self._T_rig_parent, "rig")
+    def _take(self, shown: Snapshot) -> None:
+        if self._failed is not None:
+            return
+        pose = shown.pose
+        if pose.T_parent_target is not None:
+            pose = moved_pose(pose, self._T_rig_parent, "rig")
+        exposed_s = shown.view.t_s  # monotonic time is one for all processes of a machine
+        self._counts[pose.status] += 1
+        self._seen(pose, exposed_s)
+        self._sink.pose(replace(pose, t_s=exposed_s))
 
 
 def watcher_of(folder: Path, cell: CellFile, station: Station | None, clock: Clock) -> StationWatcher | None:
@@ -225,7 +215,7 @@ def play(
     path = editor.require()
     clock = SystemClock()
     session = robot.session
-    moved = SessionRobot(session, lambda: background.browser, clock, waits=False, cancelled=background.cancelled)
+    moved = background.robot(session, clock, waits=False)
     job = PlayJob(
         robot=robot.robot,
         path=asked.folder / FILE,

@@ -1,26 +1,142 @@
-"""One light of the target as the measuring station shows it: the beacon of an arm's identification."""
+"""What the measuring station shows, snapshot by snapshot: the target's pose, or one light of it, an arm's beacon."""
 
 from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Snapshot, Station
 from armsight.app.live.views import SideView
+from armsight.app.operator.robot_cell import RobotCell
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.defaults import LOOK_S, LOST_LOOKS
-from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData
 from armsight.optics import Rig, triangulate
+from armsight.records import TargetPose
+from armsight.records.motion import JointHistory
 
 Array = NDArray[np.float64]
 
 WAIT_S = 10.0
 """A station that shows nothing new for so long is taken for lost."""
+FOLLOWED_S = 0.004
+"""Between two looks of a thread that follows a station."""
+LEAST_CYCLE_S = 0.02
+"""Readings are looked at by a thread of Python beside a page: it may miss some."""
 FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
 """How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
 SPARE = 1.25
 """A target seems larger where it comes nearer, or is turned to the camera."""
+
+
+class Snapshots:
+    """What a measuring station shows, each snapshot once. station: asked anew each time, as it may be replaced."""
+
+    def __init__(self, station: Callable[[], Station | None], clock: Clock) -> None:
+        self._station, self._clock = station, clock
+        self.begin()
+
+    def begin(self) -> None:
+        """Take what is shown for new, and count silence from now on."""
+        self._last: Snapshot | None = None
+        self._newest_s = self._clock.now_s()
+
+    @property
+    def silent_s(self) -> float:
+        """For how long nothing new has come."""
+        return self._clock.now_s() - self._newest_s
+
+    @property
+    def failure(self) -> str:
+        """Why the station does not measure; empty while it does, and where there is none."""
+        station = self._station()
+        return "" if station is None else station.failure
+
+    def newer(self) -> Snapshot | None:
+        """Return the newest snapshot; None where it was returned before, or nothing is shown yet."""
+        station = self._station()
+        shown = None if station is None else station.shown
+        if shown is None or shown is self._last:
+            return None
+        self._last, self._newest_s = shown, self._clock.now_s()
+        return shown
+
+    def next(self, while_: str) -> Snapshot:
+        """Wait for a newer one and return it. Raises DeviceFailed where no pictures come."""
+        until_s = self._clock.now_s() + WAIT_S
+        while (shown := self.newer()) is None:
+            if self.failure or self._clock.now_s() > until_s:
+                why = self.failure or "no pictures come"
+                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
+            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
+        return shown
+
+
+class StationFollower:
+    """Takes each snapshot of a station in a thread of its own, from `follow` on until it is closed.
+
+    robot: its joints are read between pictures too, so that those at each exposure are known.
+    """
+
+    does = "following"
+    """What the thread is called."""
+
+    def __init__(self, snapshots: Snapshots, robot: RobotCell | None = None) -> None:
+        self._snapshots, self._robot = snapshots, robot
+        cycle_s = 0.0 if robot is None else robot.service.authority.robot.cycle_s
+        self._history = JointHistory(max(cycle_s, LEAST_CYCLE_S))
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=self.does, daemon=True)
+
+    def follow(self) -> None:
+        """Begin."""
+        self._snapshots.begin()
+        self._thread.start()
+
+    def close(self) -> None:
+        """End it; legal before it began."""
+        self._ended.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.wait(FOLLOWED_S):
+            self._read()
+            self._look()
+            shown = self._snapshots.newer()
+            if shown is not None:
+                self._take(shown)
+
+    def _read(self) -> None:
+        if self._robot is not None:
+            with suppress(ArmsightError):
+                reading = self._robot.service.host.status().reading
+                if reading is not None:
+                    self._history.add(reading)
+
+    def _look(self) -> None:
+        """Do what is to be done between pictures as well."""
+
+    def _take(self, shown: Snapshot) -> None:
+        """Take a new snapshot."""
+        raise NotImplementedError
+
+
+class StationPoses:
+    """The target's pose as the measuring station shows it."""
+
+    def __init__(self, station: Station, clock: Clock) -> None:
+        self._snapshots, self._clock = Snapshots(lambda: station, clock), clock
+
+    def observe(self, while_: str) -> tuple[float, TargetPose]:
+        """Return the next snapshot's. Raises DeviceFailed where no pictures come."""
+        shown = self._snapshots.next(while_)
+        return self._clock.now_s() - shown.view.latency_s, shown.pose
 
 
 class StationObserver:
@@ -30,14 +146,13 @@ class StationObserver:
     """
 
     def __init__(self, station: Station, rig: Rig, light: str, clock: Clock) -> None:
-        self._station, self._rig, self._light, self._clock = station, rig, light, clock
-        self._last: Shown | None = None
+        self._snapshots, self._rig, self._light, self._clock = Snapshots(lambda: station, clock), rig, light, clock
         self._uv: tuple[float, Array] | None = None
         self._lost = 0
 
     def observe(self, while_: str) -> Observation:
         """Return what the next moment shows. Raises NotEnoughData where the beacon is lost, DeviceFailed."""
-        shown = self._next(while_)
+        shown = self._snapshots.next(while_)
         view = shown.view
         taken_s = self._clock.now_s() - view.latency_s
         found = self._found(shown)
@@ -57,18 +172,7 @@ class StationObserver:
         worst = np.linalg.eigvalsh(covariance)[:, 1].max()  # of both views, each in its worse direction
         return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m, std_px=float(np.sqrt(worst)))
 
-    def _next(self, while_: str) -> Shown:
-        """Wait for a newer moment."""
-        until_s = self._clock.now_s() + WAIT_S
-        while (shown := self._station.shown) is None or shown is self._last:
-            if self._station.failure or self._clock.now_s() > until_s:
-                why = self._station.failure or "no pictures come"
-                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
-            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
-        self._last = shown
-        return shown
-
-    def _found(self, shown: Shown) -> tuple[Array, Array] | None:
+    def _found(self, shown: Snapshot) -> tuple[Array, Array] | None:
         """Return the light's uv_px (2, 2) in both pictures and its covariances (2, 2, 2); None where it is lost.
 
         It is found by its name, or as what it has become.
@@ -99,7 +203,7 @@ def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None
     return np.asarray(positions[np.argmin(np.linalg.norm(positions - before_px, axis=1))])
 
 
-def around_px(shown: Shown | None, light: str) -> float:
+def around_px(shown: Snapshot | None, light: str) -> float:
     """Return how far the target's other lights are from this one in the pictures of now, with SPARE; 0 unseen.
 
     Where they stay in the pictures too, a light is told by its name all the way.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,19 +9,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from armsight.app.live.station import Shown, Station
-from armsight.app.operator.cell_poses import read_placement
-from armsight.app.operator.robot_cell import RobotCell
-from armsight.app.operator.teach_controller import LEAST_CYCLE_S
+from armsight.app.live.station import Snapshot, Station
+from armsight.app.operator.robot_cell import RobotCell, read_placement
+from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
 from armsight.app.verify.live_output import LiveLog, live_output
+from armsight.clock import SystemClock
 from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S
-from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
+from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
 from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.motion import JointHistory
 from armsight.report.live_report import live_report
 from armsight.store import write_text
 from armsight.store.atomic import write_json
@@ -31,7 +29,6 @@ from armsight.units import DEG, MM
 from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import Compared, Expectation, Level, Limits, Seen, Watch
 
-LOOK_S = 0.004
 KEPT = 90_000
 """Moments kept for the files: the newest hour at 25 a second."""
 SHOWN = 600
@@ -46,19 +43,18 @@ DOUBTS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupervisedState:
-    """What a page shows: the level so far, the newest comparison in mm and deg, None where nothing was, and why."""
+    """What a page shows: the level so far, moments seen, the newest comparison, None where nothing was, and why."""
 
-    running: bool
     level: Level
     n: int
-    error_mm: float | None = None
-    std_mm: float | None = None
-    error_deg: float | None = None
-    why: str = ""
+    compared: Compared | None
+    why: str
 
 
-class StationSupervisor:
+class StationSupervisor(StationFollower):
     """Compares every moment that the station shows, raises levels, and stops the robot beyond one that says so."""
+
+    does = "supervising"
 
     def __init__(
         self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], limits: Limits
@@ -66,13 +62,13 @@ class StationSupervisor:
         """Begin at once. Raises UsageError for carried cameras, NotEnoughData where cameras or target have no place on
         the robot, BadFile.
         """
+        super().__init__(Snapshots(station, SystemClock()), robot)
+        self._session = robot.session
         self._expectation = _expectation(folder, cell, robot)
         self.out = folder / time.strftime("supervised-%Y%m%d-%H%M%S")
-        self._robot, self._station = robot, station
         # with world.yaml the station's poses are in its frame, of the world or of the arm's base
         placement = read_placement(folder, cell, target=False)
         self._T_world_shown = placement.world_parent(self._expectation.arm) if cell.world else None
-        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
         self._watch = Watch(limits)
         self._log = LiveLog(limits=limits)
         self._last: tuple[Compared | None, str] = (None, "")
@@ -81,32 +77,18 @@ class StationSupervisor:
         """The newest moment, for the plant's systems; that no picture came yet makes them blind too."""
         self._compared_s = time.monotonic()
         self.curve: deque[tuple[float, float, float]] = deque(maxlen=SHOWN)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="supervising", daemon=True)
-        self._thread.start()
+        self.follow()
 
     @property
     def state(self) -> SupervisedState:
         """How far off the arm is."""
         compared, lost = self._last
-        if compared is None:
-            return SupervisedState(
-                running=not self._ended.is_set(), level=self._watch.level, n=len(self._log.rows), why=self._why or lost
-            )
-        return SupervisedState(
-            running=not self._ended.is_set(),
-            level=self._watch.level,
-            n=len(self._log.rows),
-            error_mm=compared.error_m / MM,
-            std_mm=compared.std_m / MM,
-            error_deg=compared.error_rad / DEG,
-            why=self._why,
-        )
+        why = self._why or ("" if compared is not None else lost)
+        return SupervisedState(level=self._watch.level, n=len(self._log.rows), compared=compared, why=why)
 
     def end(self) -> VerifyLiveOutput:
         """End it; write verify.json, errors.csv and report.html. Raises NotEnoughData where nothing was seen."""
-        self._ended.set()
-        self._thread.join()
+        self.close()
         if not self._log.rows:
             raise NotEnoughData("the cameras showed nothing", consequence="Nothing was supervised")
         done = live_output(self._log, recording="", doubts=DOUBTS)
@@ -115,30 +97,11 @@ class StationSupervisor:
         write_text(self.out / REPORT, live_report(self._log.series(), done, inputs=[]))
         return done
 
-    def _run(self) -> None:
-        last: Shown | None = None
-        newest_s = time.monotonic()
-        # joints are read between pictures as well, so that those at each exposure are known
-        while not self._ended.wait(LOOK_S):
-            self._read()
-            station = self._station()
-            shown = None if station is None else station.shown
-            if shown is None or shown is last:
-                if time.monotonic() - newest_s > BLIND_S:
-                    self._last = (None, "no pictures come")
-                continue
-            last, newest_s = shown, time.monotonic()
-            self._take(shown)
+    def _look(self) -> None:
+        if self._snapshots.silent_s > BLIND_S:
+            self._last = (None, "no pictures come")
 
-    def _read(self) -> None:
-        try:
-            reading = self._robot.service.host.status().reading
-        except ArmsightError:
-            return
-        if reading is not None:
-            self._history.add(reading)
-
-    def _take(self, shown: Shown) -> None:
+    def _take(self, shown: Snapshot) -> None:
         begun_s = time.perf_counter()
         pose = shown.pose
         compared, lost = self._compared(pose)
@@ -147,7 +110,7 @@ class StationSupervisor:
             self._log.raised(alarm)
             self._why = alarm.why
             if alarm.level is Level.STOP:
-                self._robot.session.stop(SUPERVISION)
+                self._session.stop(SUPERVISION)
                 self._log.stopped = True
         if self._watch.level is Level.GOOD:
             self._why = ""
@@ -173,7 +136,6 @@ class StationSupervisor:
             del self._log.rows[: KEPT // 10]
 
     def _compared(self, pose: TargetPose) -> tuple[Compared | None, str]:
-        """Return the comparison, or what is missing for it."""
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
             return None, pose.why or "the target is not seen whole"
         expectation = self._expectation
@@ -192,7 +154,6 @@ def _nothing_yet(limits: Limits) -> Seen:
 
 
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
-    """Return where the target should be seen."""
     if cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
     arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")

@@ -2,75 +2,54 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
-from scipy.spatial.transform import RigidTransform
-
-from armsight.app.live.station import Shown, Station
-from armsight.app.operator.cell_poses import read_placement
-from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.live.station import Snapshot, Station
+from armsight.app.operator.robot_cell import RobotCell, read_placement
+from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.requests.motion import TeachJob
 from armsight.app.teach import save
-from armsight.clock import Clock, SystemClock
+from armsight.clock import Clock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
-from armsight.errors import ArmsightError, NotEnoughData
+from armsight.errors import NotEnoughData
 from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
 
 FOLDER = "taught"
-LOOK_S = 0.01
 EVERY = 5
 """Frames of which a pose is the mean."""
-LEAST_CYCLE_S = 0.02
-"""Readings are looked at by a thread of Python beside a page: it may miss some."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TaughtState:
-    """What a page shows. n: poses taught; lost: frames that were not taken; tip: where it is now, None unseen."""
-
-    recording: bool
-    n: int
-    stretches: int
-    lost: int
-    tip: RigidTransform | None
-
-
-class TeachController:
+class TeachController(StationFollower):
     """Records the tip's path in world while the target is led along, by hand or by the robot's jog keys."""
+
+    does = "teaching"
 
     def __init__(
         self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], clock: Clock
     ) -> None:
         """station: asked anew each time, as it may be replaced. Raises BadFile; NotEnoughData where the cameras'
         position is not known."""
+        super().__init__(Snapshots(station, clock), robot)
         self.out = folder / FOLDER
         tip = cell_path(folder, cell.tip, "tip")
         self._job = TeachJob(out=self.out, tip=tip, every=EVERY, mean=True)
-        self._robot, self._station, self._clock = robot, station, clock
-        self._history = JointHistory(max(robot.service.authority.robot.cycle_s, LEAST_CYCLE_S))
         rig_pose = _rig_pose(folder, cell, robot, self._history)
         self.recorder = PathRecorder(rig_pose, self._job.T_target_tip(), every=EVERY, mean=True)
         self._points = 0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="teaching", daemon=True)
-        self._thread.start()
+        self.follow()
 
     @property
-    def state(self) -> TaughtState:
-        """How far it is."""
-        recorder = self.recorder
-        counts = recorder.counts
-        return TaughtState(
-            recording=recorder.state is Teaching.RECORDING,
-            n=len(recorder),
-            stretches=recorder.stretches,
-            lost=counts.lost + counts.doubtful + counts.position_only + counts.unplaced,
-            tip=recorder.tip,
-        )
+    def recording(self) -> bool:
+        """Whether poses are taken."""
+        return self.recorder.state is Teaching.RECORDING
+
+    @property
+    def lost(self) -> int:
+        """Frames that were not taken."""
+        counts = self.recorder.counts
+        return counts.lost + counts.doubtful + counts.position_only + counts.unplaced
 
     def start(self) -> None:
         """Record until the pause."""
@@ -84,7 +63,7 @@ class TeachController:
 
     def point(self) -> None:
         """Take one pose, the mean of the next frames: hold the target still."""
-        if self.recorder.state is not Teaching.RECORDING:
+        if not self.recording:
             self._points = len(self.recorder) + 1
             self.recorder.start()
 
@@ -94,28 +73,10 @@ class TeachController:
         save(self._job, self.recorder)
         return self.out / "path.csv"
 
-    def close(self) -> None:
-        """End it."""
-        self._ended.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        last: Shown | None = None
-        while not self._ended.wait(LOOK_S):
-            try:
-                reading = self._robot.service.host.status().reading
-            except ArmsightError:
-                reading = None
-            if reading is not None:
-                self._history.add(reading)
-            station = self._station()
-            shown = None if station is None else station.shown
-            if shown is None or shown is last:
-                continue
-            last = shown
-            self.recorder.observe(shown.pose, shown.pose.t_s)
-            if self._points and len(self.recorder) >= self._points:
-                self.pause()
+    def _take(self, shown: Snapshot) -> None:
+        self.recorder.observe(shown.pose, shown.pose.t_s)
+        if self._points and len(self.recorder) >= self._points:
+            self.pause()
 
 
 def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
@@ -133,10 +94,3 @@ def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHist
         return CarriedRig(arm=arm, history=history, T_flange_rig=placement.handeye.T_parent_camera)
     # a view is in the rig's axes, or, where world.yaml is there, already in those of its frame
     return StandingRig(T_world_rig=placement.world_parent(arm) if cell.world else placed)
-
-
-def teach_controller(
-    folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None]
-) -> TeachController:
-    """Return the recorder of a cell, on the machine's clock. Raises as TeachController."""
-    return TeachController(folder, cell, robot, station, SystemClock())

@@ -11,11 +11,9 @@ import numpy as np
 
 from armsight.app.arm_files import given_arm
 from armsight.app.measure.warm_up import prepare
-from armsight.app.play.play_job import check, planned, tipped_guard
-from armsight.app.play.target_monitor import TargetMonitor, Watcher
+from armsight.app.play.play_job import TargetMonitor, Watcher, check, planned, tipped_guard
 from armsight.app.requests.motion import PlayJob
-from armsight.app.robot.guarding import standing
-from armsight.app.robot.opening import robot_of
+from armsight.app.robot.opening import robot_of, standing
 from armsight.app.robot.recorder import require_new
 from armsight.app.robot.robot_run import (
     Confirm,
@@ -27,14 +25,13 @@ from armsight.app.robot.robot_run import (
     run_output,
 )
 from armsight.app.servo.run_servo import LAG_CYCLES
-from armsight.app.servo.servo_job import ServoDevices
+from armsight.app.servo.vision import ServoDevices
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import QueueSink
 from armsight.control.guard import Guard
 from armsight.control.play import PathPlan, PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.play.plan import TURNS_RAD
 from armsight.control.setpoints import CycleState, SetPoint
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.fields import Doc
 from armsight.records import PoseStatus, Progress, Silent, TaughtPath
@@ -101,7 +98,6 @@ class PlayedSource(RecordedSource):
         return wanted
 
     def _record(self, t_s: float) -> None:
-        """Tell what changed along the path."""
         at = self._source.progress
         stage, paused, waiting, welding = self._before
         self._before = (at.stage, at.paused, at.waiting, at.welding)

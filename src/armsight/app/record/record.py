@@ -177,7 +177,6 @@ def _check(job: RecordJob) -> None:
 
 
 def _source(job: RecordJob) -> tuple[PairSource, bool]:
-    """Return the pairs to record and whether they come live."""
     if job.cell is not None:
         n = job.limit or CELL_FRAMES
         return CellPairs(load_cell(job.cell, seed=job.seed, frames=n), n), False

@@ -88,6 +88,16 @@ def _not(given: bool) -> bool:
     return not given
 
 
+def require_handeye(file: Path) -> None:
+    """Raise BadFile where there is no hand-eye calibration."""
+    if not file.exists():
+        raise BadFile(
+            f"the hand-eye calibration {file} is missing",
+            consequence="Where the cameras are on the robot is not known, and nothing is moved",
+            cure="Make it with: armsight calibrate handeye",
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class RobotJob:
     """The robot of a job, and what its driver is told; see drivers.link_settings.LinkSettings."""
@@ -317,12 +327,7 @@ class PlayJob(RobotJob):
                 consequence="Where they see the tip cannot be told, and nothing is moved",
                 cure="Give rig, target and hand-eye calibration, or none of them and no camera",
             )
-        if not self.handeye.exists():
-            raise BadFile(
-                f"the hand-eye calibration {self.handeye} is missing",
-                consequence="Where the cameras are on the robot is not known, and nothing is moved",
-                cure="Make it with: armsight calibrate handeye",
-            )
+        require_handeye(self.handeye)
         return ServoJob(
             robot=self.robot,
             robot_settings=self.robot_settings,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from armsight.app.requests.motion import RobotTestJob
 from armsight.app.robot.opening import robot_of
-from armsight.app.robot.with_progress import run_with_progress
+from armsight.app.robot.recorder import run_with_progress
 from armsight.clock import Clock, SystemClock
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
 from armsight.control.status import Jitter

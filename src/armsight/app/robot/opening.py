@@ -1,9 +1,10 @@
-"""A robot by what the person calls it, DRIVER:DEVICE, and the settings of its driver."""
+"""A robot by what the person calls it, DRIVER:DEVICE, with its driver's settings, its arm's model and its guard."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,12 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import RobotJob
 from armsight.app.simulate.scenarios import load_scenario
-from armsight.clock import Clock
-from armsight.drivers import ROBOTS, Robot, known, load
-from armsight.errors import DataRefused, UsageError
-from armsight.kinematics import Arm
+from armsight.clock import Clock, SystemClock
+from armsight.control.guard import Guard, Limits
+from armsight.control.guard.limits import JOINT_SPEED, SLIDE_SPEED_M_S, check_fit
+from armsight.control.guard.space import Space
+from armsight.drivers import ROBOTS, Robot, RobotTraits, known, load
+from armsight.errors import DataRefused, Inconsistent, UsageError
+from armsight.kinematics import Arm, Joint
+from armsight.store.arm_file import arm_from_mapping
+from armsight.store.limits_file import read_limits
+from armsight.units import DEG
 
 SIM = "sim"
 
@@ -119,3 +127,142 @@ def driver_settings(
             raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")
         settings["rsi_config"] = rsi_config
     return settings
+
+
+Array = NDArray[np.float64]
+
+BLIND_TURN_RAD_S = 0.1
+"""Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""
+
+BEHIND_LOOP_S = 0.1
+"""Silence and lateness allowed to whoever asks a guarded loop for motion: meanwhile that one keeps the robot safe."""
+
+
+def guard_for(robot: Robot, arm: Arm | None = None, limits: Path | None = None, *, share: float = 1.0) -> Guard:
+    """Return the guard of a robot; share: of all speeds. Nothing is opened.
+
+    A robot that says it is `guarded` is behind a loop with a guard of its own. arm: None for the one
+    that the robot itself tells (a simulated one does), or joints without lengths, which are kept slow. limits:
+    limits.yaml, or the defaults. Raises UsageError, BadFile, Inconsistent.
+    """
+    if not 0.0 < share <= 1.0:
+        raise UsageError(
+            f"the speed {share:g} is no share above 0 and up to 1",
+            consequence="Nothing is moved",
+            cure="Give for instance 0.2",
+        )
+    kept = Limits() if limits is None else read_limits(limits)
+    if RobotTraits.of(robot).guarded:  # the loop that moves it watches its readings and cycles itself
+        cycles = BEHIND_LOOP_S / robot.cycle_s
+        kept = replace(
+            kept,
+            silent_cycles=max(kept.silent_cycles, cycles),
+            late_cycles=max(kept.late_cycles, cycles),
+            stall_s=max(kept.stall_s, kept.lost_s),  # a cycle waits for the network; the heartbeat finds a stand-still
+        )
+    known = arm_of(robot, arm)
+    if known is None:
+        known = Arm(name=robot.name, joints=tuple(Joint(name=f"j{i + 1}") for i in range(robot.n_joints)))
+        kept = replace(kept, turn_rad_s=min(kept.turn_rad_s, BLIND_TURN_RAD_S))
+        if kept.workspace is not None or kept.forbidden:
+            raise UsageError(
+                "the limits hold boxes, and the arm's lengths are not known",
+                consequence="Nothing is moved",
+                cure="Give the arm (--arm), or limits without boxes",
+            )
+    if known.n != robot.n_joints:
+        raise UsageError(
+            f"{robot.name} has {robot.n_joints} joints, the arm {known.name} has {known.n}",
+            consequence="Nothing is moved",
+            cure="Give the arm of this robot (--arm)",
+        )
+    with _of_file(limits):
+        check_fit(known, kept)  # before a share of a speed in degrees looks like one in radians
+        return Guard(known, kept.slowed(share), robot.cycle_s)
+
+
+@contextlib.contextmanager
+def _of_file(file: Path | None) -> Iterator[None]:
+    """Put the name of the limits' file before what is wrong with them."""
+    try:
+        yield
+    except (Inconsistent, UsageError) as error:
+        if file is None:
+            raise
+        raise type(error)(f"{file}: {error.cause}", consequence=error.consequence, cure=error.cure) from error
+
+
+def standing(robot: Robot, n: int) -> Array:
+    """Return the readings (n,) at which an open robot was last told to stand; by its own where it takes only poses."""
+    if not RobotTraits.of(robot).takes_joints:
+        return robot.read().q
+    return robot.step_joints(np.zeros(n)).q
+
+
+def standing_outside(guard: Guard, robot: Robot) -> str:
+    """Return which limits an open robot stands outside of, by how much and what is then followed; empty within.
+
+    For whoever is asked whether it may move, and for the result: the guard tells it in the recording alone.
+    """
+    n = guard.arm.n
+    q, still = standing(robot, n), np.zeros(n)
+    outside = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).describe()
+    return f"the arm stands {outside}" if outside else ""
+
+
+def noted(outside: str, guard: Guard, job: RobotJob, file: Path | None) -> str:
+    """Return what is added to the question before a motion: where the arm stands outside its limits, what file, the
+    limits.yaml that was given, leaves open, and who may speak on the link."""
+    open_ = "" if file is None else left_open(guard.limits, file.name)
+    return "".join(f" Note: {text}." for text in (outside, open_, open_to_all(job)) if text)
+
+
+def left_open(limits: Limits, file: str) -> str:
+    """Return what a limits.yaml does not say and what holds instead, in words; empty where it says it."""
+    holds = f"{JOINT_SPEED / DEG:.0f} deg/s or {SLIDE_SPEED_M_S:g} m/s where the arm's file gives no speed"
+    open_ = []
+    without = [str(j + 1) for j, row in enumerate(limits.joints) if row.speed is None]
+    if not limits.joints:
+        open_.append(f"no joints (the ranges of the arm's file hold, and {holds})")
+    elif without:
+        open_.append(f"no speed of joint {', '.join(without)} ({holds})")
+    if limits.workspace is None:
+        beside = " outside the forbidden boxes" if limits.forbidden else ""
+        open_.append(f"no workspace (the tool may go wherever the joints reach{beside})")
+    return f"{file} gives {' and '.join(open_)}" if open_ else ""
+
+
+@contextlib.contextmanager
+def beside_outside(outside: str) -> Iterator[None]:
+    """Tell, with why a way is refused, that the arm stands outside its limits already."""
+    try:
+        yield
+    except Inconsistent as error:
+        if not outside or outside in error.cause:
+            raise
+        raise Inconsistent(f"{error.cause}; {outside}", consequence=error.consequence, cure=error.cure) from error
+
+
+def arm_of(robot: Robot, arm: Arm | None) -> Arm | None:
+    """Return the arm that is given, or the one that the robot knows; None where neither is there."""
+    if arm is not None:
+        return arm
+    mapping = RobotTraits.of(robot).arm_mapping
+    return None if mapping is None else arm_from_mapping(mapping(), robot.name)
+
+
+def arm_model(robot: str, arm: str | None) -> Arm:
+    """Return the arm of a robot DRIVER:DEVICE: the given file's or preset's; a simulated robot brings its own.
+
+    Nothing is opened. Raises UsageError where none is given, and as load_arm and open_robot do.
+    """
+    if arm is not None:
+        return load_arm(arm)
+    known = arm_of(open_robot(robot, SystemClock()), None)
+    if known is None:
+        raise UsageError(
+            f"the arm behind {robot} is not known",
+            consequence="The guard cannot keep the limits of its tool, so it is not served",
+            cure="Give --arm with its arm.yaml, its .urdf or a preset's name",
+        )
+    return known

@@ -1,22 +1,55 @@
-"""What a loop does, into a recording by a thread of its own; and the log of a robot server in that form."""
+"""A loop in a thread of its own, what it does into a recording by another, and a robot server's log in that form."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from armsight.clock import Clock, SystemClock
-from armsight.control.events import QueueSink
+from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, RecordingFailed, UsageError
+from armsight.priority import bound_control, control_first
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter
 
 EVERY_S = 0.1
 """Time between two looks into the queue; what waits is written in chunks anyway."""
+SHOW_S = 0.2
+"""Time between two calls of show, in s."""
+
+Result = TypeVar("Result")
+
+
+def run_with_progress(target: Callable[[], Result], show: Callable[[], None]) -> Result:
+    """Return what target returns, or raise what it raises; show is called now and then meanwhile, from this thread.
+
+    target goes before all else on the machine where the system allows that. No cycle of a loop within it waits for the
+    screen that show writes to.
+    """
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        control_first()
+        try:
+            results.append(target())
+        except BaseException as error:  # raised again below, where somebody hears it
+            errors.append(error)
+
+    bound_control()
+    thread = threading.Thread(target=run, name="control loop")
+    thread.start()
+    while thread.is_alive():
+        thread.join(SHOW_S)
+        show()
+    if errors:
+        raise errors[0]
+    return results[0]
 
 
 def require_new(folder: Path, *names: str) -> None:
@@ -84,8 +117,6 @@ class RecordingLog:
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
         """Raises UsageError where the file is there already: a robot's motion is never replaced."""
-        if path.exists():
-            raise UsageError(f"{path} is there already", consequence="Nothing is moved", cure="Choose another name")
         self._recorder = LoopRecorder(path, clock or SystemClock())
         self._event_s = self._command_s = -math.inf
 

@@ -15,25 +15,24 @@ from typing import Annotated, Any, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing_outside
-from armsight.app.robot.recorder import LoopRecorder
-from armsight.app.robot.with_progress import run_with_progress
-from armsight.clock import Clock
-from armsight.control.events import QueueSink
+from armsight.app.robot.opening import arm_of, beside_outside, guard_for, noted, robot_of, standing_outside
+from armsight.app.robot.recorder import LoopRecorder, run_with_progress
+from armsight.clock import Clock, SystemClock
 from armsight.control.guard import GuardState
 from armsight.control.loop import ControlLoop
 from armsight.control.play import PathSource
 from armsight.control.servo import ServoSource
 from armsight.control.setpoints import CycleState, Hold, SetPoint, SetPointSource, ToolPose, ToolTwist
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot, RobotTraits
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.geometry import pose_difference, xyz_quat
 from armsight.kinematics import Arm
-from armsight.records import Progress
+from armsight.records import Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 
@@ -165,6 +164,14 @@ class RobotRun:
         self.outside = ""
         self.status: RobotStatus | None = None
         self._moves = False
+
+    @classmethod
+    def of(
+        cls, job: MovingJob, progress: Progress | None = None, clock: Clock | None = None, opened: Robot | None = None
+    ) -> Self:
+        """Return the run of a job; opened: in place of the robot that it names. Raises as open_robot and guard_for."""
+        clock, arm = clock or SystemClock(), given_arm(job.arm)
+        return cls(job, opened or robot_of(job, clock, arm), arm, clock, progress or Silent())
 
     def __enter__(self) -> Self:
         self.robot.__enter__()

@@ -9,22 +9,20 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import given_arm
 from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.guarding import standing
-from armsight.app.robot.opening import robot_of
+from armsight.app.robot.opening import standing
 from armsight.app.robot.recorder import require_new
 from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_output
-from armsight.clock import Clock, SystemClock
+from armsight.clock import Clock
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
-from armsight.control.play.joint_motion import JointMotionSource
+from armsight.control.play.path_source import JointMotionSource
 from armsight.control.status import RobotStatus
 from armsight.drivers import AUTOMATIC, Robot
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
-from armsight.records import Motion, Progress, Silent
+from armsight.records import Motion, Progress
 from armsight.records.output import extended, output
 from armsight.store.atomic import write_json
 from armsight.store.recording import Recording
@@ -70,11 +68,9 @@ def run_motion(
     begun: is given the motion once it may move. enabled: asked each cycle; while it is not the arm waits.
     Raises UsageError, DataRefused for a motion beyond a limit, DeviceFailed, Cancelled.
     """
-    clock, progress = clock or SystemClock(), progress or Silent()
     cameras = _cameras(job)
     require_new(job.out, RECORDING, FRAMES)
-    motion, model = read_joints(job.motion), given_arm(job.arm)
-    run = RobotRun(job, opened or robot_of(job, clock, model), model, clock, progress)
+    motion, run = read_joints(job.motion), RobotRun.of(job, progress, clock, opened)
     source = JointMotionSource(_checked(job, motion, run.guard), override=job.override)
     with run:
         with run.planning():

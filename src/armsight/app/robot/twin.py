@@ -13,7 +13,7 @@ from typing import IO, Any, cast
 
 from armsight import errors
 from armsight.app.arm_files import load_arm
-from armsight.app.robot.with_progress import run_with_progress
+from armsight.app.robot.recorder import run_with_progress
 from armsight.clock import SystemClock
 from armsight.drivers import TWINS, load
 from armsight.errors import ArmsightError, DeviceFailed
@@ -111,7 +111,6 @@ def serve_twin() -> None:
 
 
 def _made(name: str, port: str | None, connect: str | None, arm: str | None, cycle_s: float | None) -> Any:
-    """Return a twin that is not open yet. Raises UsageError, DeviceNotFound."""
     maker: Any = load(TWINS, name)
     mapping = None if arm is None else arm_mapping(in_convention(load_arm(arm), "standard"))
     return maker(port=port, connect=connect, arm=mapping, cycle_s=cycle_s, clock=SystemClock())

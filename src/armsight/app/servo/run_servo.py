@@ -14,7 +14,7 @@ from armsight.app.arm_files import given_arm
 from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.motion import ServoJob
+from armsight.app.requests.motion import ServoJob, require_handeye
 from armsight.app.robot.recorder import require_new
 from armsight.app.robot.robot_run import (
     Confirm,
@@ -25,15 +25,13 @@ from armsight.app.robot.robot_run import (
     check_arm,
     run_output,
 )
-from armsight.app.servo.servo_job import CAMERA, TOOL, ServoDevices
-from armsight.app.servo.vision import Beside, Vision, open_servo, watch
-from armsight.control.events import QueueSink
+from armsight.app.servo.vision import CAMERA, TOOL, Beside, ServoDevices, Vision, open_servo, watch
 from armsight.control.guard import Guard, GuardState, TargetState
 from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
-from armsight.control.servo.delay import CameraDelay
-from armsight.control.status import RobotStatus, Timing
+from armsight.control.servo.law import CameraDelay
+from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
-from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
@@ -269,7 +267,6 @@ def _source(
 
 
 def _check(job: ServoJob) -> None:
-    """Raise UsageError for what cannot be meant."""
     if job.at not in (CAMERA, TOOL):
         raise UsageError(f"--at {job.at} is neither {CAMERA} nor {TOOL}", cure="Say whose axis the target is wanted on")
     positive = (
@@ -288,12 +285,7 @@ def _check(job: ServoJob) -> None:
 
 def _handeye(job: ServoJob) -> HandEyeFile:
     """Return the hand-eye calibration. Raises BadFile where it is missing, Inconsistent where it does not fit."""
-    if not job.handeye.exists():
-        raise BadFile(
-            f"the hand-eye calibration {job.handeye} is missing",
-            consequence="Where the cameras are on the robot is not known, and nothing is moved",
-            cure="Make it with: armsight calibrate handeye",
-        )
+    require_handeye(job.handeye)
     handeye = read_handeye(job.handeye)
     if handeye.setup.value == Mount.EYE_TO_HAND.value and job.at == CAMERA:
         raise Inconsistent(

@@ -13,10 +13,24 @@ from armsight.app.guided.step import Hint, Sample
 from armsight.app.guided.step_runner import GuidedStepRunner, GuidedStepState
 from armsight.app.live.measurement import COMPLEX
 from armsight.console import texts, texts_cell
-from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, jog_card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    TICK_S,
+    button,
+    canvas_of,
+    card,
+    notice,
+    report_link,
+    say,
+    set_attribute,
+    set_text,
+    show_level,
+    table,
+    text_of,
+)
 from armsight.console.pages.mirrors import alignment_card, built_card
 from armsight.console.plots import Plot
 from armsight.console.state import Console, steps_of
+from armsight.console.work import jog_card
 from armsight.errors import ArmsightError
 from armsight.records import Silent
 
@@ -54,7 +68,7 @@ def _step(console: Console, name: str) -> None:
     try:
         step = console.step(name)
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return
     if name != "mirrors":
         _Step(console, step, step_title(console, name))
@@ -98,7 +112,6 @@ class _Step:
         ui.timer(TICK_S, self._tick)
 
     def _pictures(self) -> None:
-        """Both pictures as they are, with the coverage beneath."""
         self._cells: dict[str, list[TextElement]] = {}
         with ui.element("div").classes("columns"):
             for side in self._console.pictures:
@@ -127,8 +140,7 @@ class _Step:
         self._shown = state
         for pressed in (self._accept, self._run):
             pressed.props.set_bool("disabled", bool(state.busy))
-        set_text(self._said, texts.RUNNING if state.busy == "run" else state.refused)
-        set_attribute(self._said, "data-level", "bad" if state.refused else "good")
+        say(self._said, texts.RUNNING if state.busy == "run" else state.refused, "bad" if state.refused else "good")
         set_attribute(self._said, "data-count", str(state.count))
         if before is None or state.samples != before.samples:
             self._show(state)
@@ -171,11 +183,7 @@ def hint_text(hint: Hint) -> str:
 
 def rows_table(rows: Iterable[tuple[str, str]]) -> None:
     """Put names and values as a table onto the page that is being built."""
-    with ui.element("table").classes("plain"):
-        for name, value in rows:
-            with ui.element("tr"):
-                text_of("td", ROW_NAMES.get(name, name))
-                text_of("td", value)
+    table((), ((ROW_NAMES.get(name, name), value) for name, value in rows))
 
 
 def _plots(state: GuidedStepState) -> None:
@@ -194,19 +202,19 @@ def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
     if done is None and not state.not_done:
         return
     with card(texts.VERDICT):
+        lamp = text_of("p", testid="verdict").classes("lamp")
         if done is None:
-            _lamp("bad", texts.NOT_CALIBRATED)
+            show_level(lamp, "bad", texts.NOT_CALIBRATED)
             text_of("p", state.not_done)
             return
         verdict = done.verdict
-        _lamp("warn" if verdict.level == "care" else verdict.level, verdict.headline)
+        show_level(lamp, "warn" if verdict.level == "care" else verdict.level, verdict.headline)
         text_of("p", " ".join((*verdict.reasons, *verdict.next)))
         rows_table(done.rows)
         text_of("p", texts.SAVED.format(file=_inside(console, done.file)))
         with ui.element("div").classes("row"):
             if done.report is not None:
-                href = f"/console/files/{_inside(console, done.report)}"
-                text_of("a", texts.REPORT, href=href, target="_blank")
+                report_link(_inside(console, done.report))
             used = done.use or (((USED_AS[name], done.file),) if name in USED_AS else ())
             if verdict.level != "bad" and used:
                 words = texts.USE_LENS if name in LENSES else texts.USE_IT
@@ -216,11 +224,6 @@ def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
             with ui.element("ul").classes("lines"):
                 for line in lines:
                     text_of("li", line)
-
-
-def _lamp(level: str, words: str) -> None:
-    lamp = text_of("p", f"{SIGNS[level]} {words}", testid="verdict").classes("lamp")
-    lamp.props["data-level"] = level
 
 
 LENSES = ("camera-left",)
@@ -237,7 +240,6 @@ USED_AS = {
 
 
 def _inside(console: Console, file: Path) -> str:
-    """Return a file of the cell's folder by its name in it."""
     return file.relative_to(console.folder).as_posix()
 
 

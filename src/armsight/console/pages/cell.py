@@ -13,10 +13,21 @@ from armsight.app.guided.step_runner import GuidedStepRunner, GuidedStepState
 from armsight.console import texts as shared
 from armsight.console import texts_cell as texts
 from armsight.console.cell_mount import Lamp, mount_lamps
-from armsight.console.layout import SIGNS, button, canvas_of, file_name, jog_card, set_attribute, set_text, text_of
+from armsight.console.layout import (
+    SIGNS,
+    button,
+    canvas_of,
+    file_name,
+    notice,
+    say,
+    set_attribute,
+    set_text,
+    text_of,
+    uploader,
+)
 from armsight.console.pages.calibrate import CELLS, hint_text, rows_table, show_verdict
-from armsight.console.pages.uploads import uploader
 from armsight.console.state import CELL, Console
+from armsight.console.work import jog_card
 from armsight.errors import ArmsightError
 from armsight.optics import SIDES
 from armsight.store.cell_file import cell_path
@@ -34,7 +45,7 @@ def cell_page(console: Console) -> None:
     """Build the page."""
     text_of("p", texts.INTRO)
     if len(console.pictures) != len(SIDES) or console.cell.cameras == "carried":
-        text_of("p", texts.NOT_THIS_CELL).classes("notice")
+        notice(texts.NOT_THIS_CELL)
         return
     runner = console.step(CELL)
     if isinstance(runner.step, CellStep):
@@ -196,8 +207,7 @@ class _CellPage:
         for lamp in lamps:
             light, words = self._lamps[lamp.key]
             named = {"sign": SIGNS[lamp.level], "name": texts.LAMPS[lamp.key], "level": texts.LEVELS[lamp.level]}
-            set_text(light, texts.LAMP.format(**named))
-            set_attribute(light, "data-level", lamp.level)
+            say(light, texts.LAMP.format(**named), lamp.level)
             set_text(words, lamp.words)
 
     def _show_place(self, here: int) -> None:
@@ -213,17 +223,15 @@ class _CellPage:
         self._end.props.set_bool("disabled", not recording or busy)
         self._run.props.set_bool("disabled", recording or busy)
         self._cancel.set_visibility(state.busy == "run")
-        set_text(self._time, texts.RECORDING.format(seconds=self._step.watch.seconds) if recording else "")
-        set_attribute(self._time, "data-level", "good")
-        set_text(self._said, state.refused or self._doubts())
-        set_attribute(self._said, "data-level", "bad" if state.refused else "warn")
+        say(self._time, texts.RECORDING.format(seconds=self._step.watch.seconds) if recording else "")
+        say(self._said, state.refused or self._doubts(), "bad" if state.refused else "warn")
         set_attribute(self._said, "data-count", str(state.count))
-        done, total, note = self._runner.progress.told
+        done, total, note = self._runner.progress.newest
         working = shared.RUNNING
         if total:
             working = texts.WORKING.format(note=note, done=done, total=total)
-        set_text(self._working, working if state.busy == "run" else self._refused)
-        set_attribute(self._working, "data-level", "good" if state.busy == "run" else "bad")
+        running = state.busy == "run"
+        say(self._working, working if running else self._refused, "good" if running else "bad")
 
     def _doubts(self) -> str:
         """Return what is wrong with what was recorded so far, empty where nothing is."""

@@ -15,21 +15,23 @@ from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.requests.identify import LiveJob
 from armsight.console import texts
 from armsight.console.layout import (
-    Working,
     button,
     card,
-    jog_card,
+    notice,
     number,
     number_field,
-    set_attribute,
-    set_text,
+    refusals_in,
+    report_link,
+    say,
+    table,
     text_of,
     ticked,
     whole_number,
 )
+from armsight.console.routes import page_name
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.visitors import page_name
+from armsight.console.work import Working, jog_card
 from armsight.errors import ArmsightError
 from armsight.units import DEG, MM
 
@@ -41,15 +43,13 @@ def identify_page(console: Console) -> None:
         ranges = sweeps.proposed_ranges(robot)
         console.require_station()
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return
     _Identify(console, ranges)
     jog_card(robot)
 
 
 class _Identify:
-    """The page of a cell with robot and cameras."""
-
     def __init__(self, console: Console, ranges: tuple[Range, ...]) -> None:
         self._console, self._ranges = console, ranges
         self._robot = console.require_robot()
@@ -78,7 +78,7 @@ class _Identify:
         try:
             return Scene(self._console)
         except ArmsightError as error:
-            text_of("p", str(error)).classes("notice")
+            notice(str(error))
             return None
 
     def _row(self, one: Range) -> tuple[ui.number, ui.number, ui.checkbox]:
@@ -95,17 +95,14 @@ class _Identify:
         return low, high, swept
 
     def _ticked(self) -> None:
-        """Tell what leaving joints out means, or why it cannot be."""
         self._plan.clear()
         self._show_left_out()
 
     def _show_left_out(self) -> None:
-        try:
+        """Tell what leaving joints out means, or why it cannot be."""
+        with refusals_in(self._said):
             words = self._asked().consequence()
-        except ArmsightError as error:
-            self._say(str(error), "bad")
-            return
-        self._say(words, "warn" if words else "good")
+            say(self._said, words, "warn" if words else "good")
 
     def _asked(self) -> IdentifyRequest:
         pairs = zip(self._ranges, self._fields, strict=True)
@@ -124,32 +121,22 @@ class _Identify:
 
     async def _expect(self) -> None:
         self._plan.clear()
-        try:
+        with refusals_in(self._said):
             asked = self._asked()
             plan = await run.io_bound(partial(sweeps.expected, asked, self._robot, self._console.require_station()))
-        except ArmsightError as error:
-            self._say(str(error), "bad")
-            return
-        if plan is None:  # the server is ending
-            return
-        self._show_left_out()
-        with self._plan:
-            _plan_table(plan)
+            if plan is None:  # the server is ending
+                return
+            self._show_left_out()
+            with self._plan:
+                _plan_table(plan)
 
     def _run(self) -> None:
-        try:
+        with refusals_in(self._said):
             asked, station = self._asked(), self._console.require_station()
             self._robot.jobs.begin(JOB_NAME, self._browser, partial(sweeps.run, asked, self._robot, station))
             self._show_left_out()
-        except ArmsightError as error:
-            self._say(str(error), "bad")
-
-    def _say(self, words: str, level: str) -> None:
-        set_text(self._said, words)
-        set_attribute(self._said, "data-level", level)
 
     def _show(self, job: BackgroundJob) -> None:
-        """Show the table and the fits of sweeps that are done."""
         done: IdentifyOutput = job.result
         self._table.clear()
         with self._table:
@@ -157,7 +144,7 @@ class _Identify:
             for note in done.notes:
                 text_of("p", note).classes("hint")
             text_of("p", texts.SAVED_ARM.format(file=f"{FOLDER}/arm.yaml"), testid="verdict")
-            text_of("a", texts.REPORT, href=f"/console/files/{FOLDER}/arm.report.html", target="_blank")
+            report_link(f"{FOLDER}/arm.report.html")
         fits = sweeps.fits(self._console.folder)
         self._fitted.clear()
         with self._fitted:
@@ -174,35 +161,28 @@ def _limit(one: Range, field: ui.number) -> float:
 def _plan_table(plan: PlanOutput) -> None:
     text_of("h3", texts.EXPECTED)
     text_of("p", texts.PLANNED.format(n=len(plan.sweeps), readings=sum(one.readings for one in plan.sweeps)))
-    with ui.element("table").classes("plain"):
-        with ui.element("tr"):
-            for head in (texts.JOINT, "a", "alpha", "d", "theta"):
-                text_of("th", head)
-        for number, std in enumerate(plan.expected_std, start=1):
-            with ui.element("tr"):
-                text_of("td", str(number))
-                for words in _std_words(std):
-                    text_of("td", words)
+    rows = ((str(n), *_std_words(std)) for n, std in enumerate(plan.expected_std, start=1))
+    table((texts.JOINT, "a", "alpha", "d", "theta"), rows)
     for note in plan.notes:
         text_of("p", note).classes("hint")
 
 
 def _fits_table(done: IdentifyOutput, fits: tuple[SweepFit, ...]) -> None:
     """What was fitted to each joint's sweep: an arc about its axis, or a line along it."""
-    off_m = {fit.joint: fit.off_m for fit in fits}
-    with ui.element("table").classes("plain"):
-        with ui.element("tr"):
-            for head in texts.FITS_HEAD:
-                text_of("th", head)
-        for joint in done.joints:
-            turns = joint.type == "revolute"
-            shape = texts.FIT_ARC.format(radius=joint.radius_m / MM) if turns else texts.FIT_LINE
-            with ui.element("tr"):
-                text_of("td", str(joint.index))
-                text_of("td", shape if joint.decided else f"{shape}; {texts.FIT_OPEN}")
-                text_of("td", f"{joint.n - len(joint.discarded)} / {joint.n}")
-                text_of("td", f"{joint.residual_rms_m / MM:.3f} mm")
-                text_of("td", f"{off_m[joint.index] / MM:.3f} mm" if joint.index in off_m else texts.NO_VALUE)
+    off_m, rows = {fit.joint: fit.off_m for fit in fits}, []
+    for joint in done.joints:
+        turns = joint.type == "revolute"
+        shape = texts.FIT_ARC.format(radius=joint.radius_m / MM) if turns else texts.FIT_LINE
+        rows.append(
+            (
+                str(joint.index),
+                shape if joint.decided else f"{shape}; {texts.FIT_OPEN}",
+                f"{joint.n - len(joint.discarded)} / {joint.n}",
+                f"{joint.residual_rms_m / MM:.3f} mm",
+                f"{off_m[joint.index] / MM:.3f} mm" if joint.index in off_m else texts.NO_VALUE,
+            )
+        )
+    table(texts.FITS_HEAD, rows)
 
 
 def _std_words(std: JointStd) -> tuple[str, ...]:
@@ -218,13 +198,11 @@ def _std_words(std: JointStd) -> tuple[str, ...]:
 
 
 def _entries_table(entries: tuple[Entry, ...]) -> None:
-    with ui.element("table").classes("plain"):
-        with ui.element("tr"):
-            for head in texts.FOUND_HEAD:
-                text_of("th", head)
-        for entry in entries:
-            with ui.element("tr"):
-                text_of("td", str(entry.joint))
-                text_of("td", entry.name)
-                for value in (entry.value, entry.std, entry.deviation):
-                    text_of("td", texts.NO_VALUE if np.isnan(value) else f"{value:.3f} {entry.unit}")
+    def words(value: float, unit: str) -> str:
+        return texts.NO_VALUE if np.isnan(value) else f"{value:.3f} {unit}"
+
+    rows = (
+        (str(one.joint), one.name, *(words(value, one.unit) for value in (one.value, one.std, one.deviation)))
+        for one in entries
+    )
+    table(texts.FOUND_HEAD, rows)

@@ -12,7 +12,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from numpy.typing import NDArray
 
 from armsight.app.live.measurement import COMPLEX, DetectionSettings
-from armsight.app.live.station import Shown
+from armsight.app.live.station import Snapshot
 from armsight.app.live.views import SideView
 from armsight.app.requests.measure import MeasureJob
 from armsight.console import texts
@@ -21,10 +21,11 @@ from armsight.console.layout import (
     button,
     canvas_of,
     card,
-    jog_card,
+    notice,
     number,
     number_field,
-    set_attribute,
+    refusals_in,
+    say,
     set_text,
     text_of,
     ticked,
@@ -33,10 +34,11 @@ from armsight.console.plots import Plot
 from armsight.console.robot_link import drawn
 from armsight.console.scene import Scene
 from armsight.console.state import Console, values_of
+from armsight.console.work import jog_card
 from armsight.errors import ArmsightError, UsageError
 from armsight.units import DEG
 
-Refresh = Callable[[Shown], None]
+Refresh = Callable[[Snapshot], None]
 
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
@@ -48,7 +50,7 @@ MASKS = 50
 def live_page(console: Console, *, watching: bool = False) -> None:
     """Build the page; watching: without anything that changes the cell."""
     if console.station is None:
-        text_of("p", texts.NO_CAMERAS).classes("notice")
+        notice(texts.NO_CAMERAS)
     else:
         _measuring(console, watching=watching)
     if console.robot is not None and not watching:
@@ -129,10 +131,9 @@ def _picture(side: str) -> Refresh:
         hint = text_of("p").classes("hint")
         figures = text_of("p").classes("hint")
 
-    def refresh(shown: Shown) -> None:
+    def refresh(shown: Snapshot) -> None:
         view = shown.view.right if side == "right" else shown.view.left
-        set_text(hint, texts.ADVICE[view.advice])
-        set_attribute(hint, "data-level", "good" if view.advice == "good" else "warn")
+        say(hint, texts.ADVICE[view.advice], "good" if view.advice == "good" else "warn")
         set_text(figures, _aiming(view))
 
     return refresh
@@ -158,7 +159,7 @@ def _pose(console: Console) -> Refresh:
     with ui.element("div").classes("numbers"):
         numbers = [_number(name, f"pose-{name}") for name in texts.AXES]
 
-    def refresh(shown: Shown) -> None:
+    def refresh(shown: Snapshot) -> None:
         view = shown.view
         values = values_of(view)
         std = (
@@ -183,7 +184,7 @@ def _status() -> Refresh:
         residual, _ = _number(texts.RESIDUAL, "residual")
     why = text_of("p").classes("hint")
 
-    def refresh(shown: Shown) -> None:
+    def refresh(shown: Snapshot) -> None:
         view = shown.view
         set_text(fps, f"{view.fps:.0f}")
         set_text(latency, f"{1e3 * view.latency_s:.0f} ms")
@@ -222,7 +223,7 @@ def _scene(console: Console) -> Scene | None:
     try:
         return Scene(console)
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return None
 
 
@@ -258,12 +259,9 @@ def _search(console: Console) -> None:
 
     def look(change: Callable[[], DetectionSettings]) -> None:
         """Look in another way, or tell why not."""
-        try:
+        with refusals_in(said):
             console.set_look(change())
-            set_text(said, "")
-        except ArmsightError as error:
-            set_text(said, str(error))
-            set_attribute(said, "data-level", "bad")
+            say(said, "")
 
     threshold.on_value_change(lambda: look(lambda: replace(console.look, threshold=_level(threshold))))
     ui.on("armsight_mask", lambda event: look(lambda: masked(console, event.args)))

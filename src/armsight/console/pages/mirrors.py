@@ -13,7 +13,18 @@ from armsight.app.calibrate.results import MirrorCheckOutput
 from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.console import texts
-from armsight.console.layout import SIGNS, button, card, number, set_attribute, set_text, text_of, ticked
+from armsight.console.layout import (
+    button,
+    card,
+    notice,
+    number,
+    say,
+    set_attribute,
+    set_text,
+    show_level,
+    text_of,
+    ticked,
+)
 from armsight.console.plots import Plot
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
@@ -47,9 +58,7 @@ def built_card(console: Console, changed: Callable[[], None]) -> None:
                 values = {name: number(field) for name, field in fields.items() if field.value not in (None, "")}
                 console.set_mirrors(_built(str(shown.value), values))
             except (ArmsightError, ValidationError) as error:
-                words = texts.MIRRORS_WRONG if isinstance(error, ValidationError) else str(error)
-                set_text(said, words)
-                set_attribute(said, "data-level", "bad")
+                say(said, texts.MIRRORS_WRONG if isinstance(error, ValidationError) else str(error), "bad")
                 return
             changed()
 
@@ -73,7 +82,7 @@ def alignment_card(console: Console) -> None:
         alignment = console.mirror_alignment()
         rig = console.mirror_rig()
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return
     with card(texts.ALIGNMENT):
         _Alignment(console, alignment)
@@ -150,8 +159,7 @@ class _Alignment:
         self._plot.show(curves)
 
     def _level(self, level: str, words: str) -> None:
-        set_text(self._lamp, f"{SIGNS[level]} {words}")
-        set_attribute(self._lamp, "data-level", level)
+        show_level(self._lamp, level, words)
         if level in ("bad", "idle", "good"):
             for label in self._todo:
                 set_text(label, "")

@@ -5,19 +5,8 @@ from __future__ import annotations
 from nicegui import run, ui
 
 from armsight.console import texts
-from armsight.console.layout import (
-    button,
-    card,
-    file_name,
-    set_attribute,
-    set_text,
-    text,
-    text_of,
-    ticked,
-)
-from armsight.console.pages.uploads import uploader
+from armsight.console.layout import button, card, file_name, refusals_in, say, text, text_of, ticked, uploader
 from armsight.console.state import Console
-from armsight.errors import ArmsightError
 
 SOURCES = ("left", "right", "board")
 
@@ -37,15 +26,11 @@ def settings_page(console: Console) -> None:
     said = text_of("p", role="alert").classes("hint")
 
     async def apply() -> None:
-        try:
+        with refusals_in(said):
             changed = {name: _typed(console, name, field) for name, field in fields.items()}
             cell = console.cell.model_copy(update={**changed, "play_again": ticked(again)})
             await run.io_bound(console.apply, cell)
-            set_text(said, texts.APPLIED)
-            set_attribute(said, "data-level", "good")
-        except ArmsightError as error:
-            set_text(said, str(error))
-            set_attribute(said, "data-level", "bad")
+            say(said, texts.APPLIED)
 
     button(texts.APPLY, apply, testid="apply")
 

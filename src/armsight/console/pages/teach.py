@@ -18,21 +18,23 @@ from armsight.app.requests.motion import PlayJob
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
-    Working,
     button,
     card,
-    jog_card,
+    notice,
     number,
     number_field,
-    set_attribute,
+    refusals_in,
+    report_link,
+    say,
     set_text,
     text,
     text_of,
     ticked,
 )
+from armsight.console.routes import page_name
 from armsight.console.scene import Scene
 from armsight.console.state import Console
-from armsight.console.visitors import page_name
+from armsight.console.work import Working, jog_card
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM
@@ -53,7 +55,7 @@ def teach_page(console: Console) -> None:
         console.require_station()
         recorder, editor = console.teaching(), console.path_editor()
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return
     said = text_of("p", role="alert", testid="told").classes("hint")
     with ui.element("div").classes("columns"):
@@ -75,7 +77,7 @@ def _scene(console: Console, path: _Path) -> Scene | None:
     try:
         made = Scene(console, picked=path.pick)
     except ArmsightError as error:
-        text_of("p", str(error)).classes("notice")
+        notice(str(error))
         return None
 
     def tick() -> None:
@@ -88,7 +90,6 @@ def _scene(console: Console, path: _Path) -> Scene | None:
 
 
 def _look(scene: Scene) -> None:
-    """The legend, and the keys that look from near and far."""
     with ui.element("ul").classes("legend").props("data-testid=scene-legend"):
         for name, words in texts.PATHS_LEGEND.items():
             text_of("li", words, data_curve=name)
@@ -102,14 +103,7 @@ def _look(scene: Scene) -> None:
         set_text(said, "" if scene.look_at_paths() else texts.NO_PATHS)
 
 
-def _say(said: Any, words: str, level: str = "good") -> None:
-    set_text(said, words)
-    set_attribute(said, "data-level", level)
-
-
 class _Recording:
-    """The keys of the recorder."""
-
     def __init__(self, recorder: TeachController, editor: PathEditor, path: _Path, said: Any) -> None:
         self._recorder, self._editor, self._path, self._said = recorder, editor, path, said
         with card(texts.TEACH):
@@ -126,27 +120,23 @@ class _Recording:
         ui.timer(TICK_S, self._tick)
 
     def _toggle(self) -> None:
-        (self._recorder.pause if self._recorder.state.recording else self._recorder.start)()
+        (self._recorder.pause if self._recorder.recording else self._recorder.start)()
 
     def _mark(self) -> None:
-        try:
+        with refusals_in(self._said):
             self._recorder.recorder.tag(text(self._tag))
-        except ArmsightError as error:
-            _say(self._said, str(error), "bad")
 
     def _save(self) -> None:
-        try:
+        with refusals_in(self._said):
             self._editor.load(self._recorder.save())
-            _say(self._said, "")
-        except ArmsightError as error:
-            _say(self._said, str(error), "bad")
+            say(self._said, "")
         self._path.show()
 
     def _tick(self) -> None:
-        state = self._recorder.state
-        words = texts.TEACH_STATE.format(n=state.n, stretches=state.stretches, lost=state.lost)
-        set_text(self._state, (texts.TEACH_RECORDING if state.recording else "") + words)
-        set_text(self._record, texts.TEACH_PAUSE if state.recording else texts.TEACH_RECORD)
+        path, recording = self._recorder.recorder, self._recorder.recording
+        words = texts.TEACH_STATE.format(n=len(path), stretches=path.stretches, lost=self._recorder.lost)
+        set_text(self._state, (texts.TEACH_RECORDING if recording else "") + words)
+        set_text(self._record, texts.TEACH_PAUSE if recording else texts.TEACH_RECORD)
 
 
 class _Path:
@@ -222,12 +212,10 @@ class _Path:
         self._do(lambda: self._editor.change(tool, number(self._figure) if TOOLS.get(tool) else 0.0))
 
     def _do(self, act: Any) -> None:
-        try:
+        with refusals_in(self._said):
             act()
             self._chosen.clear()
-            _say(self._said, "")
-        except ArmsightError as error:
-            _say(self._said, str(error), "bad")
+            say(self._said, "")
         self.show()
 
 
@@ -267,33 +255,28 @@ class _Play:
 
     async def _check(self) -> None:
         self._issues.clear()
-        try:
+        with refusals_in(self._said):
             self._editor.require()
             found = await run.io_bound(partial(path_desk.check_path, self._asked(), self._robot, self._editor))
-        except ArmsightError as error:
-            _say(self._said, str(error), "bad")
-            return
-        if found is not None:  # None: the server is ending
-            self._show_check(found)
+            if found is not None:  # None: the server is ending
+                self._show_check(found)
 
     def _show_check(self, found: PathCheckOutput) -> None:
         if found.ok:
             figures = {"n": found.n, "length": found.length_m / MM, "time": found.play_s}
-            _say(self._said, texts.PATH_OK.format(**figures))
+            say(self._said, texts.PATH_OK.format(**figures))
         else:
-            _say(self._said, texts.PATH_NOT_OK.format(why=found.refused), "bad")
+            say(self._said, texts.PATH_NOT_OK.format(why=found.refused), "bad")
         with self._issues:
             for issue in found.issues[:5]:
                 text_of("p", issue.text)
-            text_of("a", texts.REPORT, href="/console/files/path-check.html", target="_blank")
+            report_link("path-check.html")
 
     def _play(self) -> None:
-        try:
+        with refusals_in(self._said):
             act = partial(path_desk.play, self._asked(), self._robot, self._editor, self._console.station)
             self._robot.jobs.begin(JOB_NAME, self._browser, act)
-            _say(self._said, "")
-        except ArmsightError as error:
-            _say(self._said, str(error), "bad")
+            say(self._said, "")
 
     def _toggle(self) -> None:
         source = self._editor.source
@@ -316,11 +299,10 @@ class _Play:
         why = texts.PLAY_END if done.finished else done.stopped_by
         words = texts.PLAY_DONE.format(share=done.share, length=done.length_m / MM, time=done.took_s, why=why)
         kept = texts.PLAY_KEPT.format(folder=done.recording)
-        _say(self._said, f"{words} {_watched(done)} {kept}", "good" if done.finished else "bad")
+        say(self._said, f"{words} {_watched(done)} {kept}", "good" if done.finished else "bad")
 
 
 def _watched(done: PlayOutput) -> str:
-    """Return what the cameras saw of it."""
     seen = done.measured
     if seen is None or seen.rms_m is None or seen.max_m is None:
         return texts.PLAY_UNSEEN

@@ -18,25 +18,26 @@ from armsight.app.verify.run import run_verify
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
-    Working,
     button,
     card,
     file_name,
-    jog_card,
     number,
     number_field,
-    set_attribute,
+    refusals_in,
+    report_link,
+    say,
     set_text,
+    table,
     text_of,
     whole_number,
 )
 from armsight.console.plots import Plot
-from armsight.console.routes import reports
+from armsight.console.routes import page_name, reports
 from armsight.console.state import Console
-from armsight.console.visitors import page_name
+from armsight.console.work import Working, jog_card
 from armsight.errors import ArmsightError
 from armsight.store.cell_file import within
-from armsight.units import MM
+from armsight.units import DEG, MM
 from armsight.verify.results import VerifyOutput
 from armsight.verify.supervision import Level
 
@@ -73,7 +74,7 @@ class _Supervision:
         ui.timer(SLOW_S, self._draw)
 
     def _toggle(self) -> None:
-        try:
+        with refusals_in(self._words):
             if self._console.supervisor is None:
                 self._console.supervisor = StationSupervisor(
                     self._console.folder,
@@ -82,23 +83,17 @@ class _Supervision:
                     lambda: self._console.station,
                     Levels(warn_m=number(self._warn) * MM, stop_m=number(self._stop) * MM).limits,
                 )
-                self._say("", "good")
+                say(self._words, "")
             else:
                 self._end(self._console.supervisor)
-        except ArmsightError as error:
-            self._say(str(error), "bad")
 
     def _end(self, running: StationSupervisor) -> None:
         self._console.supervisor = None
         done = running.end()
-        self._say(" ".join([done.verdict, *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in done.doubts)]), "good")
+        say(self._words, " ".join([done.verdict, *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in done.doubts)]))
         self._report.clear()
         with self._report:
-            text_of("a", texts.REPORT, href=f"/console/files/{running.out.name}/report.html", target="_blank")
-
-    def _say(self, words: str, level: str) -> None:
-        set_text(self._words, words)
-        set_attribute(self._words, "data-level", level)
+            report_link(f"{running.out.name}/report.html")
 
     def _tick(self) -> None:
         running = self._console.supervisor
@@ -107,8 +102,7 @@ class _Supervision:
             set_text(self._said, "")
             return
         state = running.state
-        set_text(self._said, _words(state))
-        set_attribute(self._said, "data-level", LEVELS[state.level])
+        say(self._said, _words(state), LEVELS[state.level])
 
     def _draw(self) -> None:
         running = self._console.supervisor
@@ -120,9 +114,10 @@ class _Supervision:
 
 def _words(state: SupervisedState) -> str:
     level = texts.SUPERVISION_LEVELS[state.level.word]
-    if state.error_mm is None:
+    off = state.compared
+    if off is None:
         return f"{level}. {texts.SUPERVISION_BLIND.format(why=state.why)}"
-    words = texts.SUPERVISION_AT.format(mm=state.error_mm, std=state.std_mm, deg=state.error_deg)
+    words = texts.SUPERVISION_AT.format(mm=off.error_m / MM, std=off.std_m / MM, deg=off.error_rad / DEG)
     return f"{level}. {words} {state.why}".strip()
 
 
@@ -138,8 +133,6 @@ def iso_card(console: Console, reported: Callable[[], object]) -> None:
 
 
 class _Iso:
-    """The card of a cell with robot and cameras."""
-
     def __init__(self, console: Console, reported: Callable[[], object]) -> None:
         self._reported = reported
         self._console, self._robot = console, console.require_robot()
@@ -167,45 +160,28 @@ class _Iso:
         )
 
     async def _plan(self) -> None:
-        try:
+        with refusals_in(self._said):
             made = await run.io_bound(partial(iso_run.plan, self._asked(), self._robot))
-        except ArmsightError as error:
-            self._say(str(error), "bad")
-            return
-        if made is not None:  # else the server is ending
-            self._say(format_plan(made), "good")
+            if made is not None:  # else the server is ending
+                say(self._said, format_plan(made))
 
     def _run(self) -> None:
-        try:
+        with refusals_in(self._said):
             asked, station = self._asked(), self._console.require_station()
             self._robot.jobs.begin(JOB_NAME, self._browser, partial(iso_run.run, asked, self._robot, station))
-            self._say("", "good")
-        except ArmsightError as error:
-            self._say(str(error), "bad")
-
-    def _say(self, words: str, level: str) -> None:
-        set_text(self._said, words)
-        set_attribute(self._said, "data-level", level)
+            say(self._said, "")
 
     def _show(self, job: BackgroundJob) -> None:
-        """Show the figures of a run that is done."""
         done: IsoDone = job.result
         self._table.clear()
         with self._table:
             text_of("p", texts.ISO_DONE.format(done=done.cycles, wanted=done.wanted), testid="verdict")
             if done.ended:
                 text_of("p", texts.ENDED_WORK.format(why=done.ended)).classes("hint")
-            with ui.element("table").classes("plain"):
-                with ui.element("tr"):
-                    for head in texts.ISO_HEAD:
-                        text_of("th", head)
-                for row in iso_run.figures(done):
-                    with ui.element("tr"):
-                        for words in row:
-                            text_of("td", words)
+            table(texts.ISO_HEAD, iso_run.figures(done))
             for doubt in done.output.doubts:
                 text_of("p", doubt).classes("hint")
-            text_of("a", texts.REPORT, href=f"/console/files/{done.folder.name}/report.html", target="_blank")
+            report_link(f"{done.folder.name}/report.html")
         self._reported()
 
 
@@ -228,20 +204,16 @@ def verify_page(console: Console) -> None:
         result = ui.element("div").classes("scroll")
 
         async def verify() -> None:
-            set_attribute(said, "data-level", "good")
-            set_text(said, texts.RUNNING_VERIFY)
+            say(said, texts.RUNNING_VERIFY)
             result.clear()
-            try:
+            with refusals_in(said):
                 done = await run.io_bound(partial(_verify, console, {n: file_name(f) for n, f in fields.items()}))
                 if done is None:  # the server is ending
                     return
                 set_text(said, done.verdict)
                 with result:
-                    _table(done)
+                    table((), ((texts.ROWS, str(done.n)), (texts.CAUSE, done.cause)))
                 listing.refresh(console)
-            except ArmsightError as error:
-                set_text(said, str(error))
-                set_attribute(said, "data-level", "bad")
 
         button(texts.VERIFY_RUN, verify, testid="verify-run")
     supervision_card(console)
@@ -256,17 +228,6 @@ def _verify(console: Console, names: dict[str, str]) -> VerifyOutput:
     arm = console.file("arm") if names["joints"] else None
     job = VerifyJob(measured=measured, out=out, arm=None if arm is None else str(arm), joints=joints if arm else None)
     return run_verify(job)
-
-
-def _table(done: VerifyOutput) -> None:
-    with ui.element("table").classes("plain"):
-        for name, value in (
-            (texts.ROWS, str(done.n)),
-            (texts.CAUSE, done.cause),
-        ):
-            with ui.element("tr"):
-                text_of("td", name)
-                text_of("td", value)
 
 
 @ui.refreshable

@@ -123,7 +123,6 @@ def check_path(
 
 
 def _in_base(path: TaughtPath, arm: Arm, T_base_world: RigidTransform | None) -> Array:
-    """Return the poses (n, 4, 4) in base."""
     if path.parent == "base":
         return path.T_world_tip
     if path.parent != "world":

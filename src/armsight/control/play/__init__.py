@@ -3,7 +3,7 @@
 from armsight.control.play.path_source import PathSource, PlayProgress
 from armsight.control.play.plan import PathPlan, PlaySettings, plan_path
 from armsight.control.play.play_watch import CameraPlacement, PlayWatch, WatchFigures
-from armsight.control.play.weave import Weave, WeaveKind
+from armsight.control.play.shape import Weave, WeaveKind
 
 __all__ = [
     "CameraPlacement",

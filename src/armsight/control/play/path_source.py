@@ -1,19 +1,24 @@
-"""Set points of a planned path, one a cycle."""
+"""Set points of a planned path, or of a joint motion that was planned, one a cycle."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.play.plan import PathPlan
-from armsight.control.play.track import ARM_M, Leg, Way
-from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, ToolPose
+from armsight.control.play.timing import ARM_M, StraightSegment, Way
+from armsight.control.setpoints import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose
 from armsight.errors import UsageError
 from armsight.geometry.kernels import rotvec
+from armsight.records import Motion
 from armsight.units import MM
+
+Array = NDArray[np.float64]
 
 AT_REST = 1e-6
 """Joints slower than this (rad/s or m/s) stand."""
@@ -31,6 +36,15 @@ TRIED_M = 1e-3
 """So much further along, refusals are counted anew."""
 CALM_S = 1.0
 """After so long without motion tries are counted anew; one that was given up waits for the operator's resume()."""
+CLOSE = 2e-3
+"""rad or m: an arm so near to a joint motion goes along with it; one further off goes there first."""
+ASTRAY = 0.02
+"""Further from the motion than this the motion waits until the arm is back on it."""
+ARRIVED = 1e-5
+PULL_PER_S = 4.0
+"""How quickly what an arm is off the motion is taken back."""
+RAMP_S = 0.5
+"""Time in which the motion gathers its full speed, and gives it up where it is paused."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,10 +79,10 @@ class PathSource:
         """override: share of the planned speed, 0.01 to 1. Raises UsageError for another."""
         self.plan = plan
         self._ways: tuple[Way, ...] = plan.ways
-        self._override = _checked_override(override)
+        self._override = checked_override(override)
         self._paused = False
         self._stage = 0
-        self._rejoin: Leg | None = None
+        self._rejoin: StraightSegment | None = None
         self._clock = (0.0, self._override, 0.0)  # time of the way that is run, its rate, and how that changes
         self._kept_s = 0.0  # where on its way the path waits while the arm comes back to it
         self._sent: RigidTransform | None = None
@@ -85,7 +99,7 @@ class PathSource:
 
     @override.setter
     def override(self, share: float) -> None:
-        self._override = _checked_override(share)
+        self._override = checked_override(share)
 
     def pause(self) -> None:
         """Come to rest along the path, and wait there."""
@@ -178,7 +192,7 @@ class PathSource:
         if self._given_up:
             return self._given_up
         way = self._ways[self._stage]
-        back = Leg(now.T_base_tool, way.pose(self._kept_s), REJOIN_SPEED_M_S)
+        back = StraightSegment(now.T_base_tool, way.pose(self._kept_s), REJOIN_SPEED_M_S)
         if back.length_m > REJOIN_M:
             return f"the tip is {back.length_m / MM:.0f} mm from the path: begin it anew"
         self._rejoin = back if back.length_m > NEAR_M else None
@@ -242,11 +256,92 @@ def _rate(way: Way, clock: tuple[float, float, float], wanted: float) -> InputPa
     return asked
 
 
-def _checked_override(share: float) -> float:
+def checked_override(share: float, consequence: str = "It is left as it is") -> float:
+    """Return a share of the planned speed. Raises UsageError for another than 0.01 to 1."""
     if not 0.01 <= share <= 1.0:
         raise UsageError(
             f"an override of {share:g} is no share from 0.01 to 1",
-            consequence="It is left as it is",
+            consequence=consequence,
             cure="Give for instance 0.5 (--override)",
         )
     return float(share)
+
+
+class JointMotionSource:
+    """Runs a motion of the joints: to its first reading as the guard goes there, then along it by its own times.
+
+    Where the guard does not follow, the motion stands still, and goes on from the same reading once the arm was brought
+    back to it. next is for the loop; pause, resume and override may be called from any thread.
+    """
+
+    name = "joint motion"
+
+    def __init__(self, motion: Motion, *, override: float = 1.0) -> None:
+        """override: share of the planned speed, 0.01 to 1. Raises UsageError for another."""
+        self.override = checked_override(override, "Nothing is moved")
+        self._t_s = motion.t_s - motion.t_s[0]
+        self._spline = CubicSpline(self._t_s, motion.q)
+        self._speed = self._spline.derivative()
+        self._at_s, self._rate = 0.0, 0.0
+        self._on_it, self._paused, self._finished = False, False, False
+
+    @property
+    def length_s(self) -> float:
+        """How long the motion takes at full override."""
+        return float(self._t_s[-1])
+
+    @property
+    def at_s(self) -> float:
+        """How far along it the motion is, s of its own time."""
+        return self._at_s
+
+    @property
+    def stage(self) -> str:
+        """approach, motion or finished."""
+        return "finished" if self._finished else "motion" if self._on_it or self._at_s > 0.0 else "approach"
+
+    @property
+    def paused(self) -> bool:
+        """Whether it was told to wait."""
+        return self._paused
+
+    def pause(self) -> None:
+        """Come to rest along the motion, and wait there."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Go on."""
+        self._paused = False
+
+    def next(self, now: CycleState) -> SetPoint:
+        """Return the joints' velocity along the motion; a goal where the arm is beside it; Finished at its end."""
+        if self._finished:
+            return Finished()
+        if len(now.q_sent) != self._spline.c.shape[2]:
+            return JointGoal(q=np.asarray(self._spline(0.0)))  # the guard refuses it, and says why
+        goal = np.asarray(self._spline(self._at_s))
+        off = float(np.abs(goal - now.q_sent).max())
+        still = float(np.abs(now.qd_sent).max())
+        if not now.running or (self._on_it and off > ASTRAY):
+            self._on_it, self._rate = False, 0.0
+        if not self._on_it:
+            if not now.running or off > CLOSE or still > ARRIVED:
+                return JointGoal(q=goal)
+            self._on_it = True
+        if self._paused and self._rate == 0.0:
+            return Hold()
+        return self._along(now, goal)
+
+    def _along(self, now: CycleState, goal: Array) -> SetPoint:
+        """Go on by a cycle, at a rate that grows and falls evenly; back towards the motion where it is beside it."""
+        wanted = 0.0 if self._paused else self.override
+        most = now.cycle_s / RAMP_S
+        self._rate += float(np.clip(wanted - self._rate, -most, most))
+        before, self._at_s = self._at_s, min(self._at_s + self._rate * now.cycle_s, self.length_s)
+        if before >= self.length_s:
+            if np.abs(goal - now.q_sent).max() < ARRIVED and np.abs(now.qd_sent).max() < ARRIVED:
+                self._finished = True
+                return Finished()
+            return JointGoal(q=goal)
+        pull = PULL_PER_S * (goal - now.q_sent)
+        return JointVelocity(qd=np.asarray(self._rate * self._speed(self._at_s) + pull))

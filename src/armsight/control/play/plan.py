@@ -13,10 +13,8 @@ from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths import PathCheck, check_path
 from armsight.control.paths.check import SLOWED
 from armsight.control.paths.outliers import SAME_M, distinct_rows, of_rows, path_jumps
-from armsight.control.play.shape import TURN_M, Shape, shaped, steps, welds_of
-from armsight.control.play.timing import SPEED_SHARE, timed
-from armsight.control.play.track import ARM_M, Samples, Track
-from armsight.control.play.weave import Weave
+from armsight.control.play.shape import TURN_M, Shape, Weave, shaped, steps, welds_of
+from armsight.control.play.timing import ARM_M, SPEED_SHARE, Samples, Track, timed
 from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, PATH_SPEED_M_S, RETRACT_M
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import pose_difference
@@ -161,7 +159,6 @@ def plan_path(
 
 
 def _in_base(path: TaughtPath, arm: Arm) -> TaughtPath:
-    """Return the path in base axes."""
     if path.parent == "base":
         return path
     if path.parent != "world":

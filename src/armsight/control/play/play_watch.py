@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.servo import Mount
-from armsight.control.servo.delay import ArmLag
+from armsight.control.servo.law import ArmLag
 from armsight.control.servo.premise import PremiseWatch
 from armsight.control.servo.premise_bank import Premise
 from armsight.control.setpoints import CycleState

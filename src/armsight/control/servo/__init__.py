@@ -2,16 +2,19 @@
 
 from armsight.control.servo.law import (
     Gain,
+    Mount,
     ServoError,
+    ServoSettings,
+    Turning,
     chosen_gain,
     delay_cycles,
     no_overshoot_gain,
+    on_axis,
     servo_error,
     servo_twist,
     stability_gain,
 )
 from armsight.control.servo.servo_source import ServoSource
-from armsight.control.servo.settings import Mount, ServoSettings, Turning, on_axis
 from armsight.control.servo.target_track import TargetMotion, TargetTrack, Tracked
 
 __all__ = [

@@ -10,10 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
-from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.law import (
+    ArmLag,
+    CameraDelay,
+    Mount,
     Reaction,
     ServoError,
+    ServoSettings,
+    Turning,
     cross,
     delay_cycles,
     inverse,
@@ -23,7 +27,6 @@ from armsight.control.servo.law import (
 )
 from armsight.control.servo.premise import LEVER_M, PremiseWatch
 from armsight.control.servo.premise_bank import INVERTED, Premise, impossible_pose, joint_reversed
-from armsight.control.servo.settings import Mount, ServoSettings, Turning
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.errors import StaleData
@@ -253,7 +256,6 @@ class ServoSource:
         self.contradiction = wrong.text if named and wrong is not None else ""
 
     def _why_not(self, now_s: float) -> str:
-        """Return why the target is not followed, or nothing."""
         if self._unplaced:
             return self._unplaced
         if self._reaction.missing:

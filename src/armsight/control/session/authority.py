@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from armsight.control.guard import GuardState
 from armsight.control.session.loop_host import LoopHost, flange_pose, synchronized
 from armsight.control.setpoints import (
-    Beat,
     Command,
     FlangePose,
+    Heartbeat,
     Hold,
     JointGoal,
     JointStep,
@@ -43,7 +43,7 @@ SILENT_S = 10.0
 LEAD_S = 0.2
 """Steps lead the robot by no more than a joint's way in so long: else it went on long after the last of them."""
 
-LET_GO_CYCLES = 3.0
+RELEASED_CYCLES = 3.0
 """Cycles after which the loop has told that the enable was let go of."""
 
 RANGE_MARGIN = 1e-9
@@ -179,7 +179,7 @@ class ControlAuthority:
         now_s = self._host.now_s()
         if stops:
             self.stop(lease.who)  # before all that may be refused
-        if not isinstance(command, Beat):
+        if not isinstance(command, Heartbeat):
             kind, values = logged(command)
             self._log.command(now_s, lease.who, kind, {"seq": seq, **values})
         now = self._host.status()
@@ -211,7 +211,7 @@ class ControlAuthority:
     ) -> tuple[Array | None, tuple[str, ...]]:
         """Do what is asked; return the joint values it leads to (n,), and the limits that cut it."""
         match command:
-            case Beat():
+            case Heartbeat():
                 self._beat(lease, command, age_s)
             case Hold():
                 self._post(Hold(why=f"{lease.who} asked for it"), age_s)
@@ -243,7 +243,7 @@ class ControlAuthority:
                 return self._cut(self._joints_of(T, self._begin_cycle(now)), now, age_s)
         return None, ()
 
-    def _beat(self, lease: Lease, beat: Beat, age_s: float) -> None:
+    def _beat(self, lease: Lease, beat: Heartbeat, age_s: float) -> None:
         """Take an enable, or its end; it counts from when it was sent."""
         self._reenable = self._reenable and beat.enable
         self._beat_s, self._enabled = self._host.now_s() - age_s, beat.enable and not self._reenable
@@ -331,7 +331,7 @@ class ControlAuthority:
 
         now: the loop's newest status.
         """
-        told = now.t_s > self._let_go_s + LET_GO_CYCLES * self.robot.cycle_s
+        told = now.t_s > self._let_go_s + RELEASED_CYCLES * self.robot.cycle_s
         return now.lapsed if told else ""
 
     def _robot_state(self, now: RobotStatus) -> RobotState:
@@ -343,7 +343,6 @@ class ControlAuthority:
         return RobotState.READY if now.robot in (RobotState.STOPPED, RobotState.CLOSED) else now.robot
 
     def _check_joints(self, name: str, values: Array) -> None:
-        """Raise UsageError where the robot has another number of joints."""
         if values.shape != (self.robot.n_joints,):
             raise UsageError(
                 f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {values.size} values",

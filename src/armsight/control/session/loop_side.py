@@ -18,8 +18,7 @@ from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.session.channels import JointTrack, LineChannels, Newest, Queue, granted, put_error
 from armsight.control.session.loop_host import SETPOINT_S, LoopCommand, LoopEvent
-from armsight.control.setpoints import CycleState, JointGoal, SetPoint
-from armsight.control.sources import ClientSource
+from armsight.control.setpoints import ClientSource, CycleState, JointGoal, SetPoint
 from armsight.control.status import RobotStatus
 from armsight.drivers import Robot, RobotTraits
 from armsight.drivers.remote.protocol import JointDescription, RobotDescription

@@ -16,10 +16,12 @@ from armsight.control.session.authority import EnableLost, Lease
 from armsight.control.session.loop_host import flange_pose, synchronized
 from armsight.control.session.service import Service
 from armsight.control.setpoints import (
-    Beat,
     Command,
     CycleState,
+    Heartbeat,
     Hold,
+    JogFrame,
+    JogSource,
     JointStep,
     JointVelocity,
     Reset,
@@ -27,7 +29,6 @@ from armsight.control.setpoints import (
     Taken,
     ToolTwist,
 )
-from armsight.control.sources import JogFrame, JogSource
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.kinematics import Arm
@@ -45,7 +46,7 @@ FIRST_OVERRIDE = 0.5
 FRESH_S = 1.0
 """An enable counts that answers a state no older than this."""
 
-LET_GO = "Let the enable go, and hold it anew"
+ENABLE_RELEASED = "Let the enable go, and hold it anew"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,12 +153,12 @@ class OperatorSession:
         self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
         if not self._held:
             self._let_line("")  # first, so that nothing that comes there brings it back
-        self._perform(Beat(enable=self._held, number=number), age_s)
+        self._perform(Heartbeat(enable=self._held, number=number), age_s)
         if self._held:
             self._let_line(key)
         self._follow(push if self._held else None)
         if self._again:  # said at every beat: who holds on has to know why nothing moves
-            raise DeviceFailed(over or "the enable was held on", consequence="The robot is held", cure=LET_GO)
+            raise DeviceFailed(over or "the enable was held on", consequence="The robot is held", cure=ENABLE_RELEASED)
 
     def _why_over(self, now_s: float, seen_s: float) -> str:
         """Return why an enable that is held counts no more until it was let go of; empty where it counts."""
@@ -200,7 +201,7 @@ class OperatorSession:
         self._held, self._again = False, self._pressed
         if not self._pressed:
             # browsers are silent while nothing is held, and the authority waits to hear that it was let go of
-            self._perform(Beat(enable=False))
+            self._perform(Heartbeat(enable=False))
 
     @synchronized
     def choose_override(self, browser: str, person: Person, share: float) -> None:
@@ -246,14 +247,13 @@ class OperatorSession:
     def _check_let_go(self, browser: str) -> None:
         """Raise DeviceFailed where an enable is held on that did not count when it was pressed."""
         if browser in self._lost:
-            raise DeviceFailed("the connection was lost", consequence="The robot was stopped", cure=LET_GO)
+            raise DeviceFailed("the connection was lost", consequence="The robot was stopped", cure=ENABLE_RELEASED)
         if browser in self._vain:
             driver = self._authority.driver
             cause = "another drove when you pressed the enable" if driver is None else f"{driver.who} drives"
-            raise DeviceFailed(cause, consequence="The robot is not moved", cure=LET_GO)
+            raise DeviceFailed(cause, consequence="The robot is not moved", cure=ENABLE_RELEASED)
 
     def _is_driver(self, browser: str, person: Person) -> bool:
-        """Return whether this person has the right to drive, from this browser."""
         lease = self._lease
         return (
             lease is not None

@@ -14,16 +14,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
 from armsight.defaults import STALE_CYCLES
-from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, FrameSplitter, StateFrame, answer
-from armsight.drivers.alter.settings import AlterSettings
-from armsight.drivers.controller_clock import ControllerClock
+from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, AlterSettings, FrameSplitter, StateFrame, answer
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.link_settings import ArmOnLink
-from armsight.drivers.pace import LinkTimes
+from armsight.drivers.pace import ControllerClock, LinkTimes, possible
 from armsight.drivers.proof import Probe, Proof, ProofState, flange_and_joint_probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent
-from armsight.drivers.readings import possible
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 from armsight.priority import control_first
 from armsight.records import JointReading
@@ -300,7 +297,6 @@ class AlterRobot(CyclicRobot):
             self._nominal = state.T_base_flange
 
     def _reachable_since(self, state: StateFrame) -> bool:
-        """Tell whether the arm can be where a state has it, after the last."""
         last = self._last
         return last is None or possible(state.q, last.q, (state.sequence - last.sequence) % SEQUENCES, self.cycle_s)
 

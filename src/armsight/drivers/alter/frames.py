@@ -5,11 +5,15 @@ from __future__ import annotations
 import binascii
 import struct
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.defaults import TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
+from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.errors import Inconsistent
 
 Array = NDArray[np.float64]
@@ -136,3 +140,35 @@ def answer(sequence: int, way_m: Array, turn_rad: Array, *, cumulative: bool, to
 def checksum(data: bytes) -> int:
     """Return the CRC-16 with polynomial 0x1021 and start 0xFFFF."""
     return binascii.crc_hqx(data, 0xFFFF)
+
+
+BITS_A_BYTE = 10
+"""Start bit, eight bits, stop bit."""
+
+
+class AlterSettings(LinkSettings):
+    """Settings of a link of real-time path control.
+
+    baud, cycle_s: the controller's. cumulative: an answer's way adds to those before; otherwise it is the whole way
+    from where path control began. axes: world or tool, those the way is told in. Without arm the robot takes poses
+    alone. max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of
+    the flange.
+    """
+
+    link: ClassVar[str] = "the serial link"
+
+    baud: Annotated[int, Field(ge=1200)] = 38400
+    cycle_s: Positive = 0.028
+    cumulative: bool = True
+    axes: Literal["world", "tool"] = "world"
+    lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+    upper_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+    speed_m_s: Positive = TOOL_SPEED_M_S
+    speed_rad_s: Positive = TOOL_SPEED_RAD_S
+
+    @model_validator(mode="after")
+    def _fits(self) -> AlterSettings:
+        needed_s = (STATE_BYTES + ANSWER_BYTES) * BITS_A_BYTE / self.baud
+        if needed_s >= self.cycle_s:
+            raise ValueError(f"a state and its answer take {needed_s:.4f} s at {self.baud} baud, longer than a cycle")
+        return self

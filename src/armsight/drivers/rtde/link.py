@@ -198,7 +198,6 @@ def _goes_on(data: bytes) -> bool:
 
 
 def _there(name: str) -> bool:
-    """Tell whether a module can be imported."""
     try:
         return importlib.util.find_spec(name) is not None
     except ValueError:  # imported already, or kept from being imported

@@ -18,8 +18,7 @@ from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.drivers.lock import DeviceLock
-from armsight.drivers.pace import LinkTimes
-from armsight.drivers.readings import LARGEST_RAD
+from armsight.drivers.pace import LARGEST_RAD, LinkTimes
 from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent

@@ -1,26 +1,32 @@
-"""The messages of EGM: a packet from the controller as a checked record, and the answer to it.
+"""ABB's Externally Guided Motion: the controller sends its state over UDP each 4 ms and is answered with a goal.
 
-Built at run time from field numbers and types, those of ABB's published definition of the sensor interface (package
-abb.egm, proto2), chapter "Externally Guided Motion" of the application manual "Controller software IRC5 / OmniCore".
-Fields left out here are skipped by every protobuf reader. All fields are optional here; what must be there is checked
-by `parse`. Degrees and mm are on the wire only.
+Messages are built at run time from field numbers and types, those of ABB's published definition of the sensor interface
+(package abb.egm, proto2), chapter "Externally Guided Motion" of the application manual "Controller software IRC5 /
+OmniCore". Fields left out here are skipped by every protobuf reader. All fields are optional here; what must be there
+is checked by `parse`. Degrees and mm are on the wire only.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.drivers.readings import LARGEST_M, LARGEST_RAD
+from armsight.clock import Clock
+from armsight.drivers.goals import GivenGoals
+from armsight.drivers.link_settings import Positive, UdpSettings
+from armsight.drivers.pace import LARGEST_M, LARGEST_RAD, ControllerClock
+from armsight.drivers.udp import Sender, UdpRobot
 from armsight.errors import Inconsistent
-from armsight.units import MM
+from armsight.units import MM, MS
 
 Array = NDArray[np.float64]
 
@@ -62,7 +68,6 @@ MESSAGES: dict[str, dict[str, tuple[int, int | str, bool]]] = {
 
 
 def _classes() -> dict[str, Any]:
-    """Return the message classes by name, in a pool of their own."""
     file = descriptor_pb2.FileDescriptorProto(name="armsight/egm.proto", package="armsight.egm", syntax="proto2")
     for name, fields in MESSAGES.items():
         message = file.message_type.add(name=name)
@@ -201,7 +206,6 @@ def _joints(part: Any, n: int) -> Array | None:
 
 
 def _pose(part: Any) -> RigidTransform | None:
-    """Return a pose; None where the part has none."""
     if not (part.HasField("cartesian") and part.cartesian.HasField("pos") and part.cartesian.HasField("orient")):
         return None
     position, turn = part.cartesian.pos, part.cartesian.orient
@@ -213,7 +217,6 @@ def _pose(part: Any) -> RigidTransform | None:
 
 
 def _why_still(message: Any) -> str:
-    """Return why the controller takes no motion; empty where it does."""
     if message.HasField("motorState") and message.motorState.state == MotorState.OFF:
         return "the motors are off"
     if message.HasField("rapidExecState") and message.rapidExecState.state == RapidState.STOPPED:
@@ -223,3 +226,78 @@ def _why_still(message: Any) -> str:
         return ""
     words = {MciState.ERROR: "EGM has failed on the controller", MciState.STOPPED: "EGM is stopped on the controller"}
     return words.get(state, "EGM is not running on the controller")
+
+
+class EgmSettings(UdpSettings):
+    """Settings of an EGM link, beside those of every link by UDP.
+
+    cycle_s: EGMActJoint's and EGMActPose's SampleRate. joints: how many the arm has. guidance: what the controller's
+    program runs, EGMRunJoint or EGMRunPose. silent_s: silence after which the link is lost, CommTimeout of EGMSetupUC.
+    """
+
+    link: ClassVar[str] = "the EGM link"
+
+    joints: Annotated[int, Field(ge=1, le=12)] = 6
+    guidance: Literal["joint", "pose"] = "joint"
+    silent_s: Positive = 1.0
+
+
+class EgmRobot(UdpRobot[ControllerPacket]):
+    """An arm that sends EgmRobot packets to this computer's UDP port and takes EgmSensor packets back.
+
+    device: the UDP port. settings: see EgmSettings. Raises UsageError for a port or a setting that cannot be.
+    """
+
+    scheme, usual_port = "egm", 6510
+    guided_by = "set guidance to joint and run EGMRunJoint on the controller"
+    to_begin = "Give this computer's address and port to the controller (UDPUC device) and start its EGM program"
+
+    def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
+        kept = self.settings = EgmSettings.checked(settings)
+        super().__init__(device, kept, n=kept.joints, silent_s=kept.silent_s, guidance=kept.guidance, clock=clock)
+        self._given = GivenGoals()
+        self._number = 0
+        self._controller_clock = ControllerClock(kept.cycle_s, numbered=True)
+
+    def _rebase(self, q: Array) -> None:
+        super()._rebase(q)
+        self._given.start()
+
+    def _decode(self, data: bytes) -> ControllerPacket:
+        return parse(data, self.n_joints)
+
+    def _cycles_between(self, last: ControllerPacket, state: ControllerPacket) -> int:
+        return state.sequence - last.sequence
+
+    def _check_session(self, state: ControllerPacket, last: ControllerPacket) -> None:
+        """Begin anew where the controller had no answer for its CommTimeout: it has ended the guidance by then."""
+        if self._unheard_s() > self._times.silent_s:
+            self._begin_anew("EGM on its controller has started anew meanwhile", state.q)
+
+    def _stamp(self, state: ControllerPacket) -> tuple[float, int]:
+        return state.tm_ms * MS, state.sequence
+
+    def _taken(self, state: ControllerPacket) -> bool:
+        taken = self._given.taken(state.T_planned if self.takes_poses else state.q_planned)
+        self.counts.late += not taken
+        return taken
+
+    def _hear(self, state: ControllerPacket) -> None:
+        if state.why_still or self._held:
+            self._halt(state.why_still, state.q)
+
+    def _hear_old(self, state: ControllerPacket, newest: ControllerPacket, sender: Sender) -> None:
+        """Note a link that has started anew.
+
+        None is answered: after a new start the arm may stand elsewhere, and the old goal must not pull it back.
+        """
+        if state.tm_ms > newest.tm_ms or self._restarted(state.sequence, newest.sequence, 1):
+            self._lose("its controller, or EGM on it, has started anew")
+
+    def _encode(self, state: ControllerPacket) -> bytes:
+        tm_ms = int(self._clock.now_s() / MS)
+        q, pose = self._goals.sent, self._poses.sent
+        self._given.give(pose if self.takes_poses else q)
+        data = answer_pose(self._number, tm_ms, pose) if self.takes_poses else answer_joints(self._number, tm_ms, q)
+        self._number += 1
+        return data
