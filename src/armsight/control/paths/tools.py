@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.control.paths.along import WINDOW_M, moving, positions_at
+from armsight.defaults import PATH_GAP_M, PATH_GAP_RAD
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG
 
 Array = NDArray[np.float64]
 
-GAP_M = 1e-3
-GAP_RAD = 5.0 * DEG
 LEAST_RAD = 5.0 * DEG
 """Between the tool's axis and the path's direction; below it the plane of both is not known."""
 MOST_TILT_RAD = 80.0 * DEG
@@ -98,7 +97,9 @@ def reversed_path(path: TaughtPath) -> TaughtPath:
     )
 
 
-def joined(first: TaughtPath, second: TaughtPath, *, gap_m: float = GAP_M, gap_rad: float = GAP_RAD) -> TaughtPath:
+def joined(
+    first: TaughtPath, second: TaughtPath, *, gap_m: float = PATH_GAP_M, gap_rad: float = PATH_GAP_RAD
+) -> TaughtPath:
     """Return both paths one after the other, without times.
 
     Where the ends are at one position the second's first row is left out, and its tag and speed go to the row before
