@@ -16,13 +16,13 @@ from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
-from armsight.records.output import Output, output
+from armsight.records.output import output
 from armsight.records.result_parts import RejectedRow
 from armsight.shown import REJECTED_SHOWN, Shown, digits
-from armsight.store import write_text
 from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import pairs_text
 from armsight.store.interpret import TableFormat
+from armsight.store.outputs import TextOutput
 from armsight.store.tables import Columns, cells, read_columns, word
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_reported_joints
 from armsight.units import MS
@@ -41,7 +41,7 @@ STILL_ROWS = 3
 
 
 @output
-class JoinResult(Output):
+class JoinResult(TextOutput):
     """armsight join."""
 
     kind: Annotated[str, Doc("The table written: points, observed or pairs.")]
@@ -59,7 +59,6 @@ class JoinResult(Output):
     rejected: Annotated[list[RejectedRow], Doc("Measured rows left out, with the reason.")]
     notes: Annotated[list[str], Doc("What is to be known of times and columns.")]
     file: Annotated[str | None, Doc("The file written.")] = None
-    content: str
 
     @property
     def table(self) -> Columns:
@@ -76,10 +75,6 @@ class JoinResult(Output):
         for item in self.rejected[:REJECTED_SHOWN]:
             yield f"  left out: row {item.row}: {item.why}"
         yield f"{self.n} rows of {self.kind} from {self.n_measured} measured, by {self.by}: {self.file}"
-
-    def write(self, path: Path) -> None:
-        """Write the table."""
-        write_text(path, self.content)
 
 
 def require_sources(kind: str, joints: Path | None, arm: Arm | None, robot_stream: Path | None) -> None:

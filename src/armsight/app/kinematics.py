@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.arm_files import NOTES, arm_notes
-from armsight.app.sources.bags import joint_states
-from armsight.app.sources.joint_names import columns_of
+from armsight.app.sources.bags import columns_of, joint_states
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import (
@@ -34,9 +33,10 @@ from armsight.kinematics.target import start_values, task_of
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.records.output import Output, output
 from armsight.shown import Shown
-from armsight.store import read_joints, write_joints, write_poses, write_text
+from armsight.store import read_joints, write_joints, write_poses
 from armsight.store.bags import JointStates, is_bag
 from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
+from armsight.store.outputs import TextOutput
 from armsight.store.tables import cells, number
 
 Array = NDArray[np.float64]
@@ -50,34 +50,18 @@ ROTATION_HELD = 1e-5
 
 
 @output
-class TextOutput(Output):
-    """A result whose file is text."""
-
-    content: str = ""
-
-    def write(self, path: Path) -> None:
-        """Write the file."""
-        write_text(path, self.content)
-
-
-@output
 class OfArm(TextOutput):
-    """What is said of an arm in every result. saved: the file that is written."""
+    """What is said of an arm in every result. headline: what a terminal shows first, with the file that is written."""
 
     arm: Annotated[str, Doc("The arm's name.")]
     notes: Annotated[tuple[str, ...], NOTES]
-    saved: str
+    headline: str
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
-        yield f"{self.headline}: {self.saved}"
+        yield self.headline
         for note in self.notes:
             yield f"  {note}"
-
-    @property
-    def headline(self) -> str:
-        """What it is, in one line."""
-        return self.arm
 
 
 @output
@@ -88,12 +72,6 @@ class FkOutput(OfArm):
     n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
     model: Arm
     motion: Motion
-
-    @property
-    def headline(self) -> str:
-        """What it is, in one line."""
-        beyond = f", {self.n_beyond_limits} of them beyond limits" if self.n_beyond_limits else ""
-        return f"{self.n} poses of {self.arm}{beyond}"
 
     def write(self, path: Path) -> None:
         """Write poses.csv: T_world_tool with the deviations that the arm's parameters leave."""
@@ -114,11 +92,6 @@ class JacobianOutput(OfArm):
 
     n: Annotated[int, Doc("Rows.")]
     axes: Annotated[str, Doc("Axes of the Jacobian: world, base or tool.")]
-
-    @property
-    def headline(self) -> str:
-        """What it is, in one line."""
-        return f"{self.n} Jacobians of {self.arm} in {self.axes} axes"
 
 
 @output
@@ -144,12 +117,6 @@ class IkOutput(OfArm):
     unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
     every: bool
 
-    @property
-    def headline(self) -> str:
-        """What it is, in one line."""
-        counts = ", ".join(f"{count} {status}" for status, count in self.status.items())
-        return f"{self.n} poses of {self.arm} ({counts})"
-
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
         first, *notes = OfArm.summary(self)
@@ -172,12 +139,6 @@ class PathOutput(OfArm):
     branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
     issues: Annotated[tuple[Issue, ...], Doc("What is wrong with the path.")]
     motion: Motion | None
-
-    @property
-    def headline(self) -> str:
-        """What it is, in one line."""
-        branch = f" on the branch {', '.join(self.branch)}" if self.branch else ""
-        return f"{self.n_reached} of {self.n} poses of {self.arm} reached{branch}"
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
@@ -282,10 +243,11 @@ def solved(
         if answer.solutions:
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(arm.n)), "error_m", "error_rad", "status"]
+    told = ", ".join(f"{count} {status}" for status, count in counts.items())
     return IkOutput(
         arm=arm.name,
         notes=arm_notes(arm),
-        saved=saved,
+        headline=f"{len(targets)} poses of {arm.name} ({told}): {saved}",
         content="\n".join([",".join(header), *rows]) + "\n",
         n=len(targets),
         status=dict(counts),

@@ -30,9 +30,16 @@ def fk(
     from armsight.app.kinematics import FkOutput, read_values
 
     motion = read_values(arm, joints, table)
-    beyond = int((~arm.within_limits(motion.q)).sum())
-    told = {"arm": arm.name, "notes": arm_notes(arm), "saved": str(out), "model": arm, "motion": motion}
-    return FkOutput(**told, n=len(motion.t_s), n_beyond_limits=beyond)
+    n, beyond = len(motion.t_s), int((~arm.within_limits(motion.q)).sum())
+    return FkOutput(
+        arm=arm.name,
+        notes=arm_notes(arm),
+        headline=f"{n} poses of {arm.name}{f', {beyond} of them beyond limits' if beyond else ''}: {out}",
+        n=n,
+        n_beyond_limits=beyond,
+        model=arm,
+        motion=motion,
+    )
 
 
 @action("kinematics ik")
@@ -76,7 +83,7 @@ def jacobian(
     return JacobianOutput(
         arm=arm.name,
         notes=arm_notes(arm),
-        saved=str(out),
+        headline=f"{len(motion.t_s)} Jacobians of {arm.name} in {axes} axes: {out}",
         n=len(motion.t_s),
         axes=axes,
         content=jacobian_table(arm, motion, axes),
@@ -111,11 +118,11 @@ def path(
     T = np.array([target.pose.as_matrix() for target in targets if target.pose is not None])
     first = None if start is None else read_values(arm, start).q[0]
     track = track_path(arm, T, t_s=t_s, start=first, task=task)
-    reached = len(track.q)
+    reached, branch = len(track.q), f" on the branch {', '.join(track.branch)}" if track.branch else ""
     return PathOutput(
         arm=arm.name,
         notes=(*arm_notes(arm), *turned(arm, track.q, T, task)),
-        saved=str(out),
+        headline=f"{reached} of {len(targets)} poses of {arm.name} reached{branch}: {out}",
         n=len(targets),
         n_reached=reached,
         branch=list(track.branch),
@@ -178,5 +185,11 @@ def show_arm(
 
     values = start_values(arm, None) if q is None else joint_values(arm, q)
     xyz = forward(arm, np.atleast_2d(values)[0])[:3, 3].tolist()
-    page = {"saved": fspath(out), "file": fspath(out), "content": arm_report(arm, values)}
-    return ShowOutput(arm=arm.name, notes=arm_notes(arm), tool_xyz_m=xyz, **page)
+    return ShowOutput(
+        arm=arm.name,
+        notes=arm_notes(arm),
+        headline=f"{arm.name}: {out}",
+        file=fspath(out),
+        tool_xyz_m=xyz,
+        content=arm_report(arm, values),
+    )

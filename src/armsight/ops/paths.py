@@ -319,7 +319,7 @@ def from_picks(
     """
     from scipy.spatial.transform import RigidTransform
 
-    from armsight.app.path.picks import axis_of, find_places, path_of_places, require_places
+    from armsight.app.path.picks import axis_of, find_places, path_of_places
     from armsight.control.paths.along import along_edges
     from armsight.measure.correspondence import PatchSettings, StereoViews
     from armsight.records import Silent
@@ -333,6 +333,5 @@ def from_picks(
     axis = axis_of(tool_axis, views, view, stand.T_parent_rig)
     uv, rows = along_edges(picked.uv_px, picked.edges, step_px)
     places = [(int(row), px) for row, px in zip(rows, uv, strict=True)]
-    found, refused = find_places(places, views, view, settings, progress or Silent())
-    require_places(found, refused, skip=skip)
+    found, refused = find_places(places, views, view, settings, skip, progress or Silent())
     return path_of_places(found, refused, len(picked.uv_px), stand, axis, out)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.compare.parameters import Value, differences, judged
+from armsight.app.compare.calibrations import Value, differences, judged
 from armsight.app.measure.outputs import made_with
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.run import run_verify

@@ -52,4 +52,4 @@ def test_a_check_says_what_play_does(name: str, keep_rotation: bool) -> None:
     assert (told.ok, told.refused) == (plan is not None, why)
     assert (plan is None) == (name in ("a jump", "out of reach"))
     assert plan is None or told.play_s == pytest.approx(plan.time_s)
-    assert ("can be run" if told.ok else "cannot be run") in told.page
+    assert ("can be run" if told.ok else "cannot be run") in told.content

@@ -10,12 +10,14 @@ from typing import Annotated, Any
 from armsight.app.compare.calibrations import (
     Compared,
     Effect,
+    Judgement,
     compare_arms,
     compare_cameras,
     compare_handeyes,
     compare_rigs,
+    judged,
+    judged_singly,
 )
-from armsight.app.compare.parameters import Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -19,10 +18,10 @@ from armsight.errors import ArmsightError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
-from armsight.records.output import Output, output
+from armsight.records.output import output
 from armsight.report.path_report import path_report
 from armsight.shown import Shown
-from armsight.store.atomic import write_text
+from armsight.store.outputs import TextOutput
 
 SHOWN = 20
 """Issues that a terminal tells."""
@@ -31,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 @output
-class PathCheckOutput(Output):
+class PathCheckOutput(TextOutput):
     """armsight path check."""
 
     arm: Annotated[str, Doc("The arm's name.")]
@@ -47,7 +46,6 @@ class PathCheckOutput(Output):
     troubles: Annotated[dict[str, int], Doc("How many issues there are of each kind.")]
     issues: Annotated[tuple[PathIssue, ...], Doc("All trouble, row by row.")]
     start_q: Annotated[list[float] | None, Doc("Readings at the first row, rad or m; null where not reached.")]
-    page: str
 
     @property
     def exit_code(self) -> int:
@@ -64,10 +62,6 @@ class PathCheckOutput(Output):
         if self.ok and self.issues:
             verdict += ", slower than asked where that is told"
         yield f"{self.arm} {verdict}: {self.n_reached} of {self.n} rows reached, {self.duration_s:.2f} s"
-
-    def write(self, path: Path) -> None:
-        """Write the page."""
-        write_text(path, self.page)
 
 
 def checked(
@@ -108,7 +102,7 @@ def checked(
         troubles=dict(Counter(issue.trouble.value for issue in found.issues)),
         issues=found.issues,
         start_q=found.q[0].tolist() if len(found.q) else None,
-        page=page,
+        content=page,
     )
 
 

@@ -20,9 +20,9 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
 from armsight.records import TaughtPath
-from armsight.records.output import Output, output
+from armsight.records.output import output
 from armsight.shown import Shown
-from armsight.store.atomic import write_text
+from armsight.store.outputs import TextOutput
 from armsight.store.path_file import path_text
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ TOLD = 3
 
 
 @output
-class PathExportOutput(Output):
+class PathExportOutput(TextOutput):
     """armsight path export."""
 
     file: Annotated[str, Doc("The file written.")]
@@ -48,16 +48,11 @@ class PathExportOutput(Output):
         list[float] | None,
         Doc("Readings to which the program goes first, rad; null where it goes there on a straight line."),
     ]
-    content: str
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
         checked = "checked for the arm" if self.checked else "not checked for any arm"
         yield f"{self.n} rows, {self.length_m:.4f} m, {checked}: {self.file}"
-
-    def write(self, path: Path) -> None:
-        """Write the program."""
-        write_text(path, self.content)
 
 
 def exported(

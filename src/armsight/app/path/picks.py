@@ -86,9 +86,13 @@ Refused = list[tuple[int, Array, DataRefused]]
 
 
 def find_places(
-    places: Sequence[Place], views: StereoViews, side: str, settings: PatchSettings, progress: Progress
+    places: Sequence[Place], views: StereoViews, side: str, settings: PatchSettings, skip: bool, progress: Progress
 ) -> tuple[Found, Refused]:
-    """Return the places of one view that were found in the other one, and those that were not, with the reason."""
+    """Return the places of one view that were found in the other one, and those that were not, with the reason.
+
+    Raises the first refusal, with how many there are, where skip is not set; NotEnoughData where fewer than two are
+    found.
+    """
     found, refused = [], []
     for number, (row, px) in enumerate(places):
         if progress.cancelled():
@@ -98,18 +102,13 @@ def find_places(
         except DataRefused as error:
             refused.append((row, px, error))
         progress.update(number + 1, len(places))
-    return found, refused
-
-
-def require_places(found: Found, refused: Refused, *, skip: bool) -> None:
-    """Raise the first place's own refusal, with how many there are, or NotEnoughData where fewer than two are found."""
-    total = len(found) + len(refused)
     if refused and (len(found) < 2 or not skip):
-        raise _refusal(refused, total)
+        raise _refusal(refused, len(places))
     if len(found) < 2:
         raise NotEnoughData(
-            f"{len(found)} of {total} places are found", consequence="They make no path", cure="Pick others"
+            f"{len(found)} of {len(places)} places are found", consequence="They make no path", cure="Pick others"
         )
+    return found, refused
 
 
 def path_of_places(
